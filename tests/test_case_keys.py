@@ -54,6 +54,7 @@ def test_help_of_verbs_and_of_the_case(tmp_path: Path) -> None:
 WRONG = {
     "in a table of several": ('isd = "image_B', 'isdd = "image_B', r"images\[1\] .*'isdd'; did you mean 'isd'"),
     "in an inline table": ("trend = [", "sub = {a = 1}\ntrend = [", "orientation: .*'sub'"),
+    "of another table": ('isd = "image_B', 'sigma_px = 1.0\nisd = "image_B', r"images\[1\] .*it is a key of \[ties\]"),
     "of the wrong kind": ("degree = 2", 'degree = "two"', "orientation.degree: 'two'"),
     "missing": ('network = "network.pvl"\n', "", "ties: no key 'network'"),
 }

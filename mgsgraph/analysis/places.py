@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.ray_terrain import meet_terrain
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.corrections import designs
 
@@ -79,7 +79,7 @@ class View:
         states[found] = State.OUTSIDE
         states[self._inside(pixels)] = State.SEEN
         where = np.flatnonzero(found)
-        origins, directions = self.image.sightlines(*pixels[found].T, self.correction)
+        origins, directions = self.image.sightlines(pixels[found, 0], pixels[found, 1], self.correction)
         if terrain is not None:
             nearer = np.linalg.norm(meet_terrain(origins, directions, terrain) - origins, axis=1)
             hidden = nearer < np.linalg.norm(points[found] - origins, axis=1) - _RELIEF
@@ -116,7 +116,8 @@ class View:
         near = np.all((pixels >= -_REACH * size) & (pixels <= (1.0 + _REACH) * size), axis=1)
         states[~near] = State.FAR_OUTSIDE
         points, slopes = np.full((len(pixels), 3), np.nan), np.full((len(pixels), 3, 2), np.nan)
-        origins, directions, d_origins, d_directions = self.image.rays(*pixels[near].T, self.correction)
+        rays = self.image.rays(pixels[near, 0], pixels[near, 1], self.correction)
+        origins, directions, d_origins, d_directions = rays
         body, level = self.image.body, np.broadcast_to(height, len(pixels))[near]
         if radius is not None:
             body, level = Ellipsoid(1.0, 1.0), radius[near] - 1.0
@@ -135,8 +136,10 @@ class View:
             covariances[met] = slopes[met] @ spread @ np.swapaxes(slopes[met], 1, 2)
         return Places(pixels, points, tuple(states), covariances)
 
-    def _inside(self, pixels: Array) -> Array:
-        return np.all((pixels >= 0.0) & (pixels <= [self.image.lines, self.image.samples]), axis=1)
+    def _inside(self, pixels: Array) -> Mask:
+        size = np.array([self.image.lines, self.image.samples])
+        inside: Mask = np.all((pixels >= 0.0) & (pixels <= size), axis=1)
+        return inside
 
     def _spread(self, points: Array, pixels: Array) -> Array:
         """(n, 2, 2) px^2, covariance of the image places of ground points that is the orientation's."""

@@ -118,7 +118,8 @@ def _named(wanted: CaseInput, folder: Path) -> Iterator[str]:
     """Every path in a case file, which lies in a folder, but those of kernels."""
     for image in wanted.images:
         times = None if image.line_times == "mean" else image.line_times
-        yield from (name for name in (image.isd, image.label, image.cube, image.pixels, times) if name is not None)
+        files = image.isd, image.label, image.cube, image.state, image.pixels, times
+        yield from (name for name in files if name is not None)
     yield from (group.network for group in wanted.tie_groups)
     if wanted.ground_control is not None:
         yield wanted.ground_control.file

@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,18 +16,21 @@ from mgsgraph.case.reading import read_altimetry, read_case
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.case.terrain import read_terrain_model
 from mgsgraph.errors import InputError, require
+from mgsgraph.fetch.grids import SIGMAS, Terrain
 from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.files import beside, write_file
-from mgsgraph.io.kinds import Kind, kind_of
+from mgsgraph.io.kinds import Kind, kind_of, listed_files
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.wording import many, some
 
 _SAME_SHOT = 1e-3
 """s between the times of one shot in two files."""
+_MEGDR_STEPS: dict[str, Terrain] = {"c": "4", "e": "16", "h": "128"}
+"""Pixels per degree of MEGDR's grids, by the letter in their names."""
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""
 _HEAD = """\
@@ -120,22 +125,27 @@ def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], list[Path]]:
         inside = [one]
         if one.is_dir():
             inside = sorted(path for path in one.iterdir() if path.is_file() and not path.name.startswith("."))
+        elif kind_of(one) is Kind.LIST:
+            inside = listed_files(one)
         for path in inside:
             kind = kind_of(path)
-            if kind is not None and kind is not Kind.CASE:
+            if kind is not None and kind not in (Kind.CASE, Kind.LIST):
                 kinds[path] = kind
-            elif not one.is_dir():
+            elif path is one:
                 found = str(kind) if kind else "of no kind known here"
                 raise InputError(str(path), found, "an image, a network, shots, kernels or terrain", "leave it out")
             elif path.suffix.lower() not in (".md", ".txt", ".toml", ".html"):
                 unknown.append(path)
+    stems = {path.with_suffix("") for path in kinds}  # pixels beside their label
+    unknown = [path for path in unknown if path.with_suffix("") not in stems]
     return kinds, unknown
 
 
 def _no_image(where: str, kinds: dict[Path, Kind], left_out: Sequence[str]) -> InputError:
-    if left_out:
-        more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
-        return InputError(where, f"no image that can be read: {left_out[0]}{more}")
+    if left_out:  # labels come last: where there are kernels, it is they that say what is missing
+        file, _, reason = left_out[-1].partition(": ")
+        tried = [line.partition(": ")[0] for line in left_out]
+        return InputError(where, f"no image that can be read ({some(tried, len(tried))}); {file}: {reason}")
     counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
     holds = ", ".join(f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items())
     return InputError(
@@ -201,6 +211,7 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
         text += "\n[[images]]\n"
         text += _said(f"name = {_quoted(one.name)}", one.note) if one.note else f"name = {_quoted(one.name)}\n"
         text += _said(f"image = {_place(one.path, out)}", f"{one.kind}, {one.image.lines} x {one.image.samples}")
+        text += f"pixels = {_place(one.pixels, out)}\n" if one.pixels is not None else ""
     return text
 
 
@@ -216,7 +227,9 @@ def _parts(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> 
             except InputError as error:
                 refused.append(f"{path.name}: {without_place(str(error), path)}")
                 continue
-            parts.append(_Part(path, "\n" + text.format(*("[[", "]]") if several else ("[", "]")), measured))
+            head, _, rest = text.partition("\n")
+            head = f"[{head}]" if several and not head.startswith("[[") else head
+            parts.append(_Part(path, f"\n{head}\n{rest}", measured))
     return parts, refused
 
 
@@ -230,25 +243,28 @@ def _of(kinds: dict[Path, Kind], *wanted: Kind) -> list[Path]:
 def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.NETWORK, Kind.TIE_TABLE):
         sigma = _said("sigma_px = 1.0", "of line and sample, where the network doesn't say")
-        text = f"{{0}}ties{{1}}\nnetwork = {_place(path, out)}\n{sigma}"
-        yield path, text, lambda path=path: read_tie_points(path, images[0].image.body), True
+        text = f"[ties]\nnetwork = {_place(path, out)}\n{sigma}"
+        yield path, text, partial(read_tie_points, path, images[0].image.body), True
 
 
 def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.GROUND_CONTROL)[:1]:
         text = f"[ground_control]\nfile = {_place(path, out)}\n"
-        yield path, text, lambda path=path: read_ground_control(path, images[0].image.body), True
+        yield path, text, partial(read_ground_control, path, images[0].image.body), True
 
 
 def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.LIDAR):
-        text = f"{{0}}laser{{1}}\nfile = {_place(path, out)}\n" + _said("image_sigma_px = 30.0", "of the shots' pixels")
-        yield path, text, lambda path=path: read_lidar(path), True
+        text = f"[laser]\nfile = {_place(path, out)}\n" + _said("image_sigma_px = 30.0", "of the shots' pixels")
+        yield path, text, partial(read_lidar, path), True
 
 
 def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     """A profile taken along with an image has ranges from its trajectory, MOLA's a shift; others are altimetry."""
-    known = [read_lidar(path).times for path in _of(kinds, Kind.LIDAR)]
+    known = list[Array]()
+    for path in _of(kinds, Kind.LIDAR):
+        with suppress(InputError):  # said where its table is made
+            known.append(read_lidar(path).times)
     for path in _of(kinds, Kind.SHOTS):
         try:
             shots = read_shots(path)
@@ -304,20 +320,17 @@ def _of_relief(path: Path, images: Sequence[DraftImage], out: Path) -> _Made:
 def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     pictures = [one.image for one in images]
     for path in _of(kinds, Kind.RADII, Kind.RASTER):
-        text = f"{{0}}terrain{{1}}\nradius = {_place(path, out)}\n"
+        text = f"[terrain]\nradius = {_place(path, out)}\n"
         heights = _of(kinds, Kind.TOPOGRAPHY)
         if kinds[path] is Kind.RASTER:
             text += "# reference_radius_m = 3396190.0      # above which its heights are, where they are no radii\n"
         elif heights and heights[0].name[4:].lower() == path.name[4:].lower():
             text += _said(f"topography = {_place(heights[0], out)}", "radius minus topography is the areoid")
-        text += _said("vertical_sigma_m = 10.0", "of its heights")
+        grid = SIGMAS.get(_MEGDR_STEPS.get(path.name[10:11].lower(), "none")) if kinds[path] is Kind.RADII else None
+        text += _said(f"vertical_sigma_m = {grid or 10.0}", "of its heights" + (" between its posts" if grid else ""))
         text += _said("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
         entry = TerrainInput(radius=str(path.absolute()))
-
-        def read(entry: TerrainInput = entry) -> object:
-            return read_terrain_model(entry, out, pictures, read_shots)
-
-        yield path, text, read, False
+        yield path, text, partial(read_terrain_model, entry, out, pictures, read_shots), False
 
 
 def _accepted(head: str, parts: list[_Part], out: Path) -> tuple[list[_Part], list[str]]:
@@ -327,12 +340,13 @@ def _accepted(head: str, parts: list[_Part], out: Path) -> tuple[list[_Part], li
         error = _refusal(head + "".join(part.text for part in parts), out)
         if not error:
             break
+        named = [part for part in parts if part.path.name in error]
         culprit = next((
-            part for part in reversed(parts)
+            part for part in [*named, *reversed(parts)]
             if not _refusal(head + "".join(one.text for one in parts if one is not part), out, least=True)
-        ), parts[-1])  # fmt: skip
+        ), next(iter(named), parts[-1]))  # fmt: skip
         parts = [part for part in parts if part is not culprit]
-        failed.append(f"{culprit.path.name}: {error}")
+        failed.append(f"{culprit.path.name}: {without_place(error, culprit.path)}")
     return parts, failed
 
 

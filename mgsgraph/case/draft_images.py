@@ -25,6 +25,7 @@ _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind
 """By which an image is read, if there are several: what holds its geometry before what needs kernels."""
 _ALONE = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
 """Kinds that know no serial number; a label whose name begins as theirs has it."""
+_PICTURES = (Kind.CUBE, Kind.PDS3, Kind.RASTER, Kind.PICTURE)
 _CLOCK = re.compile(r"(?<!\d)(\d{6,})(?:[:.](\d+))?")
 _UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:[\d.]+")
 
@@ -44,6 +45,8 @@ class DraftImage(NamedTuple):
     """Its geometry."""
     by_kernels: bool
     """Whether it needs those of [spice]."""
+    pixels: Path | None = None
+    """File of its pixels, where its own file has none and that is called alike."""
     note: str = ""
     """What is to be said of the name."""
 
@@ -67,7 +70,7 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
     found, left_out = list[DraftImage](), dict[Path, str]()
     for path in files:
         try:
-            made = _read(path, kinds[path], labels, spice)
+            made = _read(path, kinds[path], labels, spice)._replace(pixels=_pixels(path, kinds))
         except InputError as error:
             left_out[path] = str(error)
             continue
@@ -122,6 +125,13 @@ def _read(path: Path, kind: Kind, labels: Sequence[Path], spice: SpiceInput | No
     return DraftImage(path, kind, names[0], others, image, entry.label is not None)
 
 
+def _pixels(path: Path, kinds: Mapping[Path, Kind]) -> Path | None:
+    """A picture that is called as a file without pixels is."""
+    if kinds[path] not in _ALONE:
+        return None
+    return next((one for one, kind in kinds.items() if kind in _PICTURES and one.stem == path.stem), None)
+
+
 def _serials(labels: Sequence[Path]) -> Iterator[str]:
     for label in labels:
         try:
@@ -157,22 +167,29 @@ def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[
     By the serial number, the product or the file; what is left on both sides, if it is as many and the names hold clock
     counts or times, in the order of these, which is said in a note.
     """
-    known, made = set(names), list(images)
+    known, made = {_plain(name): name for name in reversed(names)}, list(images)
     for k, one in enumerate(images):
-        if one.name not in known and (same := sorted(one.others & known)):
-            made[k] = one._replace(name=same[0])
-    bare = [k for k, one in enumerate(made) if one.name not in known]
+        if one.name not in names and (same := [known[other] for other in map(_plain, one.others) if other in known]):
+            made[k] = one._replace(name=min(same))
+    bare = [k for k, one in enumerate(made) if one.name not in names]
     left = [name for name in names if name not in {one.name for one in made}]
-    if bare and len(bare) == len(left) and all(_when(name) for name in left):
-        for k, name in zip(bare, sorted(left, key=_when), strict=True):  # images are in the order of their times
+    times = {name: when for name in left if (when := _when(name)) is not None}
+    if bare and len(bare) == len(left) == len(times):
+        for k, name in zip(bare, sorted(left, key=times.__getitem__), strict=True):  # images are in order, too
             note = f"taken for {made[k].path.name} by the order of times: is it? The file calls it {made[k].name}"
             made[k] = made[k]._replace(name=name, note=note)
         left = []
     return tuple(made), tuple(left)
 
 
-def _when(name: str) -> tuple[float, float] | tuple[str] | None:
+def _plain(name: str) -> str:
+    """Letters and digits of a name: products are written with a slash, a hyphen or neither."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _when(name: str) -> tuple[str, float, float] | None:
+    """Time in UTC, or clock count, that a serial number holds."""
     if found := _UTC.search(name):
-        return (found[0],)
+        return found[0], 0.0, 0.0
     clock = _CLOCK.search(name)
-    return (float(clock[1]), float(clock[2] or 0)) if clock else None
+    return ("", float(clock[1]), float(clock[2] or 0)) if clock else None

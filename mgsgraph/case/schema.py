@@ -102,7 +102,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None
-    """What its position table holds, where the support data don't say."""
+    """What its position table holds; what the file says, or its sensor is known for, when absent."""
     observer: Observer = "body"
     """Who observed whom when that table was made."""
     orientation: OrientationInput | None = None

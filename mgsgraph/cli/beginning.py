@@ -21,7 +21,7 @@ def help(ctx: click.Context, words: tuple[str, ...]) -> None:
     if words[:1] == (_CASE,) and len(words) <= 2:
         from mgsgraph.case.keys import keys_text
 
-        click.echo(keys_text(*words[1:]))
+        click.echo(keys_text(words[1] if len(words) > 1 else None))
         return
     if len(words) > 1:
         raise click.UsageError(f"{' '.join(words)}: a verb, or case and one of its tables")
@@ -40,7 +40,7 @@ def help(ctx: click.Context, words: tuple[str, ...]) -> None:
 @click.option("--name", default="", help="What to call the case; the first folder's name when absent.")
 @click.option("--replace", is_flag=True, help="Overwrite a case file that is there.")
 def new(files: tuple[Path, ...], out: Path, name: str, replace: bool) -> None:
-    """Look at FILEs (and those directly in a FOLDER) and write a case file of them, with comments.
+    """Look at FILEs (those directly in a FOLDER, those of an ISIS list) and write a case file of them, with comments.
 
     Taken are images (ISIS cubes, image support data, labels with SPICE kernels, model states), control networks and
     tables of tie points, ground control, laser shots and terrain models; what each is, its content says. What can't be

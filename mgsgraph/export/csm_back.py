@@ -52,7 +52,8 @@ def state_differences(folder: Path, wanted: "Reprojection") -> Numbers:
 
 
 def _support_data(folder: Path) -> list[Path]:
-    return [path for path in folder.glob("*.json") if not path.name.endswith(_STATES)]
+    """Those that lie beside a state of their name: other JSON may be there."""
+    return [path for path in folder.glob("*.json") if path.with_name(f"{path.stem}.adjusted{_STATES}").exists()]
 
 
 def _differences(folder: Path, paths: list[Path], identifier: str, wanted: "Reprojection") -> Numbers:

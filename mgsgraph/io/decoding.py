@@ -4,6 +4,7 @@ import math
 import re
 import tomllib
 import typing
+from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
@@ -112,6 +113,8 @@ def _refusal(
         known = [field.encode_name for one in _kinds_at(kind, steps) if _is_record(one) for field in _fields(one)]
         close = get_close_matches(key[2], known, n=1, cutoff=_ALIKE)
         expected = f"did you mean {close[0]!r}?" if close else f"known keys are {', '.join(known)}"
+        if homes := sorted(set(_homes(kind, key[2]))):
+            expected = f"it is a key of {' and '.join(f'[{home}]' if home else 'the head' for home in homes)}"
         return InputError(where, f"the unknown key {key[2]!r}", remedy="; ".join(filter(None, (expected, remedy))))
     if value is _NO_VALUE:
         return InputError(where, said[0].lower() + said[1:], remedy=remedy)
@@ -136,6 +139,18 @@ def _value_at(table: Any, steps: list[tuple[str, str]]) -> tuple[Any, str]:
     except (LookupError, TypeError, ValueError):  # msgspec gives no key of a mapping
         return _NO_VALUE, owner
     return value, owner
+
+
+def _homes(kind: Any, key: str, path: str = "") -> Iterator[str]:
+    """Tables below a type that have a key."""
+    if _is_record(kind):
+        for field in _fields(kind):
+            if field.encode_name == key:
+                yield path
+            yield from _homes(field.type, key, f"{path}.{field.encode_name}".lstrip("."))
+        return
+    for part in typing.get_args(kind):
+        yield from _homes(part, key, path)
 
 
 def _is_record(kind: Any) -> bool:

@@ -6,7 +6,7 @@ from msgspec import structs
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.isd_layout import UNITS, SupportData
-from mgsgraph.units import KM
+from mgsgraph.units import ISIS_OFFSET, KM
 
 _LONGEST = 1e5
 """s, longer than any image takes."""
@@ -31,7 +31,7 @@ def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     """
     _require_units(isd, source)
     said = list[str]()
-    for repair in (_line_times_past_epoch, _line_times_of_lroc, _moc):
+    for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc):
         isd, words = repair(isd, source)
         said += words
     return isd, said
@@ -86,6 +86,19 @@ def _line_times_of_lroc(isd: SupportData, _: str) -> tuple[SupportData, list[str
         return isd, []
     words = f"line times of the label corrected as ISIS does: {preroll:g} lines of preroll, {100.0 * factor:g} %"
     return _with_rates(isd, np.array([[line, start, period]])), [words]
+
+
+def _boresight_by_isis(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
+    """ISIS counts the centre of the detector's first pixel as 1. Older ALE gave its keyword for the centre as it
+    stands, present drivers take the half pixel off. Only with it off do ISIS's own adjusted cameras of NAC-L and NAC-R
+    see the points that they were fixed to (docs/real_networks.md).
+    """
+    stated = [value for key, value in isd.naif_keywords.items() if key.endswith("_BORESIGHT_SAMPLE")]
+    if stated != [isd.detector_center.sample]:
+        return isd, []
+    centre = structs.replace(isd.detector_center, sample=isd.detector_center.sample - ISIS_OFFSET)
+    words = f"detector_center {stated[0]:g} is ISIS's BORESIGHT_SAMPLE, half a pixel too much, which is taken off"
+    return structs.replace(isd, detector_center=centre), [words]
 
 
 def _moc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:

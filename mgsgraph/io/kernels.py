@@ -18,6 +18,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
+from mgsgraph.io.files import finite_number
 from mgsgraph.io.kernel_contents import ck_cover, ck_frames, ck_records, covered_interval, members, spk_cover
 from mgsgraph.io.kernel_contents import spice_words as spice_words  # for other readers that ask SPICE
 from mgsgraph.units import KM
@@ -131,21 +132,27 @@ def _restore(before: _Pool) -> None:
 # --- constants
 
 
-def pool_numbers(name: str, count: int, remedy: str = "load the kernel that defines it") -> Array:
-    """Numbers (count,) of a pool variable; InputError when it is missing, a text, or of another length."""
+def pool_numbers(
+    name: str, count: int, remedy: str = "load the kernel that defines it", more: bool = False
+) -> Array:
+    """Numbers (count,) of a pool variable; InputError when it is missing, a text, or of another length (the first ones,
+    and it may be longer, when `more`).
+    """
     try:
         size, kind = spiceypy.dtpool(name)
     except NotFoundError:
         raise InputError("kernels", f"no {name}", f"{name} = {count} number(s)", remedy) from None
-    if kind != "N" or size != count:
+    if kind != "N" or size < count or (size > count and not more):
         raise InputError(f"kernels, {name}", f"{size} {'texts' if kind == 'C' else 'numbers'}", f"{count} number(s)")
     return np.asarray(spiceypy.gdpool(name, 0, count), dtype=np.float64)
 
 
 def clock_time(spacecraft: int, count: str) -> float:
-    """Time in s TDB past J2000 of a spacecraft clock count such as ``619971158:28``."""
-    remedy = f"load the SCLK kernel of {spacecraft} and a leapseconds kernel"
+    """Time in s TDB past J2000 of a spacecraft clock count such as ``619971158:28``, or of ticks."""
+    remedy, fields = f"load the SCLK kernel of {spacecraft} and a leapseconds kernel", f"SCLK01_N_FIELDS_{-spacecraft}"
     with spice_words(f"spacecraft clock count {count}", remedy):
+        if spiceypy.expool(fields) and pool_numbers(fields, 1)[0] == 1.0:  # ticks, of which Kaguya has fractions
+            return float(spiceypy.sct2e(spacecraft, finite_number(count)))
         return float(spiceypy.scs2e(spacecraft, count))
 
 

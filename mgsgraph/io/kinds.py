@@ -21,6 +21,7 @@ from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRI
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
 _MEGDR = re.compile(r"meg([acrt])\d\d[ns]\d{3}[c-h]\w\.img", re.IGNORECASE)
+_MEG = re.compile(r"meg([acrt])", re.IGNORECASE)
 _GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+(\s+[-+.\deE]+){4})+\s*")
 _GEO_KEYS = 34735
 """TIFF tag of a raster that lies on a map (OGC GeoTIFF)."""
@@ -51,6 +52,7 @@ class Kind(StrEnum):
     KERNEL = "a SPICE kernel"
     META_KERNEL = "a SPICE meta-kernel"
     TRANSFER = "a SPICE kernel in transfer format"
+    LIST = "an ISIS list of files"
     CASE = "a TOML file with a format"
 
 
@@ -85,7 +87,19 @@ def _told(head: bytes, path: Path) -> Iterator[Kind | None]:
         yield _shots(path)
         return
     yield Kind.CASE if re.search(r"^format\s*=\s*\d+\s*(#.*)?$", text, re.MULTILINE) else None
+    yield Kind.LIST if listed_files(path, text) else None
     yield from _rows(text, path)
+
+
+def listed_files(path: Path, text: str | None = None) -> list[Path]:
+    """Files that a text names, one in every line, relative to its folder; none where one of them is not there."""
+    lines = (path.read_text(encoding="latin-1") if text is None else text).splitlines()
+    names = [name for line in lines if (name := line.split("#", 1)[0].strip())]
+    try:
+        files = [path.parent / name for name in names]
+        return files if all(file.is_file() for file in files) else []
+    except OSError:  # a line that is too long for a name
+        return []
 
 
 def _tiff(head: bytes) -> Kind | None:
@@ -114,6 +128,10 @@ def _label(text: str, path: Path, size: int) -> Kind | None:
     if begin is None:
         if not text[:20].upper().startswith("PDS_VERSION_ID"):
             return None
+        if re.search(r"^\s*OBJECT\s*=\s*IMAGE_MAP_PROJECTION", text, re.MULTILINE):
+            pointer = re.search(r"^\s*\^IMAGE\s*=\s*\(?\s*\"?([^\",\s]+)", text, re.MULTILINE)
+            letter = _MEG.match(pointer[1] if pointer else path.name) or _MEG.match(path.name)
+            return _MEGDR_KINDS[letter[1].lower()] if letter else Kind.RASTER
         of_table = re.search(r"^\s*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
         return Kind.SHOTS if of_table and not re.search(r"^\s*\^IMAGE\s*=", text, re.MULTILINE) else Kind.PDS3
     if begin[1].lower() in ("controlnetwork", "protobuffer"):

@@ -24,6 +24,8 @@ from mgsgraph.io.kernels import (
     INTERVAL,
     Constants,
     Correction,
+    body_code,
+    body_frame,
     clock_time,
     ellipsoid,
     fixed_rotation,
@@ -135,6 +137,7 @@ def read_strip(
                 timing=when.timing(trajectory.epoch),
                 trajectory=trajectory,
                 body=body,
+                remarks=_remarks(one, said_by),
             )
             for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
         )
@@ -161,6 +164,20 @@ def _frame(camera: Camera) -> int:
     return camera.frame or camera.instrument
 
 
+def _remarks(label: LineScanLabel, constants: "_Constants") -> tuple[str, ...]:
+    """What was decided that the user may not have meant."""
+    remarks = []
+    if constants.of_label is not None:
+        remarks.append("camera constants of the cube's label, for there is no addendum among the kernels")
+    if label.target == "MOON":
+        frame = body_frame(body_code(label.target))
+        better = "" if frame == "MOON_ME" else (
+            ", 80 m or so from MOON_ME, as ISIS has it (moon_assoc_me.tf, moon_080317.tf, moon_pa_de421_1900-2050.bpc)"
+        )  # fmt: skip
+        remarks.append(f"the Moon turns as {frame}, which the kernels associate with it{better}")
+    return tuple(remarks)
+
+
 # --- camera constants
 
 
@@ -179,35 +196,24 @@ class _Constants:
         if which == "ik" and camera.instrument_kernel is None:
             found, expected = f"constants = 'ik' for {camera.name}", f"'iak': those of the addendum ({camera.addendum})"
             raise InputError(str(label.path), found, expected)
-        own = which == "iak" and f"INS{label.detector or camera.instrument}_ITRANSL" not in _Pool()
+        own = which == "iak" and not spiceypy.expool(f"INS{label.detector or camera.instrument}_ITRANSL")
         return cls(camera, which, label.keywords if own else None)
 
     def __contains__(self, name: str) -> bool:
-        return name in (self.of_label or _Pool())
+        return name in self.of_label if self.of_label is not None else bool(spiceypy.expool(name))
 
     def numbers(self, name: str, count: int) -> Array:
-        """The `count` numbers of a keyword; InputError where it is missing, a text, or of another length."""
+        """See `Keywords.numbers`."""
         if self.of_label is not None:
             return self.of_label.numbers(name, count)
         kernel = f"the camera's addendum, {self.camera.addendum}" if self.which == "iak" else "the instrument kernel"
-        return pool_numbers(name, count, f"load {kernel}")
+        return pool_numbers(name, count, f"load {kernel}", more=True)
 
     def interior(self, label: LineScanLabel) -> InteriorOrientation:
         """Interior orientation by them."""
         by = self.camera.interior if self.which == "iak" else self.camera.instrument_kernel
         assert by is not None
         return by(self, label)
-
-
-class _Pool:
-    """Names of SPICE's kernel pool."""
-
-    def __contains__(self, name: str) -> bool:
-        return bool(spiceypy.expool(name))
-
-    def numbers(self, name: str, count: int) -> Array:
-        """As `pool_numbers`."""
-        return pool_numbers(name, count)
 
 
 def _with_focal_length(interior: InteriorOrientation, focal_length: float | None) -> InteriorOrientation:

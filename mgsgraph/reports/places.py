@@ -52,7 +52,7 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
     if len(places.directions):
         sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
         terrain = surface.terrain
-        points = on_surface(*places.directions.T, sphere, surface.height, terrain)
+        points = on_surface(places.directions[:, 0], places.directions[:, 1], sphere, surface.height, terrain)
     found = view.seen(points, terrain)
     return image_places_table(found, isis, places.columns), _statement(found, "ground place", f"in {image}")
 

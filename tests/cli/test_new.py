@@ -10,7 +10,10 @@ from commands import refused, run
 import mgsgraph
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.draft import draft_case
+from mgsgraph.case.draft_images import DraftImage, named_as
 from mgsgraph.errors import InputError
+from mgsgraph.io.kinds import Kind
+from mgsgraph.simulation.pair import simulate_pair
 
 
 def test_a_case_of_a_folder(case_file: Path, tmp_path: Path) -> None:
@@ -49,6 +52,17 @@ def test_images_whose_names_nobody_knows_are_taken_by_their_times(case_file: Pat
     assert made.text.count("is it?") == 2
 
 
+def test_products_are_known_however_they_are_written() -> None:
+    images = tuple(
+        DraftImage(Path(f"{k}.img"), Kind.PDS3, f"MGS/66852320{k}:87/MOC", frozenset({f"E02/0066{k}"}), image, True)
+        for k, image in enumerate(simulate_pair().images)
+    )
+    named, missing = named_as(images, ["e0200661", "E02-00660", "M01-00115"])
+    assert [one.name for one in named] == ["E02-00660", "e0200661"]
+    assert missing == ("M01-00115",)
+    assert not any(one.note for one in named)
+
+
 def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> None:
     files, out = sorted(case_file.parent.glob("*.isd")), tmp_path / "case.toml"
     done = run("new", *files, "--out", out)
@@ -58,6 +72,14 @@ def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> 
     assert checked.returncode == 0, checked.stderr
     assert "overlap by" in checked.stdout
     assert f"mgsgraph match {out}" in checked.stdout
+
+
+def test_an_isis_list_stands_for_its_files(case_file: Path, tmp_path: Path) -> None:
+    case_file.with_name("cubes.lis").write_text("image_B.isd\n\nimage_A.isd\n", encoding="utf-8")
+    draft_case([case_file.with_name("cubes.lis"), case_file.with_name("network.pvl")], tmp_path / "case.toml")
+    wanted = decode(tmp_path / "case.toml")
+    assert {image.name for image in wanted.images} == {"SIM/A", "SIM/B"}
+    assert wanted.measured
 
 
 def test_what_does_not_go_with_the_rest_is_left_out_with_the_reason(case_file: Path, tmp_path: Path) -> None:

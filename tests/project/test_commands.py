@@ -32,6 +32,14 @@ def state(project: Path) -> tuple[str, int]:
         return digest(opened.store), len(opened.changes())
 
 
+def other_image(case_file: Path, lines: int = 1) -> Path:
+    """Support data of image B without its last lines: another image."""
+    support = json.loads(case_file.with_name("image_B.isd").read_text(encoding="utf-8"))
+    path = case_file.with_name(f"shorter_{lines}.isd")
+    path.write_text(json.dumps(support | {"image_lines": support["image_lines"] - lines}), encoding="utf-8")
+    return path
+
+
 def refused(project: Path, said: str, *arguments: str | Path) -> None:
     """One line, and nothing has changed."""
     before = state(project)
@@ -90,7 +98,7 @@ def test_images_come_into_an_empty_project(case_file: Path, tmp_path: Path, caps
 
 def test_check_changes_nothing(project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (project / "project.sqlite").read_bytes()
-    call("add", project, f"new={case_file.parent / 'image_B.isd'}", "--dry-run")
+    call("add", project, f"new={other_image(case_file)}", "--dry-run")
     assert "would add 1 image (new)" in capsys.readouterr().out
     assert (project / "project.sqlite").read_bytes() == before
 
@@ -98,9 +106,10 @@ def test_check_changes_nothing(project: Path, case_file: Path, capsys: pytest.Ca
 def test_an_image_without_overlap_is_added_and_named(
     project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for _ in range(2):
-        name = f"alone{_}"
-        call("add", project, f"{name}={case_file.parent / 'image_B.isd'}", "--ties", case_file.parent / "network.pvl")
+    for k in range(2):
+        name = f"alone{k}"
+        isd = other_image(case_file, k + 1)
+        call("add", project, f"{name}={isd}", "--ties", case_file.parent / "network.pvl")
         assert f"Unconnected: {name}" in capsys.readouterr().out
         call("solve", project, "--no-figures")
     call("status", project)
@@ -139,6 +148,8 @@ def test_what_is_refused(project: Path, case_file: Path, tmp_path: Path) -> None
     refused(project, "in the project already", "add", project, f"SIM/B={isd}")
     refused(project, "in the project already", "add", project, case_file)
     refused(project, "given twice", "add", project, f"x={isd}", f"x={isd}")
+    refused(project, "SIM/B and x, which are one image", "add", project, f"x={isd}")
+    isd = other_image(case_file)
     refused(project, "unknown image 'SIM/[YZ]'", "add", project, f"x={isd}", "--ties", tmp_path / "other.pvl")
     refused(project, "measured there before", "add", project, "--ties", tmp_path / "moved.pvl")
     refused(project, "no such file", "add", project, tmp_path / "x.isd")

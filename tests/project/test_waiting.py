@@ -136,7 +136,7 @@ def test_a_case_of_an_image_alone_is_added(ready: Path, case: Path, tmp_path: Pa
     name = entries[1].split('"')[1]
     tables = [table for table in entries[2:] if not table.startswith(("images", "shots"))]
     alone = case.with_name("alone.toml")
-    renamed = entries[1].replace(f'"{name}"', '"third"')
+    renamed = entries[1].replace(f'"{name}"', '"third"\nposition_bias_s = 1.0')  # another place: another image
     alone.write_text("".join([text[: text.index("[[images]]")], "[[", renamed, *tables]), encoding="utf-8")
     project = copied(ready, tmp_path)
     assert call("add", project, alone) == 0

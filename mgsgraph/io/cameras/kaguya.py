@@ -1,11 +1,16 @@
 """Terrain Camera (TC1, TC2) and Multiband Imager (MI) of Kaguya (SELENE).
 
-Formulas: ISIS KaguyaTcCamera, KaguyaMiCamera and their distortion maps. Times are those that the labels call corrected.
-ISIS puts TC's principal point one detector line ahead of the line (2048.5, 1.0), ALE half a line: support data of TC
-that ALE writes look half a pixel elsewhere along track. MI's bands are lines of their own, told by NaifFrameCode.
+Formulas: ISIS KaguyaTcCamera, KaguyaMiCamera and their distortion maps; or, for TC, those of its instrument kernel
+SEL_TC_V01.TI, whose radius has a sign. Clock counts (TC) and UTC (MI) are those that the labels call corrected; counts
+are decimal, and lie 0.03 s after the UTC beside them by SEL_M_V01.TSC: ISIS and the CK go by the clock. The principal
+point of TC is at (line 0.5, sample 2048.0) in ISIS's addendum 007, half a sample from the kernel's own 2048.5 and half
+a line ahead; support data that ALE writes have (0.5, 2048.5) with the other sign along track: a line from ISIS's. MI's
+bands are lines of their own, told by NaifFrameCode.
 """
 
 from dataclasses import replace
+
+import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -19,23 +24,21 @@ from mgsgraph.io.cameras.camera import (
     interior_by_addendum,
     require_summing,
 )
-from mgsgraph.io.cameras.keywords import Keywords
-from mgsgraph.units import MM
+from mgsgraph.io.cameras.keywords import Keywords, number
+from mgsgraph.units import ISIS_OFFSET, MM
 
 _KAGUYA, _STRUCTURE = -131, -131000
 _TC_PIXELS = 4096
 _FIRST_PIXEL = {"FULL": 0, "NOMINAL": 296, "HALF": 1171}
 """Pixels before the first one of each swath mode (instrument kernel SEL_TC_V01.TI: 1, 297, 1172)."""
-_TC_CENTRE = (1.0, 2048.5)
 _VISIBLE, _INFRARED = range(-131331, -131336, -1), range(-131341, -131345, -1)
 _VISIBLE_PIXELS, _INFRARED_PIXELS = 962, 320
 
 
 def _polynomials(keywords: Keywords, code: int, terms: int) -> tuple[Four, Four]:
     """Distortion of x and y by powers of the place in m, the boresight in the first."""
-    boresight = keywords.numbers(f"INS{code}_BORESIGHT", 3)
     both = []
-    for axis, centre in zip("XY", boresight[:2], strict=True):
+    for axis, centre in zip("XY", keywords.numbers(f"INS{code}_BORESIGHT", 2), strict=True):
         a = [*keywords.numbers(f"INS{code}_DISTORTION_COEF_{axis}", terms), *[0.0] * (4 - terms)]
         both.append(((a[0] + centre) * MM, float(a[1]), a[2] / MM, a[3] / MM**2))
     return both[0], both[1]
@@ -44,7 +47,22 @@ def _polynomials(keywords: Keywords, code: int, terms: int) -> tuple[Four, Four]
 def _terrain(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
     require_summing(label, 1, _TC_PIXELS)
     distortion = KaguyaDistortion(*_polynomials(keywords, label.camera.instrument, 4))
-    return interior_by_addendum(keywords, label, distortion, _TC_CENTRE)
+    return interior_by_addendum(keywords, label, distortion)
+
+
+def _terrain_by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+    """mm, first pixel 1; a pixel's place is r = -(n - centre) times its size."""
+    require_summing(label, 1, _TC_PIXELS)
+    code = label.camera.instrument
+    per_metre = 1.0 / (number(keywords, f"INS{code}_PIXEL_SIZE") * MM)
+    return InteriorOrientation(
+        focal_length=number(keywords, f"INS{code}_FOCAL_LENGTH") * MM,
+        to_pixel=np.array([[0.0, -per_metre, 0.0], [0.0, 0.0, -per_metre]]),
+        centre=np.array([0.0, keywords.numbers(f"INS{code}_CENTER", 1)[0] - ISIS_OFFSET]),
+        first=np.array([0.0, label.first_sample]),
+        sample_summing=1.0,
+        distortion=KaguyaMiDistortion(*_polynomials(keywords, code, 4)),
+    )
 
 
 def _swath(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
@@ -75,17 +93,19 @@ def _tc(name: str, instrument: int) -> Camera:
         structure=_STRUCTURE,
         frame=instrument + 1,  # LISM_TC1_HEAD -131350, LISM_TC2_HEAD -131370
         isis=LabelKeys(
-            identity={"InstrumentId": name}, start="StartTime", utc="StartTime", period="LineSamplingInterval",
-            product="ProductId", target="TargetName", serial=("InstrumentId", "StartTime"),
+            identity={"InstrumentId": name}, start="SpacecraftClockStartCount", utc="StartTime",
+            period="LineSamplingInterval", product="ProductId", target="TargetName",
+            serial=("InstrumentId", "StartTime"),
         ),
         pds3=LabelKeys(
-            identity={"INSTRUMENT_ID": name}, start="CORRECTED_START_TIME", utc="CORRECTED_START_TIME",
-            period="CORRECTED_SAMPLING_INTERVAL", product="PRODUCT_ID", target="TARGET_NAME",
+            identity={"INSTRUMENT_ID": name}, start="CORRECTED_SC_CLOCK_START_COUNT",
+            utc="CORRECTED_START_TIME", period="CORRECTED_SAMPLING_INTERVAL", product="PRODUCT_ID",
+            target="TARGET_NAME",
             serial=("INSTRUMENT_ID", "CORRECTED_START_TIME"),
         ),
         interior=_terrain,
+        instrument_kernel=_terrain_by_instrument_kernel,
         label_facts=_swath,
-        start_is_utc=True,
         addendum="kaguyaTcAddendum007.ti",
         source="ISIS KaguyaTcCamera",
     )  # fmt: skip

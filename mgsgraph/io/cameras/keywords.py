@@ -17,7 +17,9 @@ class Keywords(Protocol):
     """Constants by name, in the units of SPICE's instrument kernels: km, mm, degrees, seconds."""
 
     def numbers(self, name: str, count: int) -> Array:
-        """The `count` numbers of a keyword; InputError where it is missing, a text, or of another length."""
+        """The first `count` numbers of a keyword (cubes hold as much of a list as ISIS asked for); InputError where it
+        is missing, a text, or shorter.
+        """
         ...
 
     def __contains__(self, name: str) -> bool:
@@ -43,16 +45,16 @@ class NaifKeywords:
         return name in self.values
 
     def numbers(self, name: str, count: int) -> Array:
-        """The `count` numbers of a keyword; InputError where it is missing, a text, or of another length."""
+        """See `Keywords.numbers`."""
         where = f"{self.source}, {name}"
         if name not in self.values:
             remedy = "run spiceinit again with the camera's addendum kernel"
             raise InputError(f"{self.source}, NaifKeywords", f"no {name}", f"{name} = {count} number(s)", remedy)
         value = self.values[name]
         items = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
-        if len(items) != count:
+        if len(items) < count:
             raise InputError(where, f"{len(items)} items", f"{count} number(s)")
-        return np.array([_finite(item, where) for item in items])
+        return np.array([_finite(item, where) for item in items[:count]])
 
     def time(self, name: str) -> float:
         """A time in s TDB past J2000, which ISIS writes as the number's 8 bytes in hexadecimal, the lowest first."""

@@ -1,6 +1,5 @@
 """Labels of line-scan images, of ISIS cubes and of the archives, read by what their camera's record says."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from mgsgraph.errors import InputError
@@ -153,8 +152,3 @@ def is_map_projected(root: Block) -> bool:
         alpha.number(f"AlphaEnding{axis}") - alpha.number(f"AlphaStarting{axis}") != size.count(f"{axis}s")
         for axis in ("Line", "Sample")
     )
-
-
-def with_samples(label: LineScanLabel, samples: int, before: int = 0) -> LineScanLabel:
-    """The label of the image without pixels that are no ground (masked, prefix, suffix)."""
-    return replace(label, samples=samples, first_sample=label.first_sample + before * label.sample_summing)
