@@ -46,10 +46,10 @@ def in_images(network: ControlNetwork, patterns: Sequence[str]) -> tuple[Control
     names = images_of(network)
     chosen = set[str]()
     for pattern in patterns:
-        found = [name for name in names if name == pattern or fnmatchcase(name, pattern)]
-        if not found:
+        alike = [name for name in names if name == pattern or fnmatchcase(name, pattern)]
+        if not alike:
             raise InputError(network.source, f"no image {pattern!r}", some(names, len(names)))
-        chosen.update(found)
+        chosen.update(alike)
     points, left_out, single = list[ControlPoint](), 0, 0
     for point in network.points:
         which = [k for k, one in enumerate(point.measures) if one.serial_number in chosen]
