@@ -20,6 +20,8 @@ from jigsaw_published import PUBLISHED
 from study import command, made_with, table, write_page
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.measures import MeasureKind, ScalarMeasures
+from mgsgraph.analysis.reliability import reliability
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -114,8 +116,9 @@ held, jigsaw's add to angles with the twist held.
 
 For a geodesist: {degrees} degrees of freedom and sigma0 {sigma0:.2f} of 1.4 px, though {whole} of the 92 measures are
 Candidates on whole pixels. The rays of a point converge by 0.1 degrees: heights have sigmas of {up:.0f} km and say
-nothing. The rig ties two images to each other, not to the Moon. For that it needs a terrain model (`[terrain]`) with
-a-priori sigmas of the pointing, or a second pass.
+nothing, and free radii take whatever two lines disagree by: {blind} of the {rows} image coordinates are controlled by
+nothing, all lines of free points among them (`analyze`). The rig ties two images to each other across the flight, not
+to the Moon. For that it needs a terrain model (`[terrain]`) with a-priori sigmas of the pointing, or a second pass.
 
 ## Three MOC wide angles in Meridiani Planum
 
@@ -143,9 +146,9 @@ WIDE_READING = """
   the prior's 100 m and 0.29 mrad and the grid's own 200 m; it moved by {shift:.1f} m. 2 km of height move the rays by
   0.01 px in samples: at 1 px the control fits, at the {noise:.3f} px that computed places are good for it doesn't,
   and shouldn't.
-* {alone} and {mola} degrees of freedom are the priors' more than the rays': 82 image coordinates for 48 of points and
-  54 of orientation. A sigma0 far below 1 says that nothing was measured. The network tests cameras, files and roads;
-  as an adjustment it says nothing of Mars.
+* Of the {alone} and {mola} degrees of freedom {rays:.0f} and {mola_rays:.0f} are the rays': a pixel is 0.62 mrad, twice
+  the pointing's a-priori sigma, so that rays of 1 px correct the orientation hardly at all. A sigma0 far below 1 says
+  that nothing was measured. The network tests cameras, files and roads; as an adjustment it says nothing of Mars.
 """
 
 # --- MOC wide angle
@@ -288,6 +291,7 @@ def rig_page(data: Path) -> list[str]:
     own = np.linalg.norm(rig_residuals(ours.solution, ties), axis=1)
     across = float(np.sqrt(np.mean(rig_residuals(ours.solution, ties)[:, 1] ** 2)))
     mean, spread = told.places[:2]
+    of_rays = controlled(ours.solution)
     fixed = seen.fixed | {f"{name}, half a sample off": part for name, part in half.fixed.items()}
     versions = [[f"mean {axis}, km", f"{new:.5f}", f"{old:.5f}", f"{(new - old) * KM:.0f} m"]
                 for axis, new, old in zip("XYZ", mean, older.places[0], strict=True)]
@@ -318,9 +322,15 @@ def rig_page(data: Path) -> list[str]:
         COMPARED, *table(("", "here", "ISIS's cameras", "difference"), compared),
         RIG_READING.format(
             degrees=ours.solution.fit.degrees_of_freedom, sigma0=ours.solution.sigma0, whole=whole,
-            up=ours.sigmas[2] / KM,
+            up=ours.sigmas[2] / KM, blind=int(np.sum(np.isinf(of_rays.detectable))), rows=of_rays.detectable.size,
         ),
     ]  # fmt: skip
+
+
+def controlled(solution: Solution) -> ScalarMeasures:
+    """How image coordinates are controlled."""
+    every = reliability(solution).measures
+    return every.part(0, int(np.count_nonzero(every.kind == MeasureKind.RAY)))
 
 
 def opened(ties: TiePoints) -> list[list[str]]:
@@ -372,7 +382,8 @@ def wide_page(data: Path) -> list[str]:
         WIDE_READING.format(
             east=mola.sigmas[0], shift=float(np.abs(np.concatenate(mola.solution.shift_values)).max()),
             noise=float(np.linalg.norm(alone.residuals)), alone=alone.solution.fit.degrees_of_freedom,
-            mola=mola.solution.fit.degrees_of_freedom,
+            mola=mola.solution.fit.degrees_of_freedom, rays=controlled(alone.solution).redundancy.sum(),
+            mola_rays=controlled(mola.solution).redundancy.sum(),
         ),
     ]  # fmt: skip
 

@@ -90,7 +90,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Its pixels, for `match` and figures: what GDAL reads, or MOC's formats; those that belong to its label when
     absent."""
     constants: Literal["iak", "ik"] = "iak"
-    """Camera constants of the ISIS addendum or of NAIF's instrument kernel."""
+    """Camera constants of the ISIS addendum, or of NAIF's instrument kernel alone (MOC-NA, HRSC, Kaguya TC)."""
     focal_length_m: Positive | None = None
     """Focal length; the kernels' when absent."""
     attitude_bias_s: float | None = None

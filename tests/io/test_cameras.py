@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from camera_page import table
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.distortion import NoDistortion
@@ -200,6 +201,11 @@ def test_each_camera_is_told_from_the_others() -> None:
         assert len(set(identities)) == len(identities)
     assert len({camera.name for camera in CAMERAS}) == len(CAMERAS)
     assert len({camera.instrument for camera in CAMERAS}) == len(CAMERAS)
+
+
+def test_the_page_has_the_table() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "cameras.md").read_text(encoding="utf-8")
+    assert table() in page
 
 
 def test_an_unknown_camera_is_refused_with_those_that_are_known(tmp_path: Path) -> None:

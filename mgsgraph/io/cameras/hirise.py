@@ -72,6 +72,6 @@ HIRISE = Camera(
     pds3=None,
     interior=_interior,
     label_facts=_delayed,
-    addendum="hiriseAddendum008.ti",
+    addendum="hiriseAddendum006.ti",
     source="ISIS HiriseCamera",
 )  # fmt: skip

@@ -127,7 +127,7 @@ def _mi(name: str, instrument: int, terms: int, pixels: int) -> Camera:
         pds3=None,
         interior=_bands(terms, pixels),
         start_is_utc=True,
-        addendum="kaguyaMiAddendum003.ti",
+        addendum="ISIS's addendum of MI",
         source="ISIS KaguyaMiCamera",
     )  # fmt: skip
 

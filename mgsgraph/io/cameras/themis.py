@@ -77,6 +77,6 @@ THEMIS = Camera(
     pds3=None,
     interior=_interior,
     label_facts=_of_band,
-    addendum="themisAddendum003.ti",
+    addendum="ISIS's addendum of THEMIS",
     source="ISIS ThemisIrCamera",
 )  # fmt: skip
