@@ -147,8 +147,8 @@ WIDE_READING = """
   0.01 px in samples: at 1 px the control fits, at the {noise:.3f} px that computed places are good for it doesn't,
   and shouldn't.
 * Of the {alone} and {mola} degrees of freedom {rays:.0f} and {mola_rays:.0f} are the rays': a pixel is 0.62 mrad, twice
-  the pointing's a-priori sigma, so that rays of 1 px correct the orientation hardly at all. A sigma0 far below 1 says that
-  nothing was measured. The network tests cameras, files and roads; as an adjustment it says nothing of Mars.
+  the pointing's a-priori sigma, so that rays of 1 px correct the orientation hardly at all. A sigma0 far below 1 says
+  that nothing was measured. The network tests cameras, files and roads; as an adjustment it says nothing of Mars.
 """
 
 # --- MOC wide angle

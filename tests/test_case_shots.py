@@ -62,3 +62,19 @@ def test_a_profile_whose_ranges_are_kilometres(case_file: Path) -> None:
     path.write_text("\n".join(map(",".join, rows)), encoding="utf-8")
     with pytest.raises(InputError, match=r"ranges.*kilometres stand where"):
         mgsgraph.read_case(case_file)
+
+
+def test_profiles_of_one_file_have_a_shift_each(case_file: Path) -> None:
+    path = with_profile(case_file).with_name("profile.csv")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    half = 1 + len(lines) // 2
+    path.write_text("\n".join([*lines[:half], *(f"{line[: -len('18933')]}18945" for line in lines[half:])]))
+    text = case_file.read_text(encoding="utf-8").replace("shift_sigma_m", "drift_sigma_m = 3.0\nshift_sigma_m")
+    case_file.write_text(text, encoding="utf-8")
+    network = mgsgraph.read_case(case_file).network
+
+    assert network.shift_names == ("profile:18933", "profile:18945")
+    assert network.shifts is not None
+    shots = network.shifts.profile[network.shifts.profile >= 0]
+    assert np.count_nonzero(shots == 0) == half - 1
+    assert sum("drift" in one.name for one in network.shared) == 2

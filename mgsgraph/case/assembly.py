@@ -141,17 +141,25 @@ class Parts:
         if owner is not None and wanted.ranges:
             mine = np.arange(first, first + n)
             self._ranges.append((mine, np.full(n, owner), profile.times, profile.ranges, profile.range_sigmas))
-        if wanted.shift_sigma_m is not None:
-            self._shifts.append((name, wanted.shift_sigma_m, np.arange(first, first + n)))
-            self.footprints[name] = taken.altimeter.spot(taken.ranges)
-        if wanted.drift_sigma_m is not None:
-            if wanted.shift_sigma_m is None:
-                raise InputError(taken.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
-            self.shared.append(SharedUnknown.of_drift(name, wanted.drift_sigma_m))
+        self._add_shifts(name, taken, wanted, first)
         self._add_beam(name, taken, wanted, owner, pointed)
         if wanted.image_rows == "back-projected":
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
         return taken
+
+    def _add_shifts(self, name: str, taken: AltimeterShots, wanted: ShotsInput, first: int) -> None:
+        """A profile's unknown shift and drift, called as its file; of a file with several, one for each."""
+        if wanted.shift_sigma_m is None:
+            if wanted.drift_sigma_m is not None:
+                raise InputError(taken.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
+            return
+        names = np.array(taken.profile_names(), dtype=object)
+        for profile in dict.fromkeys(names.tolist()):
+            full = name if np.all(names == profile) else f"{name}:{profile}"
+            self._shifts.append((full, wanted.shift_sigma_m, first + np.flatnonzero(names == profile)))
+            self.footprints[full] = taken.altimeter.spot(taken.ranges)
+            if wanted.drift_sigma_m is not None:
+                self.shared.append(SharedUnknown.of_drift(full, wanted.drift_sigma_m))
 
     def _require_on_body(self, footprints: Array, source: str) -> None:
         """Raise InputError where footprints are not at the radius of the images' body, by their unit."""

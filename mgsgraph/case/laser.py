@@ -44,7 +44,7 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     height_sigma_m: Sigma | None = None
     """Sigma of each footprint's height, where it is another one than `ground_sigma_m`."""
     shift_sigma_m: Sigma | None = None
-    """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
+    """Sigma of the common horizontal error of each profile in the file, which becomes an unknown; absent: none."""
     drift_sigma_m: Sigma | None = None
     """Sigma of how much that error grows from the middle of the profile's shots to their end, an unknown east and
     north; absent: none."""

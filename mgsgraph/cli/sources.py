@@ -144,8 +144,9 @@ def fetch(
     images: tuple[str, ...], out: Path | None, terrain: str, volumes: tuple[str, ...], mirror: str | None,
     mirrors: Path | None, dry_run: bool, update: bool, verify: Path | None,
 ) -> None:
-    """Fetch all that the adjustment of MOC narrow-angle images needs, by their ids (E02/00665, e0200665), and write a
-    case file.
+    """Fetch all that the adjustment of images needs, by their ids, and write a case file: of MOC's narrow angle
+    (E02/00665, e0200665), CTX (B10_013341_1010_XN_79S172W), LROC NAC (M103595705LE) or HRSC (h5270_0000_ir2), those of
+    one mission in a folder, with their kernels and the laser shots about them.
 
     What has come is locked by size and SHA-256: the same command again brings only what is missing, and an interrupted
     download goes on where it was. Exit status: 0, 2 for bad input or an archive that can't give what is needed, 130

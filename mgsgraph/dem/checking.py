@@ -12,7 +12,7 @@ height at a fixed position, and holds its horizontal part already. That the shif
 together, and are correlated, is left out: on slopes of a few degrees it is nothing beside the rest.)
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -119,13 +119,29 @@ def check_profiles(
     for file, (_, shots) in zip(more, entries[len(stated) :], strict=True):
         if not np.any(shots.ground):
             raise InputError(str(file), f"{shots.times.size} shots, none from the ground", "ground returns")
-    found = (_unused(posterior, entry, shots, used) for entry, shots in entries)
+    found = (
+        _unused(posterior, entry, part, used, name)
+        for entry, shots in entries for name, part in _by_shifts(shots, posterior.network.shift_names)
+    )  # fmt: skip
     return tuple(one for one in found if one.shots.times.size)
 
 
-def _unused(posterior: Posterior, entry: ShotsInput, shots: AltimeterShots, used: Collection[str]) -> CheckProfile:
-    name = Path(shots.source).stem
-    taken = np.array([f"{name}:{one}" in used for one in shots.ids], dtype=bool)
+def _by_shifts(shots: AltimeterShots, shifts: Collection[str]) -> Iterator[tuple[str, AltimeterShots]]:
+    """Shots of a file with the name of their shift: that of the file, or of each of its profiles."""
+    stem, names = Path(shots.source).stem, np.array(shots.profile_names(), dtype=object)
+    parts = [one for one in dict.fromkeys(names.tolist()) if f"{stem}:{one}" in shifts]
+    for one in parts:
+        yield f"{stem}:{one}", shots.chosen(names == one)
+    others = ~np.isin(names, parts)
+    if np.any(others):
+        yield stem, shots.chosen(others)
+
+
+def _unused(
+    posterior: Posterior, entry: ShotsInput, shots: AltimeterShots, used: Collection[str], name: str
+) -> CheckProfile:
+    stem = Path(shots.source).stem
+    taken = np.array([f"{stem}:{one}" in used for one in shots.ids], dtype=bool)
     left = shots.chosen(shots.ground & ~taken)
     values, covariance = np.zeros(2), np.eye(2) * (entry.shift_sigma_m or 0.0) ** 2
     ways = east_north(left.footprints)

@@ -1,4 +1,4 @@
-"""Orientation of an image in jigsaw's words: polynomials of time of X, Y, Z and of right ascension, declination, twist.
+"""Orientation of an image in jigsaw's words: polynomials of time of X, Y, Z and of the angles RA, DEC, TWIST.
 
 jigsaw solves for the coefficients of such polynomials; here they are fitted to the orientation before and after at the
 papers' 31 lines, and the sigmas of the coefficients follow from the joint covariance by error propagation. Names:
@@ -19,7 +19,8 @@ from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network.corrections import designs
 
 PARAMETERS = ("X", "Y", "Z", "RA", "DEC", "TWIST")
-"""jigsaw's names: position, and right ascension and declination of the optical axis and the twist about it."""
+"""jigsaw's names: position, and angles about the axes 3, 1, 3 (`rotation.angles_313`). Its RA is 90 deg more than the
+right ascension of the optical axis, its DEC what the declination lacks to 90 deg (docs/real_networks.md)."""
 _USUAL_DEGREE = 2
 """jigsaw's CKDEGREE and SPKDEGREE, for images without polynomials of their own."""
 _NOTHING = 1e-9
@@ -65,7 +66,7 @@ def orientation_polynomials(solution: Solution, image: int, degree: int) -> Orie
         outward = np.swapaxes(trajectory.body.at(moments.times)[0], 1, 2)
     position = [np.einsum("nij,nj->ni", outward, pose.position) for pose in (before, after)]
     matrix = [pose.matrix @ np.swapaxes(outward, 1, 2) for pose in (before, after)]
-    angles = [right_ascension_declination_twist(one) for one in matrix]
+    angles = [rotation.angles_313(one) for one in matrix]
     values = np.hstack([position[0], np.unwrap(angles[0], axis=0)])
     moved = np.hstack([position[1] - position[0], in_turn(angles[1] - angles[0])])
     to_angles = np.linalg.solve(_axes(matrix[1], angles[1]), turn)
@@ -73,16 +74,10 @@ def orientation_polynomials(solution: Solution, image: int, degree: int) -> Orie
     return OrientationPolynomials(inertial, (fit @ values).T, (fit @ moved).T, prior, sigma)
 
 
-def right_ascension_declination_twist(matrix: Array) -> Array:
-    """(n, 3) rad, of matrices (n, 3, 3) M = R3(twist) R1(90 deg - declination) R3(90 deg + ascension), passive."""
-    turned, lack, twist = rotation.angles_313(matrix).T
-    return np.stack([in_turn(turned - 0.5 * np.pi), 0.5 * np.pi - lack, twist], axis=1)
-
-
 def _axes(matrix: Array, angles: Array) -> Array:
     """(n, 3, 3) about which axes of its own the camera turns per rad of each of the three angles, in columns."""
     sine, cosine, zero = np.sin(angles[:, 2]), np.cos(angles[:, 2]), np.zeros(angles.shape[0])
-    node = np.stack([-cosine, sine, zero], axis=1)
+    node = np.stack([cosine, -sine, zero], axis=1)
     return np.stack([matrix[:, :, 2], node, np.broadcast_to([0.0, 0.0, 1.0], node.shape)], axis=2)
 
 

@@ -112,7 +112,7 @@ def _head(solution: Solution, tables: Tables, scaled: bool) -> list[str]:
         f"* Adjusted sigmas are {sigma}.",
         "* Residuals are measured minus predicted, in pixels of the image (jigsaw: of the detector, undistorted).",
         f"* X, Y, Z, RA, DEC, TWI: polynomials of the time past each image's middle, fitted to its lines, axes {axes}.",
-        "  RA, DEC: of the optical axis; TWI: of the camera about it. Initial values are the nominal orientation's,",
+        "  RA, DEC, TWI: angles about the axes 3, 1, 3, as jigsaw's. Initial values are the nominal orientation's,",
         "  with time biases applied; initial accuracies are the image's own (of shared unknowns nothing is in them).",
         "* Laser footprints count among the points; what has no counterpart here is N/A.",
         f"* State: {'converged' if solution.converged else 'NOT converged'}. {solution.message}",

@@ -28,6 +28,20 @@ class Archives:
     """MOLA's profiles: apNNxxx/apNNNNNl.b (PDS Geosciences node)."""
     megdr: str = "https://pds-geosciences.wustl.edu/mgs/mgs-m-mola-5-megdr-l3-v1/mgsl_300x/"
     """MOLA's grids: meg004/, meg016/, meg128/ (PDS Geosciences node)."""
+    ctx: str = "https://planetarydata.jpl.nasa.gov/img/data/mro/ctx/"
+    """CTX: volumes mrox_NNNN/data/ (PDS Imaging node)."""
+    lroc: str = "https://pds.lroc.im-ldi.com/data/LRO-L-LROC-2-EDR-V1.0/"
+    """LROC: volumes LROLRC_NNNN/DATA/ (LROC node)."""
+    hrsc: str = "https://pds-geosciences.wustl.edu/mex/mex-m-hrsc-3-rdr-v4/"
+    """HRSC: volumes mexhrs_NNNN/data/ORBIT/ (PDS Geosciences node)."""
+    mro_kernels: str = "https://naif.jpl.nasa.gov/pub/naif/pds/data/mro-m-spice-6-v1.0/mrosp_1000/"
+    """SPICE kernels of MRO: extras/mk/, data/ (NAIF)."""
+    lro_kernels: str = "https://naif.jpl.nasa.gov/pub/naif/pds/data/lro-l-spice-6-v1.0/lrosp_1000/"
+    """SPICE kernels of LRO."""
+    mex_kernels: str = "https://naif.jpl.nasa.gov/pub/naif/pds/data/mex-e_m-spice-6-v2.0/mexsp_2000/"
+    """SPICE kernels of Mars Express."""
+    ode: str = "https://oderest.rsl.wustl.edu/"
+    """REST services of the Orbital Data Explorer: live2 (products), livegds (laser shots over a box)."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

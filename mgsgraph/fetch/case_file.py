@@ -15,7 +15,6 @@ from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, ImageNeeds, kernel_path, k
 from mgsgraph.io.files import finite_number
 from mgsgraph.wording import some
 
-META_KERNEL = "kernels/mgs.tm"
 CASE = "case.toml"
 _INSTRUMENT = kernel_path("ik/mgs_moc_v20.ti")
 _PIXEL_SIZE = re.compile(r"^\s*INS-94031_PIXEL_SIZE\s*=\s*\(?\s*([-+.\deE]+)", re.MULTILINE)
@@ -32,6 +31,13 @@ position_sigma_m = 100.0
 angle_sigma_mrad = [0.29, 0.87, 0.87]   # roll 1 arcmin; pitch 3, for 325 m along the flight; yaw 3
 trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2
 """
+_OTHER_ORIENTATION = """\
+[orientation]
+degree = 2                              # of the corrections to the kernels' trajectory
+position_sigma_m = 100.0
+angle_sigma_mrad = 0.29                 # 1 arcmin
+trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2
+"""
 _PROFILE = """\
 range_sigma_m = 10.0
 ground_sigma_m = 10.0
@@ -40,9 +46,18 @@ check_every = 5                         # every fifth shot takes no part: check 
 """
 
 
+def meta_kernel_path(needs: Sequence[ImageNeeds]) -> str:
+    """Of our own meta-kernel in the folder, called after the spacecraft."""
+    camera = needs[0].camera
+    return "kernels/mgs.tm" if camera is None else f"kernels/{camera.kernels.partition('_')[0]}.tm"
+
+
 def meta_kernel(needs: Sequence[ImageNeeds]) -> str:
     """Text of a meta-kernel that names files beside it, in the order of loading."""
-    names = [LEAP_SECONDS, *(Path(kernel_path(kernel)).name for kernel in (*FIXED, *kernels_of(needs)))]
+    kernels = [LEAP_SECONDS, *FIXED, *kernels_of(needs)]
+    if needs[0].camera is not None:
+        kernels = list(dict.fromkeys(kernel for image in needs for kernel in image.kernels))
+    names = [Path(kernel_path(kernel)).name for kernel in kernels]
     listed = "\n".join(f"  '{name}'" for name in names)
     return f"""KPL/MK
 
@@ -62,11 +77,14 @@ def case_text(needs: Sequence[ImageNeeds], grid: Grid | None, folder: Path) -> s
     parts = [
         "# Written by `mgsgraph fetch`, and yours to change: it is not overwritten then.\n"
         f'format = 1\nname = "{some(names, len(names))}"\n',
-        _ORIENTATION,
-        f'[spice]\nkernels = ["{META_KERNEL}"]\n',
+        _ORIENTATION if needs[0].camera is None else _OTHER_ORIENTATION,
+        f'[spice]\nkernels = ["{meta_kernel_path(needs)}"]\n',
     ]
-    focal_length = camera_focal_length(folder)
-    parts += [_image(image, focal_length) for image in needs]
+    if needs[0].camera is None:
+        focal_length = camera_focal_length(folder)
+        parts += [_image(image, focal_length) for image in needs]
+    parts += [_other_image(image) for image in needs if image.camera is not None]
+    parts += [_other_shots(image) for image in needs if image.shots]
     parts += [
         f'[[shots]]\nfile = "{image.pedr_path}"\nimage = "{image.product.name}"\n{_PROFILE}'
         for image in needs
@@ -83,6 +101,21 @@ def _image(image: ImageNeeds, focal_length: float) -> str:
         _said('constants = "ik"', "of NAIF's instrument kernel, but for"),
         _said(f"focal_length_m = {focal_length}", "by which a pixel sees 3.7497 microradians, as in ISIS"),
     ])
+
+
+def _other_image(image: ImageNeeds) -> str:
+    return "".join([
+        "[[images]]\n", _said(f'name = "{image.product.name}"', image.start), f'label = "{image.image_path}"\n',
+    ])
+
+
+def _other_shots(image: ImageNeeds) -> str:
+    """Laser shots over an image, for a person to choose from: many profiles, seldom one that was taken along."""
+    return (
+        f"# laser shots about {image.product.name}; which ones fall in it:\n"
+        f"# mgsgraph shots {image.shots_path} --case {CASE}\n"
+        f'# [[altimetry]]\n# file = "{image.shots_path}"\n'
+    )
 
 
 def _said(line: str, comment: str) -> str:

@@ -1,7 +1,7 @@
 """From ids of images to a folder with images, kernels, profiles, a terrain and a case, with a lock over all of it."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
-from mgsgraph.fetch.case_file import CASE, META_KERNEL, camera_focal_length, case_text, meta_kernel
+from mgsgraph.fetch.case_file import CASE, camera_focal_length, case_text, meta_kernel, meta_kernel_path
 from mgsgraph.fetch.download import Remote, RetryPolicy
 from mgsgraph.fetch.grids import Grid, grid_of, terrain_of, wanted_grids
 from mgsgraph.fetch.lock import LOCK, Lock
-from mgsgraph.fetch.needs import ImageNeeds, ProductId, products_of, wanted_files
+from mgsgraph.fetch.needs import ImageNeeds, Product, products_of, require_one_mission, wanted_files
 from mgsgraph.fetch.search import Search
 from mgsgraph.fetch.store import DownloadFolder, Progress
 from mgsgraph.fetch.volumes import volumes_of
@@ -50,7 +50,7 @@ class Fetched:
         """What there is now, one line each."""
         said = [
             f"{image.product}: {image.start}, orbit {image.orbit}, "
-            f"{', '.join(Path(kernel).name for kernel in image.kernels)}, {Path(image.pedr).name or 'no laser profile'}"
+            f"{_kernels(image)}, {Path(image.pedr or image.shots_path).name or 'no laser profile'}"
             for image in self.images
         ]
         size = sum(self.brought.values()) / 1e6
@@ -103,7 +103,7 @@ def fetch_images(
     Parameters
     ----------
     images : sequence of str
-        Ids of MOC narrow-angle images, such as E02/00665.
+        Ids of MOC narrow-angle images, such as E02/00665, or of CTX, LROC NAC or HRSC; of one mission.
     out : path
         Folder: absent, empty, or an earlier one of ours, to which the images are added.
     terrain : str
@@ -135,7 +135,7 @@ def fetch_images(
         _find(products, lock, Search(archives, store, volumes), update)
         needs = tuple(lock.images.values())
         store.get_all(wanted_files(needs, archives))
-        write_file(folder / META_KERNEL, meta_kernel(needs), remedy=_REMEDY)
+        write_file(folder / meta_kernel_path(needs), meta_kernel(needs), remedy=_REMEDY)
         notes = [note for image in needs for note in image.notes]
         places = list[tuple[float, float]]()
         for image in needs:
@@ -145,7 +145,7 @@ def fetch_images(
                 if choice == "128":
                     raise error.within(f"{image.product}, whose place its tiles hang on") from None
                 notes.append(f"{image.product}: its geometry can't be computed yet ({error})")
-        grid = None if choice == "none" else grid_of(choice, places)
+        grid = None if choice == "none" or _on_the_moon(needs) else grid_of(choice, places)
         if grid is not None:
             store.get_all(wanted_grids(grid, archives))
         store.mend()
@@ -174,7 +174,7 @@ def survey(
         lock = Lock(Path(aside), images=dict(kept.images))
         _find(products, lock, Search(archives, DownloadFolder(lock, remote, progress=progress), volumes), update=False)
         wanted = [*wanted_files(lock.images.values(), archives)]
-        if choice in ("4", "16"):
+        if choice in ("4", "16") and not _on_the_moon(lock.images.values()):
             wanted += wanted_grids(grid_of(choice), archives)
         return tuple(
             Planned(path, url, kept.files[path].size if here else remote.size(url), here)
@@ -198,12 +198,22 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _find(products: Sequence[ProductId], lock: Lock, search: Search, update: bool) -> None:
+def _find(products: Sequence[Product], lock: Lock, search: Search, update: bool) -> None:
     """Enter what each image needs in the lock; no network for those that are there."""
+    require_one_mission([*products, *(image.product for image in lock.images.values())])
     for product in products:
         if update or str(product) not in lock.images:
             lock.images[str(product)] = search.needs(product)
             lock.write()
+
+
+def _on_the_moon(needs: Iterable[ImageNeeds]) -> bool:
+    return any(image.camera is not None and image.camera.moon for image in needs)
+
+
+def _kernels(image: ImageNeeds) -> str:
+    """Names of an image's SPK and CK."""
+    return ", ".join(Path(one).name for one in image.kernels if one.lower().split("/")[-2] in ("spk", "ck"))
 
 
 def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
@@ -214,13 +224,18 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
     InputError
         When the kernels don't hold its time, or it looks past Mars.
     """
+    if image.camera is not None:
+        if not image.box:
+            raise InputError(str(image.product), "no place on the ground in its label", "that of its kernels")
+        south, north, west, east = image.box
+        return [(longitude, latitude) for longitude in (west, east) for latitude in (south, north)]
     import numpy as np
 
     from mgsgraph.geometry.body import planetocentric
     from mgsgraph.io.labelled_image import read_labelled_image
     from mgsgraph.units import DEG
 
-    label, kernels = folder / image.image_path, [folder / META_KERNEL]
+    label, kernels = folder / image.image_path, [folder / "kernels/mgs.tm"]
     taken = read_labelled_image(label, kernels, constants="ik", focal_length=camera_focal_length(folder))
     lines, samples = np.array([0.0, 0.0, 0.5, 1.0, 1.0]), np.array([0.0, 1.0, 0.5, 0.0, 1.0])
     points, _ = taken.image_to_ground(lines * taken.lines, samples * taken.samples)

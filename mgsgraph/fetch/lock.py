@@ -17,7 +17,7 @@ from mgsgraph.wording import many, some
 LOCK = "fetch.lock"
 """Its name in the folder."""
 _FORMAT = 1
-_NAME = re.compile(r"(images|index|kernels|megdr|pedr)/\w[\w.-]*")
+_NAME = re.compile(r"(images|index|kernels|megdr|pedr|shots)/\w[\w.-]*")
 """Paths of files in the folder: nothing of a lock leads out of it."""
 
 

@@ -2,12 +2,13 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
+from mgsgraph.fetch.cameras import CAMERAS, ArchivedCamera, CameraProduct
 
 _ID = re.compile(r"([a-z][a-z0-9]{2})[/_-]?(\d{5})(\.(imq|img|cub|lbl))?", re.IGNORECASE)
 _MAPPING = re.compile(r"M[01]\d|M2[0-3]|[ERS](0[1-9]|1\d|2[0-3])")
@@ -48,7 +49,11 @@ class ProductId(NamedTuple):
         """
         match = _ID.fullmatch(text.strip())
         if match is None:
-            raise InputError(f"image {text!r}"[:80], "not the id of a MOC image", "one such as E02/00665 or e0200665")
+            known = ", ".join(camera.example for camera in CAMERAS)
+            raise InputError(
+                f"image {text!r}"[:80], "not the id of an image of MOC, CTX, LROC NAC or HRSC",
+                f"one such as E02/00665, e0200665, {known}",
+            )
         product = cls(match[1].upper(), match[2])
         if not _MAPPING.fullmatch(product.phase):
             raise InputError(
@@ -58,11 +63,30 @@ class ProductId(NamedTuple):
         return product
 
 
-def products_of(texts: Sequence[str]) -> tuple[ProductId, ...]:
-    """Ids in their order, each once."""
+Product = ProductId | CameraProduct
+"""An image's id."""
+
+
+def read_product(text: str) -> Product:
+    """An id of CTX, LROC NAC or HRSC, or else of MOC; InputError for any other."""
+    return CameraProduct.read(text) or ProductId.read(text)
+
+
+def products_of(texts: Sequence[str]) -> tuple[Product, ...]:
+    """Ids in their order, each once, of one mission."""
     if not texts:
         raise InputError("images", "none", "at least one id, such as E02/00665")
-    return tuple(dict.fromkeys(map(ProductId.read, texts)))
+    products = tuple(dict.fromkeys(map(read_product, texts)))
+    require_one_mission(products)
+    return products
+
+
+def require_one_mission(products: Iterable[Product]) -> None:
+    """Raise InputError for images of several missions: a folder has the kernels of one."""
+    missions = {one.camera.kernels if isinstance(one, CameraProduct) else "mgs_kernels" for one in products}
+    if len(missions) > 1:
+        names = ", ".join(sorted(name.partition("_")[0].upper() for name in missions))
+        raise InputError("images", f"of several missions ({names})", "images of one", "fetch them into a folder each")
 
 
 LEAP_SECONDS = "naif0012.tls"
@@ -84,7 +108,7 @@ class WantedFile(NamedTuple):
 class ImageNeeds:
     """What one image needs of the archives, as found."""
 
-    product: ProductId
+    product: Product
     image: str
     """Path of its file below the images' archive: mgsc_1068/m08060/m0806047.imq."""
     start: str
@@ -98,17 +122,33 @@ class ImageNeeds:
     """Below the PEDR's archive: ap10xxx/ap10717l.b; empty for none."""
     notes: tuple[str, ...] = ()
     """Sentences about what could not be found or confirmed."""
+    shots: str = ""
+    """Laser shots over its ground, below ODE; empty for none."""
+    box: tuple[float, ...] = ()
+    """deg, of its ground: least and largest planetocentric latitude, then east longitude; empty where unknown."""
 
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> "ImageNeeds":
         """From its entry in a lock."""
         values = dict(entry)
         values |= {key: tuple(map(str, values[key])) for key in ("kernels", "notes")}
-        return cls(**(values | {"product": ProductId.read(str(values["product"]))}))
+        values["box"] = tuple(map(float, values.get("box", ())))
+        return cls(**(values | {"product": read_product(str(values["product"]))}))
 
     def entry(self) -> dict[str, Any]:
         """For a lock."""
-        return asdict(self) | {"product": str(self.product)}
+        entry = {one.name: getattr(self, one.name) for one in fields(self)}
+        return entry | {"product": str(self.product)}
+
+    @property
+    def camera(self) -> ArchivedCamera | None:
+        """Its camera; None for MOC."""
+        return self.product.camera if isinstance(self.product, CameraProduct) else None
+
+    @property
+    def shots_path(self) -> str:
+        """Of the laser shots in the folder; empty for none."""
+        return f"shots/{self.product.name.lower()}_pts_csv.csv" if self.shots else ""
 
     @property
     def image_path(self) -> str:
@@ -135,8 +175,17 @@ def kernels_of(needs: Iterable[ImageNeeds]) -> tuple[str, ...]:
 def wanted_files(needs: Iterable[ImageNeeds], archives: Archives) -> tuple[WantedFile, ...]:
     """All files but those of the terrain, each once."""
     needs = tuple(needs)
-    found = [WantedFile(archives.images + image.image, image.image_path) for image in needs]
-    found.append(WantedFile(archives.leap_seconds + LEAP_SECONDS, f"kernels/{LEAP_SECONDS}"))
-    found += [WantedFile(archives.kernels + kernel, kernel_path(kernel)) for kernel in (*FIXED, *kernels_of(needs))]
+    found = list[WantedFile]()
+    for image in needs:
+        root = archives.images if image.camera is None else getattr(archives, image.camera.images)
+        found.append(WantedFile(root + image.image, image.image_path))
+    if any(image.camera is None for image in needs):
+        found.append(WantedFile(archives.leap_seconds + LEAP_SECONDS, f"kernels/{LEAP_SECONDS}"))
+        found += [WantedFile(archives.kernels + kernel, kernel_path(kernel)) for kernel in (*FIXED, *kernels_of(needs))]
+    for image in needs:
+        if image.camera is not None:
+            root = getattr(archives, image.camera.kernels)
+            found += [WantedFile(root + kernel, kernel_path(kernel)) for kernel in image.kernels]
     found += [WantedFile(archives.pedr + image.pedr, image.pedr_path) for image in needs if image.pedr]
+    found += [WantedFile(archives.ode + image.shots, image.shots_path) for image in needs if image.shots]
     return tuple(dict.fromkeys(found))

@@ -5,9 +5,11 @@ from collections.abc import Sequence
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
+from mgsgraph.fetch.camera_search import CameraSearch
+from mgsgraph.fetch.cameras import CameraProduct
 from mgsgraph.fetch.download import NotInArchive
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels
-from mgsgraph.fetch.needs import ImageNeeds, ProductId, WantedFile, kernel_path
+from mgsgraph.fetch.needs import ImageNeeds, Product, ProductId, WantedFile, kernel_path
 from mgsgraph.fetch.profiles import find_profile, orbit_at
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.fetch.volumes import NAMES, IndexRow, find_image, read_index, volumes_listed
@@ -27,10 +29,11 @@ class Search:
     def __init__(self, archives: Archives, store: DownloadFolder, volumes: Sequence[str] = ()) -> None:
         """`volumes`: where to look, as mgsc_1068; everywhere when empty."""
         self._archives, self._store = archives, store
+        self._other = CameraSearch(archives, store)
         self._volumes = tuple(volumes)
         self._rows: dict[str, Sequence[IndexRow]] = {}
 
-    def needs(self, product: ProductId) -> ImageNeeds:
+    def needs(self, product: Product) -> ImageNeeds:
         """All that one image needs.
 
         Raises
@@ -38,6 +41,8 @@ class Search:
         InputError
             No such image, one of the wide angle, no kernels of its time, or an archive that can't be reached.
         """
+        if isinstance(product, CameraProduct):
+            return self._other.needs(product)
         if not self._volumes:
             self._volumes = volumes_listed(self._store.remote.listing(self._archives.images))
         volume, row = find_image(product, self._volumes, self._index)

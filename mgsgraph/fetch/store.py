@@ -117,9 +117,11 @@ class DownloadFolder:
 _HEAD = 8192
 _RECORD = 1024
 """bytes of a record of SPICE's binary kernels."""
-_BINARY = {".bsp": (b"DAF/SPK", b"NAIF/DAF"), ".bc": (b"DAF/CK", b"NAIF/DAF")}
+_BINARY = {
+    ".bsp": (b"DAF/SPK", b"NAIF/DAF"), ".bc": (b"DAF/CK", b"NAIF/DAF"), ".bpc": (b"DAF/PCK", b"NAIF/DAF"),
+}  # fmt: skip
 """Beginnings of SPICE's binary kernels; NAIF/DAF is the older one."""
-_TEXT = (".tls", ".tsc", ".ti", ".tf", ".tpc")
+_TEXT = (".tls", ".tsc", ".ti", ".tf", ".tpc", ".tm")
 
 
 def require_content(path: Path, name: str) -> None:
@@ -144,6 +146,8 @@ def require_content(path: Path, name: str) -> None:
         sound = b"PDS_VERSION_ID" in head
     elif name.startswith("images/"):
         _require_whole_image(path, name)
+    elif suffix == ".csv":
+        sound = b"," in head and head.count(b"\n") > 0
     elif suffix == ".img":
         sound = size % 2 == 0
     if not sound:

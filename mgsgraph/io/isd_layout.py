@@ -89,8 +89,8 @@ class SupportData(msgspec.Struct, omit_defaults=True, kw_only=True):
     image_lines: Count
     image_samples: Count
     image_identifier: str | None = None
-    name_platform: str = ""
-    name_sensor: str = ""
+    name_platform: str | None = None
+    name_sensor: str | None = None
     name_model: str
     interpolation_method: str = "lagrange"
     line_scan_rate: Annotated[list[_Vector], msgspec.Meta(min_length=1)]

@@ -130,7 +130,7 @@ def _truth(keywords: Mapping[str, Any], end: str, source: str) -> bool:
 
 def _sensors(isd: SupportData) -> _Sensors | None:
     """By name_platform, or by the one spacecraft whose instruments the keywords are of."""
-    name = " ".join(re.split(r"[^A-Z0-9]+", isd.name_platform.upper())).strip()
+    name = " ".join(re.split(r"[^A-Z0-9]+", (isd.name_platform or "").upper())).strip()
     codes = {int(key[3:].partition("_")[0]) // -1000 for key in isd.naif_keywords if re.match(r"INS-\d{5,6}_", key)}
     found = [one for one in _SENSORS if name in one.names]
     if not found and len(codes) == 1:

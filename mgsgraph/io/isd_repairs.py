@@ -18,6 +18,11 @@ _MOC_BIAS = 1.15
 """s, by which ISIS looks MOC's attitude up earlier."""
 _SAME = 1e-3
 _MOC = "MGS_MOC_"
+_HRSC = ("MEX_HRSC", "HIGH RESOLUTION STEREO CAMERA")
+_HRSC_PITCH = 142.857
+"""Pixels of 7 micrometres per mm."""
+_HRSC_SIZES = {2584: 2, 1288: 4, 640: 8}
+"""Macropixels of archived images by their number of samples."""
 _ANOTHER_ROAD = "read its cube after spiceinit, or its label and kernels"
 
 
@@ -31,7 +36,7 @@ def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     """
     _require_units(isd, source)
     said = list[str]()
-    for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc):
+    for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc, _hrsc):
         isd, words = repair(isd, source)
         said += words
     return isd, said
@@ -105,7 +110,7 @@ def _moc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     """What ALE's mgs_drivers write of MOC: line periods without the summing, a pixel pitch as distortion, FORTRAN's
     counting of the first sample and the centre, and attitudes whose labels it moves by 1.15 s.
     """
-    if not isd.name_sensor.startswith(_MOC):
+    if not (isd.name_sensor or "").startswith(_MOC):
         return isd, []
     isd, of_lines = _moc_line_period(isd)
     isd, of_optics = _moc_optics(isd, source)
@@ -153,6 +158,22 @@ def _require_moc_attitude(isd: SupportData, source: str) -> None:
     if dense and abs(after) < _SAME:
         found = "attitudes of the C-kernel at the lines' own times"
         raise InputError(where, found, f"those of {_MOC_BIAS} s before, as ISIS takes them for MOC", _ANOTHER_ROAD)
+
+
+def _hrsc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+    """What ALE's mex_drivers write of HRSC: no summing where the image has macropixels, and the pixels of the SRC."""
+    if not (isd.name_sensor or "").startswith(_HRSC):
+        return isd, []
+    per_mm = float(np.linalg.norm(isd.focal2pixel_samples[1:]))
+    if abs(per_mm / _HRSC_PITCH - 1.0) > _SAME:
+        found = f"{per_mm:.6g} pixels per mm"
+        expected = f"HRSC's {_HRSC_PITCH}, of 7 micrometres"
+        raise InputError(f"{source}, focal2pixel_samples", found, expected, _ANOTHER_ROAD)
+    summing = _HRSC_SIZES.get(isd.image_samples, 1)
+    if isd.detector_sample_summing != 1.0 or summing == 1:
+        return isd, []
+    words = f"macropixels of {summing}, as {isd.image_samples} samples of HRSC are (ALE says 1)"
+    return structs.replace(isd, detector_sample_summing=float(summing)), [words]
 
 
 def _with_rates(isd: SupportData, table: Array) -> SupportData:

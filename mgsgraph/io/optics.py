@@ -22,6 +22,7 @@ from mgsgraph.geometry.distortion import (
     RadialDistortion,
     RadtanDistortion,
     ShadowCamDistortion,
+    ThemisIrDistortion,
     TransverseDistortion,
 )
 from mgsgraph.geometry.records import Array
@@ -152,13 +153,15 @@ def _scales(model: _Model) -> Array:
 
 def state_optics(distortion: Distortion, where: str) -> tuple[str, list[float]]:
     """Name of a model, and its coefficients for mm in the order of model states; InputError for one that usgscsm does
-    not have.
+    not have. THEMIS's is a transverse one.
 
     Without distortion it is a radial one of zeros: ALE refuses support data that name none (src/Isd.cpp,
     getDistortionModel).
     """
     if isinstance(distortion, NoDistortion):
         return "radial", [0.0, 0.0, 0.0]
+    if isinstance(distortion, ThemisIrDistortion):
+        distortion = _transverse(distortion)
     for name, model in _MODELS.items():
         if isinstance(distortion, model.kind):
             return name, (_flat(distortion) / _scales(model)).tolist()
@@ -176,6 +179,13 @@ def support_optics(distortion: Distortion, where: str) -> dict[str, dict[str, An
     if name == "kaguyalism":
         return {name: {axis: own[1:] for axis, own in both.items()} | {"boresight_x": 0.0, "boresight_y": 0.0}}
     return {name: dict(both)}
+
+
+def _transverse(themis: ThemisIrDistortion) -> TransverseDistortion:
+    """x_d = k x, y_d = (1 + a1) y + a2 y^2."""
+    x, y = np.zeros(10), np.zeros(10)
+    x[1], y[2], y[5] = themis.k, 1.0 + themis.a1, themis.a2
+    return TransverseDistortion(_ten(x.tolist()), _ten(y.tolist()))
 
 
 def _flat(distortion: Any) -> Array:

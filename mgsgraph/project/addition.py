@@ -193,7 +193,7 @@ def images_alone(path: Path) -> tuple[list[NewImage], str]:
 
 def _files(entry: ImageInput, path: Path) -> tuple[Path, ...]:
     """Files that an image of a case comes from."""
-    file = entry.isd or entry.label
+    file = entry.isd or entry.state or entry.cube or entry.label
     return (path, path.parent / file) if file else (path,)
 
 

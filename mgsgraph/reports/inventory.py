@@ -137,7 +137,7 @@ def _pulses(case: Case) -> list[str]:
     names = [Path(one.source).name for one in case.profiles if np.all(np.isnan(one.pulses))]
     if not names:
         return []
-    return [f"Laser profiles that don't say how broad their echoes were: {some(names, _NAMED)}\n  "
+    return [f"Laser profiles that don't say how broad their echoes were: {some(names[:_NAMED], len(names))}\n  "
             "sigmas of their ranges and heights are as stated, on slopes too (pulse_share)"]  # fmt: skip
 
 

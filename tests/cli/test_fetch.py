@@ -86,7 +86,7 @@ def test_a_dry_run(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture
         (["M04/02999"], "in no volume that was looked through (mgsc_1029, mgsc_1030, mgsc_1280)"),
         (["M24/00001"], "expected phases M00 .. M23"),
         (["M04/02852", "--volume", "1030"], "volume '1030': not the name of a volume; expected one such as mgsc_1068"),
-        (["nonsense"], "not the id of a MOC image; expected one such as E02/00665"),
+        (["nonsense"], "not the id of an image of MOC, CTX, LROC NAC or HRSC; expected one such as E02/00665"),
         ([], "at least one id"),
         (["M04/02852", "--mirrors", "nowhere.toml"], "nowhere.toml: no such file"),
         (["M04/02852", "--mirror", "ftp://x.org"], "an address such as https://"),

@@ -19,7 +19,6 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import (
     common_degree,
     orientation_polynomials,
-    right_ascension_declination_twist,
 )
 from mgsgraph.export.bundle_out import write_bundle_out
 from mgsgraph.export.control_back import control_differences
@@ -358,18 +357,6 @@ def test_sigmas_of_the_tables_are_scaled_when_asked(solution: Solution, tmp_path
 # --- orientation in jigsaw's words
 
 
-def test_angles_make_the_matrix_again() -> None:
-    drawn = np.random.default_rng(1).normal(size=(50, 3))
-    matrix = rotation.exponential(drawn)
-    angles = right_ascension_declination_twist(matrix)
-
-    def about(axis: int, angle: np.ndarray) -> np.ndarray:
-        return rotation.exponential(-angle[:, None] * np.eye(3)[axis])
-
-    made = about(2, angles[:, 2]) @ about(0, np.pi / 2 - angles[:, 1]) @ about(2, np.pi / 2 + angles[:, 0])
-    np.testing.assert_allclose(made, matrix, atol=1e-14)
-
-
 def test_polynomials_follow_the_orientation(solution: Solution) -> None:
     degree = common_degree(solution)
     assert degree == 2
@@ -391,7 +378,7 @@ def test_polynomials_follow_the_orientation(solution: Solution) -> None:
             position, _ = image.trajectory.position.at(np.array([at]))
             np.testing.assert_allclose(found.before[:3] @ powers, position[0], atol=1.0)
             attitude, _ = image.trajectory.camera.at(np.array([at]))
-            wanted = right_ascension_declination_twist(attitude)[0]
+            wanted = rotation.angles_313(attitude)[0]
             assert np.abs(in_turn(found.before[3:] @ powers - wanted)).max() < 1e-3
 
 

@@ -16,8 +16,12 @@ import numpy as np
 import pytest
 
 from mgsgraph.export import csm_back
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.isd import read_isd
+from mgsgraph.io.labelled_image import read_labelled_image
+from mgsgraph.io.optics import support_optics
+from mgsgraph.simulation.isis_files import support_data
 
 FILES = (
     *(f"lro_nac_lola/lidarObservationImage{k}.isd" for k in (1, 2)),
@@ -31,16 +35,19 @@ FILES = (
 DENSE = 4001
 
 
-def as_isis_times_it(isd: dict[str, Any]) -> dict[str, Any]:
-    """Line times of ISIS's LROC: the label's after 1,024 lines of preroll, 0.45 % longer (LroNarrowAngleCamera)."""
-    ((line, start, period),) = isd["line_scan_rate"]
-    if isd["name_sensor"].startswith("LUNAR"):
-        keywords = isd["naif_keywords"]
-        (code,) = {key.partition("_")[0] for key in keywords if key.endswith("_ADDITIONAL_PREROLL")}
-        if isd["instrument_pointing"]["ephemeris_times"][0] > isd["starting_ephemeris_time"] + 0.5:
-            period *= 1.0 + keywords[f"{code}_MULTIPLI_LINE_ERROR"]
-            start += keywords[f"{code}_ADDITIONAL_PREROLL"] * period
-    return isd | {"line_scan_rate": [[line, start, period]]}
+def as_isis_takes_it(isd: dict[str, Any]) -> dict[str, Any]:
+    """What ISIS's LROC makes of its own file (LroNarrowAngleCamera): the label's line times after 1,024 lines of
+    preroll, 0.45 % longer; BORESIGHT_SAMPLE counts the first pixel's centre as 1.
+    """
+    keywords, ((line, start, period),) = isd["naif_keywords"], isd["line_scan_rate"]
+    code = next(key.partition("_")[0] for key in keywords if key.endswith("_BORESIGHT_SAMPLE"))
+    centre = isd["detector_center"]
+    if centre["sample"] != keywords[f"{code}_BORESIGHT_SAMPLE"]:
+        return isd
+    period *= 1.0 + keywords[f"{code}_MULTIPLI_LINE_ERROR"]
+    start += keywords[f"{code}_ADDITIONAL_PREROLL"] * period
+    moved = centre | {"sample": centre["sample"] - 0.5}
+    return isd | {"line_scan_rate": [[line, start, period]], "detector_center": moved}
 
 
 def laid_out(isd: dict[str, Any]) -> dict[str, Any]:
@@ -70,7 +77,7 @@ def hermite(table: dict[str, Any], times: np.ndarray) -> dict[str, Any]:
 @pytest.mark.parametrize("file", FILES)
 def test_ground_is_usgscsms(shared_data: Path, file: str) -> None:
     image = read_isd(shared_data / file, "image", Aberration("NONE"))
-    isd = as_isis_times_it(json.loads((shared_data / file).read_text()))
+    isd = as_isis_takes_it(json.loads((shared_data / file).read_text()))
     lines, samples = np.meshgrid(np.linspace(0.5, image.lines - 0.5, 5), np.linspace(0.5, image.samples - 0.5, 5))
     places = np.column_stack([lines.ravel(), samples.ravel()])
     ground, _ = image.image_to_ground(*places.T)
@@ -78,3 +85,55 @@ def test_ground_is_usgscsms(shared_data: Path, file: str) -> None:
     for content, most in ((laid_out(isd), 1e-3), (isd, 0.15)):
         seen = csm_back.ground_to_image(csm_back.state_of_support_data(content), ground)
         assert np.abs(seen - places).max() < most
+
+
+CAMERAS: dict[str, tuple[str, dict[str, Any]]] = {
+    "MOC-NA": ("mgs_moc_m0402852/m0402852_isis.lbl", {}),
+    "HRSC": ("mex_hrsc_h5270/h5270_0000_ir2_pds3.lbl", {"line_times": "mean"}),
+    "CTX": ("mro_ctx_b10/B10_013341_1010_XN_79S172W_pds3.lbl", {}),
+    "LROC NAC": ("lro_nac_m103595705/M103595705LE_pds3.lbl", {}),
+    "Kaguya TC": ("kaguya_tc/TC1S2B0_01_06691S820E0465_pds3.lbl", {}),
+}
+_ORDER = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bsp", ".bc")
+
+
+def by_kernels(shared_data: Path, camera: str, **more: Any) -> PushbroomImage:
+    file, its_own = CAMERAS[camera]
+    folder = (shared_data / file).parent
+    found = [path for path in (*folder.iterdir(), shared_data / "kernels" / "moon_pa_de421_1900-2050.bpc")
+             if path.suffix.lower() in _ORDER]  # fmt: skip
+    kernels = sorted(found, key=lambda path: (_ORDER.index(path.suffix.lower()), "ddendum" in path.name, path.name))
+    return read_labelled_image(shared_data / file, kernels, camera, **its_own, **more)
+
+
+def test_narrow_angle_as_ale_writes_it_is_where_its_kernels_see_it(shared_data: Path, tmp_path: Path) -> None:
+    """With what mgs_drivers write wrongly of this very image, summed 8 x 8 (ALE, tests/pytests/data/isds/mgsmocna)."""
+    image = by_kernels(shared_data, "MOC-NA", interval=0.25)
+    isd = support_data(image)
+    ((line, start, period),) = isd["line_scan_rate"]
+    path = tmp_path / "m0402852.json"
+    path.write_text(json.dumps(isd | {
+        "name_sensor": "MGS_MOC_NA", "line_scan_rate": [[line, start, period / 8.0]], "detector_line_summing": 8,
+        "optical_distortion": {"radial": {"coefficients": [0, 0.0131240578522949, 0.0131240578522949]}},
+        "detector_center": {"line": 0.0, "sample": 1024.5}, "starting_detector_sample": 1,
+    }))  # fmt: skip
+    lines, samples = np.array([0.5, 700.0, 1535.5]), np.array([0.5, 100.0, 255.5])
+    ground, _ = image.image_to_ground(lines, samples)
+
+    places, _ = read_isd(path, "MOC").ground_to_image(ground)
+    np.testing.assert_allclose(places, np.column_stack([lines, samples]), rtol=0, atol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_ground_of_each_camera_is_usgscsms(shared_data: Path, camera: str) -> None:
+    """By label and kernels, written as support data: line times, detector and distortion of each in usgscsm's terms."""
+    image = by_kernels(shared_data, camera)
+    isd = support_data(image) | {"optical_distortion": support_optics(image.interior.distortion, camera)}
+    lines, samples = np.meshgrid(np.linspace(0.5, image.lines - 0.5, 5), np.linspace(0.5, image.samples - 0.5, 5))
+    places = np.column_stack([lines.ravel(), samples.ravel()])
+    ground, _ = image.image_to_ground(*places.T)
+
+    content = isd if camera == "HRSC" else laid_out(isd)  # HRSC's line periods change
+    seen = csm_back.ground_to_image(csm_back.state_of_support_data(content), ground)
+    assert np.abs(seen - places).max() < 1e-3

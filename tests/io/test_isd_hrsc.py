@@ -100,9 +100,16 @@ def test_there_and_back_over_the_changes(tmp_path: Path) -> None:
     np.testing.assert_allclose(places, np.stack([lines, samples], axis=1), atol=1e-6)
 
 
+def test_macropixels_that_ale_leaves_out_are_known_by_the_size(tmp_path: Path) -> None:
+    image = read(tmp_path, detector_sample_summing=1)
+    assert image.interior.sample_summing == 4.0
+    assert len(image.remarks) == 1
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
+        ({"focal2pixel_samples": [0.0, 111.111111111111, 0.0]}, "111.111 pixels per mm; expected HRSC's 142.857"),
         ({"optical_distortion": {"cassis": {"coefficients": [0.0] * 36}}}, "of a framing camera"),
         ({"line_scan_rate": [RATES[0], RATES[2], RATES[1]]}, "line timing, first lines"),
         ({"line_scan_rate": [[0.5, -98.0, 0.0128], [6664.5, -20.0, 0.0129]]}, "segments one after the other"),

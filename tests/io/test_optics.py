@@ -70,9 +70,16 @@ def test_types_of_no_line_scanner_are_refused(number: int) -> None:
         distortion_of_state(number, [0.0], FOCAL, "x.json")
 
 
-@pytest.mark.parametrize(
-    "optics", [models.ThemisIrDistortion(1.0, 0.0, 1.0), models.KaguyaMiDistortion((0.0,) * 4, (0.0,) * 4)]
-)
+def test_themis_is_transverse() -> None:
+    themis = models.ThemisIrDistortion(0.99426, 0.00447623, 1.07556)
+    same = distortion_of_support(support_optics(themis, "image"), FOCAL, "isd")
+    np.testing.assert_allclose(same.undistort(PLACES)[0], themis.undistort(PLACES)[0], rtol=0, atol=1e-15)
+
+
+WIDE = models.MocWideAngleDistortion((1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0, 0.01)
+
+
+@pytest.mark.parametrize("optics", [WIDE, models.KaguyaMiDistortion((0.0,) * 4, (0.0,) * 4)])
 def test_what_usgscsm_lacks_is_not_written(optics: models.Distortion) -> None:
     with pytest.raises(InputError, match=type(optics).__name__):
         support_optics(optics, "image")

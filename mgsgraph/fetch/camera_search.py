@@ -1,0 +1,200 @@
+"""What an image of CTX, LROC NAC or HRSC needs: its file by ODE or its volumes, kernels of its time by meta-kernel and
+labels, laser shots over its ground by ODE.
+"""
+
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
+
+from mgsgraph.errors import InputError
+from mgsgraph.fetch.archives import Archives
+from mgsgraph.fetch.cameras import ArchivedCamera, CameraProduct
+from mgsgraph.fetch.download import NotInArchive
+from mgsgraph.fetch.kernel_phases import MARGIN, Interval
+from mgsgraph.fetch.needs import ImageNeeds, WantedFile, kernel_path
+from mgsgraph.fetch.store import DownloadFolder
+from mgsgraph.io.pvl import Block, flat_label
+
+_LABEL = 1 << 16
+"""bytes in which the label of an image lies."""
+_KERNEL = re.compile(r"[\"']?\$?\w*/?((?:lsk|pck|sclk|fk|ik|spk|ck)/[\w.-]+\.\w{2,4})", re.IGNORECASE)
+"""A kernel in a meta-kernel, below data/; its path may be cut by '+' before a line's end."""
+_DATES = re.compile(r"_(\d{6}|\d{7})_(\d{6}|\d{7})(?=[_.])")
+_NEEDED = ("lsk", "pck", "sclk", "fk", "ik", "spk", "ck")
+_URL = re.compile(r"https?://[^\s<>\"']+?/(output/[\w.-]+/[\w.-]+_pts_csv\.csv)")
+_EDGE = 0.02
+"""deg around an image's box in which shots are asked for."""
+
+
+class Box(NamedTuple):
+    """deg, longitudes east and planetocentric latitudes."""
+
+    south: float
+    north: float
+    west: float
+    east: float
+
+
+class CameraSearch:
+    """Looks images up; meta-kernels and kernels' labels that it reads on the way stay in the store."""
+
+    def __init__(self, archives: Archives, store: DownloadFolder) -> None:
+        self._archives, self._store = archives, store
+
+    def needs(self, product: CameraProduct) -> ImageNeeds:
+        """All that one image needs.
+
+        Raises
+        ------
+        InputError
+            No such image, no meta-kernel of its year, no kernels of its time, or an archive that can't be reached.
+        """
+        camera, answer = product.camera, self._asked(product)
+        file = self._file(product, answer)
+        root = getattr(self._archives, camera.images)
+        label = self._label(product, root + file)
+        taken = Interval.of(label)
+        box = box_of(answer, label)
+        kernels = self._kernels(camera, taken, str(product))
+        shots, why = self._shots(camera, box, str(product))
+        orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label and label.text("ORBIT_NUMBER").isdigit() else 0
+        return ImageNeeds(
+            product, file, label.text("START_TIME"), label.text("STOP_TIME"), orbit, kernels, "", why, shots,
+            tuple(box) if box else (),
+        )  # fmt: skip
+
+    def _asked(self, product: CameraProduct) -> str:
+        """What ODE says of a product; empty for a camera that it isn't asked about."""
+        camera = product.camera
+        if not camera.query:
+            return ""
+        wanted = product.name.lower() if camera.moon else product.name
+        return self._store.remote.listing(self._archives.ode + camera.query.format(wanted))
+
+    def _file(self, product: CameraProduct, answer: str) -> str:
+        """Path of the image below its archive."""
+        camera = product.camera
+        where, expected = f"image {product}", f"one of {camera.name}, such as {camera.example}"
+        pattern = camera.file.format(product.name)
+        stem, _, suffix = pattern.rpartition(r"\.")
+        if camera.query:
+            found = re.search(f"({stem})" + r"\.\w+", answer, re.IGNORECASE)
+            if found is None:
+                unknown = "not known to the Orbital Data Explorer"
+                raise InputError(where, unknown, expected, "check the id, or the mirror")
+            return f"{found[1]}.{suffix}"
+        root = getattr(self._archives, camera.images)
+        listed = set(re.findall(r"mexhrs_\d{4}", self._store.remote.listing(root))) or {"mexhrs_4000", "mexhrs_1001"}
+        for volume in sorted(listed, reverse=True):
+            file = f"{volume}/data/{product.name[1:5].lower()}/{product.name.lower()}.{suffix}"
+            try:
+                self._store.remote.head(root + file, 1)
+            except NotInArchive:
+                continue
+            return file
+        found = f"in none of {', '.join(sorted(listed))}"
+        raise InputError(where, found, expected, "check the id, and the digit of its level")
+
+    def _label(self, product: CameraProduct, url: str) -> Block:
+        head = self._store.remote.head(url, _LABEL)
+        if b"PDS_VERSION_ID" not in head[:200]:
+            raise InputError(url, f"it begins with {head[:16]!r}", "an image with its PDS3 label", "try another mirror")
+        label = flat_label(head.split(b"\0", 1)[0].decode("latin-1"), url)
+        found = label.text("PRODUCT_ID").strip().upper().removesuffix(".IMG")
+        if found != product.name:
+            raise InputError(f"{url}, PRODUCT_ID", repr(found), str(product), "the archive has another image there")
+        if (instrument := label.text("INSTRUMENT_ID").upper()) != product.camera.instrument:
+            raise InputError(url, f"an image of {instrument}", f"one of {product.camera.instrument}")
+        return label
+
+    # --- kernels
+
+    def _kernels(self, camera: ArchivedCamera, taken: Interval, where: str) -> tuple[str, ...]:
+        """Paths below the kernels' archive, in the meta-kernel's order: of its time, and those of all times."""
+        root = getattr(self._archives, camera.kernels)
+        folder, name = self._meta_kernel(camera, root, taken.middle.year, where)
+        text = self._store.get(WantedFile(f"{root}{folder}{name}", kernel_path(name))).read_text("latin-1")
+        data = "DATA/" if folder.isupper() else "data/"
+        listed = [match[1] for match in _KERNEL.finditer(re.sub(r"\+'\s*'", "", text))]
+        chosen = [data + path for path in dict.fromkeys(listed) if self._holds(camera, root + data, path, taken)]
+        for kind in ("spk", "ck"):
+            if not any(f"/{kind}/" in path.lower() for path in chosen):
+                raise InputError(f"{where}, {name}", f"no {kind.upper()} that holds {taken}", "kernels of its time")
+        return tuple(chosen)
+
+    def _meta_kernel(self, camera: ArchivedCamera, root: str, year: int, where: str) -> tuple[str, str]:
+        """Folder and name of the newest meta-kernel of a year."""
+        for folder in ("extras/mk/", "EXTRAS/MK/"):
+            page = self._store.remote.listing(root + folder)
+            pattern = camera.meta_kernel.format(year)
+            found = sorted(set(re.findall(rf"(?<=[\"/>])({pattern})(?=[\"<])", page, re.IGNORECASE)))
+            if found:
+                return folder, found[-1]
+        expected = camera.meta_kernel.format(year)
+        raise InputError(f"{where}, kernels of {year}", f"no meta-kernel in {root}extras/mk/", expected)
+
+    def _holds(self, camera: ArchivedCamera, data: str, path: str, taken: Interval) -> bool:
+        """Whether a kernel is wanted: text of any time; an orbit or attitude by the dates in its name, or its label."""
+        kind, _, name = path.rpartition("/")
+        kind = kind.lower()
+        if kind not in ("spk", "ck"):
+            return True
+        if kind == "ck" and not camera.attitude.match(name):
+            return False
+        wanted = taken.wider(MARGIN)
+        if (covered := dates_in(name)) is not None and not covered.meets(wanted):
+            return False
+        if covered is not None:
+            return True
+        label = path.rpartition(".")[0] + (".LBL" if name.isupper() else ".lbl")
+        try:
+            text = self._store.get(WantedFile(data + label, kernel_path(label.lower()))).read_text("latin-1")
+        except NotInArchive:
+            return True
+        said = Interval.said_by(flat_label(text, label))
+        return said is None or said.meets(wanted)
+
+    # --- shots
+
+    def _shots(self, camera: ArchivedCamera, box: Box | None, where: str) -> tuple[str, tuple[str, ...]]:
+        """Path below ODE of the altimeter's shots over a box, and sentences: why there are none."""
+        if box is None:
+            return "", (f"{where}: no laser shots, its place is not known before its kernels are here",)
+        asked = f"livegds/?query={camera.altimetry}&results=v&output=JSON"
+        sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), box, (-_EDGE, _EDGE, -_EDGE, _EDGE), strict=True)
+        asked += "".join(f"&{name}={value + more:.4f}" for name, value, more in sides)
+        found = _URL.search(self._store.remote.listing(self._archives.ode + asked))
+        return (found[1], ()) if found else ("", (f"{where}: no laser shots, ODE has none over its ground",))
+
+
+def box_of(answer: str, label: Block) -> Box | None:
+    """Where an image lies, by ODE's answer or its label's footprint; None where neither says."""
+    names = ("Minimum_latitude", "Maximum_latitude", "Westernmost_longitude", "Easternmost_longitude")
+    found = [re.search(rf"{name}\W+?([-+]?\d+(?:\.\d+)?)", answer) for name in names]
+    if all(found):
+        return Box(*(float(one[1]) for one in found if one))
+    corners = ("FOOTPRINT_POINT_LATITUDE", "FOOTPRINT_POINT_LONGITUDE")
+    if not all(name in label for name in corners):
+        return None
+    latitudes, longitudes = (
+        [float(text) for text in label.entries[name.lower()].value if isinstance(text, str)] for name in corners
+    )
+    if max(longitudes) - min(longitudes) > 180.0:
+        return None
+    return Box(min(latitudes), max(latitudes), min(longitudes), max(longitudes))
+
+
+def dates_in(name: str) -> Interval | None:
+    """From the first of the dates in a kernel's name (YYMMDD or YYYYDDD) to the end of the second; None without two."""
+    found = _DATES.search(name)
+    days = list(_days(found.groups())) if found else []
+    return Interval(days[0], days[1] + timedelta(days=1)) if len(days) == 2 and days[0] <= days[1] else None
+
+
+def _days(texts: tuple[str, ...]) -> Iterator[datetime]:
+    for text in texts:
+        try:
+            yield datetime.strptime(text, "%y%m%d" if len(text) == 6 else "%Y%j").replace(tzinfo=UTC)
+        except ValueError:
+            return
