@@ -80,7 +80,7 @@ def test_the_case_holds_all_files_of_the_sites(simulated: SimulatedThreeSites, c
     table = tomllib.loads(case.path.read_text(encoding="utf-8"))
     assert [image["name"] for image in table["images"]][-1] == BRIDGE
     assert len(table["images"]) == 7
-    assert len(table["mola"]) == 6
+    assert len(table["shots"]) == 6
     assert "terrain" not in table
     for site in simulated.sites:
         assert (case.path.parent / site.settings.name / "case.toml").is_file()
