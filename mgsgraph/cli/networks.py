@@ -6,13 +6,14 @@ import click
 
 from mgsgraph.cli.options import PATH, print_sentences
 from mgsgraph.export import Format, Target
+from mgsgraph.io.control.record import Duplicates
 
 _FORMATS = click.Choice([one.value for one in Format])
 
 
 @click.command()
-@click.argument("inputs", type=PATH, nargs=-1, required=True, metavar="IN...")
-@click.argument("output", type=PATH, metavar="OUT")
+@click.argument("files", type=PATH, nargs=-1, required=True, metavar="IN... [OUT]")
+@click.option("--out", type=PATH, help="OUT; all files before it are IN then.")
 @click.option("--from", "read_as", type=_FORMATS, help="Format of all IN; by their endings when absent.")
 @click.option("--to", "write_as", type=_FORMATS, help="Format of OUT; by its ending when absent.")
 @click.option("--case", type=PATH, help="A case file, for the names and sizes of its images and for the ellipsoid.")
@@ -28,11 +29,18 @@ _FORMATS = click.Choice([one.value for one in Format])
 @click.option("--rename", multiple=True, metavar="OLD=NEW", help="Call an image otherwise in OUT; may be repeated.")
 @click.option("--prefix", help="How the names of match files in IN begin, before the hyphen; empty for without.")
 @click.option("--nvm-no-shift", is_flag=True, help="Places of .nvm count from the first pixel, not the image's middle.")
+@click.option(
+    "--duplicates", type=click.Choice([one.value for one in Duplicates]), default=Duplicates.REFUSE.value,
+    help="Points of one id in several IN: refuse, or unite them; where they differ the first or the last file counts."
+)  # fmt: skip
+@click.option("--only", multiple=True, metavar="IMAGE", help="Image to keep, or a pattern as MGS/*; may be repeated.")
+@click.option("--thin", type=click.IntRange(1), metavar="N", help="Keep about N points in an image, well spread.")
+@click.option("--split", is_flag=True, help="A file for each part that hangs together: OUT_1, OUT_2, ...")
 @click.option("--replace", is_flag=True, help="Overwrite OUT, though of the format of one of IN.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
 def convert(
-    inputs: tuple[Path, ...],
-    output: Path,
+    files: tuple[Path, ...],
+    out: Path | None,
     read_as: str | None,
     write_as: str | None,
     case: Path | None,
@@ -42,27 +50,39 @@ def convert(
     rename: tuple[str, ...],
     prefix: str | None,
     nvm_no_shift: bool,
+    duplicates: str,
+    only: tuple[str, ...],
+    thin: int | None,
+    split: bool,
     replace: bool,
     strict: bool,
 ) -> None:
-    """Read IN... as one network and write it to OUT, each in the format of its ending: .pvl and .net (ISIS), .csv,
-    .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files' names begin with, and there is one
-    for each pair of images), .gcp and .nvm.
+    """Read IN... as one network and write it to OUT (the last file, or --out), each in the format of its ending: .pvl
+    and .net (ISIS), .csv, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files' names begin
+    with, and there is one for each pair of images), .gcp and .nvm.
+
+    --only, --thin and --split, in this order, take parts of it. --thin keeps the best points of N cells of each image
+    (in many images, of small sigma, of high GoodnessOfFit), constrained and fixed ones, and the connection of all
+    images.
 
     Says what was written and, one line each, what the format can't hold. Pixels are counted as each format counts them:
     see docs/exchange.md.
 
     Exit status: 0, or 2 for bad input, and with --strict for a format that can't hold all.
     """
-    from mgsgraph.export.exchange import Lossy
+    from mgsgraph.export.exchange import Lossy, Selection
     from mgsgraph.export.exchange import convert as make
     from mgsgraph.export.exchange_setting import setting_of
 
+    if out is None and len(files) < 2:
+        raise click.UsageError("one file alone: name what is written, last or by --out")
+    inputs, output = (files[:-1], files[-1]) if out is None else (files, out)
     setting = setting_of(case, sizes, radii, target, rename, prefix, not nvm_no_shift)
     try:
         made = make(
-            inputs, output, setting, read_as=read_as, write_as=write_as, strict=strict, replace=replace
-        )
+            inputs, output, setting, Selection(Duplicates(duplicates), only, thin, split),
+            read_as=read_as, write_as=write_as, strict=strict, replace=replace or out is not None,
+        )  # fmt: skip
     except Lossy as error:
         _print_lost(error.lost)
         raise

@@ -1,11 +1,15 @@
-"""Networks from one program to another: read in any format, written in any, and what gets lost on the way said."""
+"""Networks from one program to another: read in any format, united, split and thinned, written in any, and what gets
+lost on the way said.
+"""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 from msgspec import structs
 
 from mgsgraph.errors import InputError
@@ -14,15 +18,19 @@ from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.io.asp.gcp import ground_control_text, read_ground_control_network
 from mgsgraph.io.asp.match import MatchFile, joined, match_files, read_match, read_match_text
-from mgsgraph.io.asp.match_names import images_of, prefix_of
+from mgsgraph.io.asp.match_names import images_of as named_images
+from mgsgraph.io.asp.match_names import prefix_of
 from mgsgraph.io.asp.nvm import half_sizes, nvm_files, read_nvm
 from mgsgraph.io.control.binary import binary_network
+from mgsgraph.io.control.choosing import images_of, in_images, used_images
 from mgsgraph.io.control.network_file import read_network
 from mgsgraph.io.control.pvl_writing import network_text
-from mgsgraph.io.control.record import ControlNetwork, ControlPoint
+from mgsgraph.io.control.record import ControlNetwork, ControlPoint, Duplicates
 from mgsgraph.io.control.table import read_table, table_text
-from mgsgraph.io.control.uniting import Duplicates, united
+from mgsgraph.io.control.thinning import thinned
+from mgsgraph.io.control.uniting import united
 from mgsgraph.io.files import fresh_file
+from mgsgraph.network.connectivity import groups
 from mgsgraph.wording import many, some
 
 Paths = str | Path | Iterable[str | Path]
@@ -43,6 +51,20 @@ class Conversion:
     """What happened to the input when it was read."""
     lost: tuple[str, ...]
     """What the format can't hold, a line for each kind of thing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What of the networks that are read is written."""
+
+    duplicates: Duplicates = Duplicates.REFUSE
+    """What becomes of points that several files have."""
+    images: tuple[str, ...] = ()
+    """Names or patterns of images to keep; all when empty."""
+    cells: int | None = None
+    """In every image, by which points are thinned; None leaves all."""
+    split: bool = False
+    """Whether parts that hang together get files of their own."""
 
 
 class Lossy(InputError):
@@ -134,7 +156,7 @@ def _match(path: Path, form: Format, setting: ExchangeSetting) -> MatchFile:
     if not os.path.exists(path):  # said before its name is taken apart, which may be a pattern that met nothing
         raise InputError(str(path), "no such file", remedy="check the path")
     known = () if setting.prefix is not None else setting.old_names()
-    return (read_match if form == Format.MATCH else read_match_text)(path, images_of(path, known, setting.prefix))
+    return (read_match if form == Format.MATCH else read_match_text)(path, named_images(path, known, setting.prefix))
 
 
 def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
@@ -167,7 +189,7 @@ def _other_heads(networks: Sequence[ControlNetwork]) -> list[str]:
 def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwork:
     if not names:
         return network
-    present = {measure.serial_number for point in network.points for measure in point.measures}
+    present = images_of(network)
     for old in names:
         if old not in present:
             raise InputError(network.source, f"no image {old!r} to rename", some(sorted(present), len(present)))
@@ -189,13 +211,11 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
 def contents(network: ControlNetwork, output: Path, form: Format, setting: ExchangeSetting) -> dict[Path, bytes]:
     """Contents of the files that a network becomes, by their paths; InputError where it can't."""
     if form in _MATCHES:
-        images = dict.fromkeys(one.serial_number for point in network.points for one in point.measures)
-        return match_files(network, prefix_of(output, list(images)), form == Format.MATCH_TEXT)
+        return match_files(network, prefix_of(output, images_of(network)), form == Format.MATCH_TEXT)
     if form == Format.GCP:
         return {output: ground_control_text(network, ellipsoid_of(network, output, setting)).encode()}
     if form == Format.NVM:
-        names = {one.serial_number for point in network.points for one in point.measures}
-        centres = half_sizes(setting.sizes) if setting.shifted else dict.fromkeys(names, (0.0, 0.0))
+        centres = half_sizes(setting.sizes) if setting.shifted else dict.fromkeys(images_of(network), (0.0, 0.0))
         return nvm_files(network, output, centres)
     if form == Format.CSV:
         return {output: table_text(network).encode()}
@@ -207,6 +227,7 @@ def convert(
     inputs: Paths,
     output: str | Path,
     setting: ExchangeSetting | None = None,
+    selection: Selection | None = None,
     *,
     read_as: str | None = None,
     write_as: str | None = None,
@@ -223,6 +244,8 @@ def convert(
         What to write; match files get names of their own, which begin with this one's without its ending.
     setting : ExchangeSetting, optional
         What the files don't say of themselves.
+    selection : Selection, optional
+        What of them is written; all when absent.
     read_as, write_as : str, optional
         Formats, by name; by the endings when absent.
     strict : bool
@@ -235,19 +258,70 @@ def convert(
     InputError
         With the place, the finding and the remedy; nothing is written then.
     """
-    setting = setting or ExchangeSetting()
+    setting, selection = setting or ExchangeSetting(), selection or Selection()
     paths, output = _listed(inputs), Path(output)
     form = format_of(output, write_as, "--to")
     if not replace and os.path.exists(output) and form in {format_of(path, read_as) for path in paths}:
         remedy = "name what is written last; or say --replace"
         raise InputError(str(output), "exists, and is of a format that is read", "a new file", remedy)
-    network, notes = read_networks(paths, setting, read_as)
-    files, lost = contents(network, output, form, setting), losses(network, form)
+    network, notes = read_networks(paths, setting, read_as, selection.duplicates)
+    network, said = _chosen(network, selection, setting)
+    files, more = _files(network, output, form, setting, selection.split)
+    lost = losses(network, form)
     _require_others(paths, files)
     if strict and lost:
         raise Lossy(output, lost)
     _write(files)
-    return Conversion(network, tuple(files), notes, tuple(lost))
+    return Conversion(network, tuple(files), (*notes, *said, *more), tuple(lost))
+
+
+def _chosen(
+    network: ControlNetwork, selection: Selection, setting: ExchangeSetting
+) -> tuple[ControlNetwork, list[str]]:
+    """What is to be written of a network, and sentences about the rest."""
+    said = list[str]()
+    if selection.images:
+        network, said = in_images(network, selection.images)
+    if selection.cells is not None:
+        network, more = thinned(network, selection.cells, setting.sizes)
+        said += more
+    return network, said
+
+
+def _files(
+    network: ControlNetwork, output: Path, form: Format, setting: ExchangeSetting, split: bool
+) -> tuple[dict[Path, bytes], list[str]]:
+    """Contents of all files by their paths; of parts the names are numbered, and there are sentences about them."""
+    if not split:
+        return contents(network, output, form, setting), []
+    files, said = dict[Path, bytes](), list[str]()
+    for number, part in enumerate(connected_parts(network), start=1):
+        path = output.with_name(f"{output.stem}_{number}{output.suffix}")
+        files |= contents(part, path, form, setting)
+        names = images_of(part)
+        said.append(f"Part {number}: {many(len(part.points), 'point')} in {many(len(names), 'image')} "
+                    f"({some(names, len(names))})")  # fmt: skip
+    return files, said
+
+
+def connected_parts(network: ControlNetwork) -> list[ControlNetwork]:
+    """Networks of images that hang together by points, the largest first; ignored points and measures connect nothing,
+    and go with their point's first image. A point without measures goes with the largest.
+    """
+    names = images_of(network)
+    number = {name: j for j, name in enumerate(names)}
+    used = [[number[name] for name in used_images(point)] for point in network.points]
+    pairs = sorted({pair for images in used for pair in pairwise(sorted(images))})
+    joined_images = groups(len(names), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+    part = {j: k for k, group in enumerate(joined_images) for j in group}
+    members: dict[int, list[ControlPoint]] = {}
+    bare = list[ControlPoint]()
+    for point, images in zip(network.points, used, strict=True):
+        first = images[:1] or [number[one.serial_number] for one in point.measures[:1]]
+        (members.setdefault(part[first[0]], []) if first else bare).append(point)
+    found = sorted(members.values(), key=len, reverse=True) or [[]]
+    found[0] += bare
+    return [structs.replace(network, points=tuple(points)) for points in found]
 
 
 def _require_others(inputs: Sequence[Path], files: Mapping[Path, bytes]) -> None:

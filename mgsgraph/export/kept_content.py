@@ -16,10 +16,11 @@ from msgspec import structs
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import leading
 from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.io.control.choosing import with_measures
 from mgsgraph.io.control.pvl import MEASURE_TYPES
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, PointType
+from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
 from mgsgraph.io.control.table import read_whole
-from mgsgraph.io.control.uniting import SAME_PLACE, Duplicates, apart, united
+from mgsgraph.io.control.uniting import SAME_PLACE, apart, united
 from mgsgraph.io.files import sha256_of
 from mgsgraph.output.folders import PROGRAM, RECORD
 from mgsgraph.wording import listed, many, some
@@ -119,7 +120,7 @@ def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Colle
         if not seen and own is None:
             met["points elsewhere"] += 1
             continue
-        original = _with_measures(original, seen)
+        original = with_measures(original, seen)
         if own is None:
             met["unused"] += 1
             points.append(original)
@@ -136,12 +137,6 @@ def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Colle
         description=_described(source.description, adjusted.description),
     )  # fmt: skip
     return Kept(network, _notes(met, source.source))
-
-
-def _with_measures(point: ControlPoint, which: Sequence[int]) -> ControlPoint:
-    """The point with some of its measures."""
-    reference = which.index(point.reference) if point.reference in which else None
-    return structs.replace(point, measures=tuple(point.measures[k] for k in which), reference=reference)
 
 
 def _united(original: ControlPoint, own: ControlPoint, met: Counter[str]) -> ControlPoint:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 from mgsgraph.cli import group
@@ -56,6 +57,37 @@ def test_there_and_back_with_the_case(network: Path, case_file: Path) -> None:
             assert before.sample == pytest.approx(after.sample, abs=1e-9)
 
 
+def test_united_thinned_and_split(network: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One image's measures and the other's make the whole again; what stays of it hangs together."""
+    folder, whole = network.parent, read_network(network)
+    first, second = names(network)
+    for name, image in (("a.csv", first), ("b.csv", second)):
+        assert call(network, folder / "free.csv") == 0
+        rows = (folder / "free.csv").read_text().splitlines(keepends=True)
+        (folder / name).write_text("".join([rows[0], *(row for row in rows if f",{image}," in row)]))
+    parts = [folder / "a.csv", folder / "b.csv", "--out", folder / "both.net", "--target", "MARS"]
+
+    with pytest.raises(InputError, match=r"an id that .*a\.csv has, too; .*--duplicates"):
+        call(*parts)
+    assert call(*parts, "--duplicates", "first") == 0
+    assert "United: 20 points of several files, with 20 more measures" in capsys.readouterr().out
+    before, after = ([(m.serial_number, m.line) for one in each.points for m in one.measures]
+                     for each in (whole, read_network(folder / "both.net")))  # fmt: skip
+    assert after == before
+    assert call(folder / "both.net", "--out", folder / "thin.net", "--thin", "2", "--split", "--only", "SIM/*") == 0
+    said = capsys.readouterr().out
+    thin = read_network(folder / "thin_1.net")
+    assert f"{len(thin.points)} of 20 points stay" in said
+    assert f"Part 1: {len(thin.points)} points in 2 images" in said
+    assert not (folder / "thin.net").exists()
+    assert not (folder / "thin_2.net").exists()
+    for wrong, found in ((["--only", "SIM/A"], "no point"), (["--out", folder / "both.net"], "one of the files")):
+        with pytest.raises(InputError, match=found):
+            call(folder / "both.net", "--out", folder / "c.net", *wrong)
+    with pytest.raises(click.UsageError, match="one file alone"):
+        call(network)
+
+
 def test_formats_may_be_named(network: Path) -> None:
     folder = network.parent
     assert call(network, folder / "table.dat", "--to", "csv") == 0
@@ -86,7 +118,7 @@ def test_strict_is_exit_status_two_and_one_line(network: Path) -> None:
 def test_help_says_the_formats(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("--help") == 0
     said = capsys.readouterr().out
-    for word in ("IN... OUT", "--strict", "--nvm-no-shift", "NAME=LINESxSAMPLES"):
+    for word in ("IN... [OUT]", "--strict", "--nvm-no-shift", "NAME=LINESxSAMPLES"):
         assert word in said
 
 

@@ -5,7 +5,7 @@ pixel's centre is (1, 1); m and m^2, body-fixed. What is not set is None or empt
 """
 
 from collections.abc import Callable
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 
 import msgspec
 
@@ -48,6 +48,17 @@ class AprioriSource(IntEnum):
     DEM = 5
     BASEMAP = 6
     BUNDLE_SOLUTION = 7
+
+
+class Duplicates(StrEnum):
+    """What becomes of a point that several files have (`control.uniting`)."""
+
+    REFUSE = "refuse"
+    """It is an error."""
+    FIRST = "first"
+    """United; the first file counts where they contradict each other."""
+    LAST = "last"
+    """United; the last file counts where they contradict each other."""
 
 
 class ControlMeasure(msgspec.Struct, frozen=True, gc=False):

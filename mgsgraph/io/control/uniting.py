@@ -6,13 +6,12 @@ has it (OVERWRITEPOINTS, OVERWRITEMEASURES); what is locked (EditLock) in an ear
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, PointType
+from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
 from mgsgraph.wording import many
 
 SAME_PLACE = 1e-6
@@ -22,17 +21,6 @@ _KNOWN = (
     "apriori_radius_source_file", "latitude_constrained", "longitude_constrained", "radius_constrained",
 )  # fmt: skip
 """Fields that say what is known of a point beforehand."""
-
-
-class Duplicates(StrEnum):
-    """What becomes of a point that several files have."""
-
-    REFUSE = "refuse"
-    """It is an error."""
-    FIRST = "first"
-    """United; the first file counts where they contradict each other."""
-    LAST = "last"
-    """United; the last file counts where they contradict each other."""
 
 
 @dataclass(slots=True)
