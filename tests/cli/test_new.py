@@ -85,7 +85,12 @@ def test_what_does_not_go_with_the_rest_is_left_out_with_the_reason(case_file: P
     network = case_file.with_name("network.pvl")
     other = tmp_path / "other.pvl"
     other.write_text(network.read_text(encoding="utf-8").replace("SIM/B", "NOT/HERE"), encoding="utf-8")
-    made = draft_case([case_file.parent, other], tmp_path / "case.toml")
+    lunar = tmp_path / "lunar.pvl"
+    text, count = re.subn(r"TargetName\s*=\s*\S+", "TargetName = Moon", network.read_text(encoding="utf-8"))
+    assert count == 1
+    lunar.write_text(text, encoding="utf-8")
+    made = draft_case([case_file.parent, other, lunar], tmp_path / "case.toml")
+    assert re.search("^# Left out: lunar.pvl: .*Moon.*MARS", made.text, re.MULTILINE)
     assert "NOT/HERE" in "\n".join(made.said)
     assert re.search(r"^# Left out: other.pvl: ", made.text, re.MULTILINE)
     assert [entry.network for entry in decode(tmp_path / "case.toml").tie_groups] == ["case/network.pvl"]
