@@ -133,16 +133,17 @@ def determined(images: list[PushbroomImage], ties: TiePoints) -> tuple[Array, Ar
     places[free] = on_ground[free]
     cameras = np.zeros((2 * len(ties.measure_image), 2 * 2 * (DEGREE + 1)))
     points = np.zeros((2 * len(ties.measure_image), 2 * len(ties.ids)))
+    width, none = 2 * (DEGREE + 1), OrientationCorrection(np.zeros((1, 6)))
     for j, image in enumerate(images):
-        none = OrientationCorrection(np.zeros((1, 6)))
-        for k in measures_of(ties, image):
-            i = int(ties.measure_point[k])
-            seen, by_point = image.ground_to_image(places[i : i + 1], start=ties.measures[k : k + 1, 0])
-            turned = image.by_correction(places[i : i + 1], seen, none)[0, :, 3:5]
-            powers = polynomial(image.normalised(seen[:, 0]), DEGREE)[0][0]
-            rows, width = slice(2 * k, 2 * k + 2), 2 * (DEGREE + 1)
-            cameras[rows, j * width : (j + 1) * width] = np.einsum("rc,p->rpc", turned, powers).reshape(2, width)
-            points[rows, 2 * i : 2 * i + 2] = by_point[0] @ east_north_up(places[i : i + 1])[0, :2].T
+        its = measures_of(ties, image)
+        at = ties.measure_point[its]
+        seen, by_point = image.ground_to_image(places[at], start=ties.measures[its, 0])
+        turned = image.by_correction(places[at], seen, none)[:, :, 3:5]
+        powers = polynomial(image.normalised(seen[:, 0]), DEGREE)[0]
+        rows = 2 * its[:, None] + np.arange(2)
+        cameras[rows, j * width : (j + 1) * width] = np.einsum("krc,kp->krpc", turned, powers).reshape(-1, 2, width)
+        level = np.swapaxes(east_north_up(places[at])[:, :2], 1, 2)
+        points[rows[:, :, None], (2 * at[:, None] + np.arange(2))[:, None]] = by_point @ level
     points = points[:, np.repeat(free, 2)]
     across, _ = np.linalg.qr(points)
     cameras /= np.linalg.norm(cameras, axis=0)

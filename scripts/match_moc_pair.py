@@ -29,10 +29,11 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
+from mgsgraph.io.cameras.camera import LineScanLabel
+from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.image_label import read_label
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.moc_label import MocLabel, read_moc_label
 from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.matches import Matches
@@ -115,11 +116,11 @@ def read_ties(path: Path) -> Ties:
 # --- M01/00115, of which nothing but the label is known
 
 
-def nominal_image(label: MocLabel, like: PushbroomImage) -> PushbroomImage:
+def nominal_image(label: LineScanLabel, like: PushbroomImage) -> PushbroomImage:
     """An image in the orbit of another one, turned about the pole to where it has to be, that looks at the nadir."""
     seconds = np.linspace(-60.0, 60.0, 2401)
     passes = np.interp(MIDDLE[1], planetocentric(like.trajectory.pose(seconds).position)[:, 1], seconds)
-    half = 0.5 * label.lines * label.line_period
+    half = 0.5 * label.lines * label.period
     times = np.linspace(-half - 0.5, half + 0.5, 9)
     pose = like.trajectory.pose(passes + times)
     turn = MIDDLE[0] - planetocentric(like.trajectory.pose(np.array([passes])).position)[0, 0]
@@ -135,9 +136,9 @@ def nominal_image(label: MocLabel, like: PushbroomImage) -> PushbroomImage:
         times, rotation.from_matrix(matrix), np.eye(3)
     )
     interior: InteriorOrientation = replace(
-        like.interior, first=np.array([0.0, label.first_sample - 1.0]), sample_summing=float(label.crosstrack_summing)
+        like.interior, first=np.array([0.0, label.first_sample]), sample_summing=label.sample_summing
     )
-    timing = LineTiming(np.zeros(1), np.array([-half]), np.array([label.line_period]))
+    timing = LineTiming(np.zeros(1), np.array([-half]), np.array([label.period]))
     trajectory = Trajectory(0.0, *tables, body_fixed)
     return PushbroomImage(label.product, label.lines, label.samples, interior, timing, trajectory, like.body)
 
@@ -298,7 +299,7 @@ def trial(data: Path, settings: MatchSettings) -> Trial:
     size = np.array(window.pixels.shape)
     inside = np.all((local > 0.0) & (local < size), axis=1)
     inside[inside] = np.isfinite(window.pixels[tuple(local[inside].astype(int).T)])
-    other = nominal_image(read_moc_label(plain), image)
+    other = nominal_image(read_line_scan_label(plain), image)
     correction = resected(other, points[~inside], ties.m01[~inside])
     seen = other.ground_to_image(points, correction)[0]
     up = points / np.linalg.norm(points, axis=1, keepdims=True)

@@ -3,13 +3,14 @@
 import re
 from pathlib import Path
 
+import click
 import msgspec
 import pytest
-from commands import refused, run
 
 import mgsgraph
 from mgsgraph.case.keys import HEAD, key_tables, keys_text
 from mgsgraph.case.schema import CaseInput, ImageInput
+from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 
 TABLES = {table.path or HEAD: table for table in key_tables()}
@@ -45,10 +46,17 @@ def test_a_table_that_there_is_not_names_the_nearest(name: str, near: str) -> No
         keys_text(name)
 
 
-def test_help_of_verbs_and_of_the_case(tmp_path: Path) -> None:
-    assert run("help", "case", "solver").stdout.startswith("[solver]")
-    assert run("help", "adjust").stdout.startswith("Usage: mgsgraph adjust")
-    refused(run("help", "adjst"), "adjust")
+def test_help_of_verbs_and_of_the_case(capsys: pytest.CaptureFixture[str]) -> None:
+    def said(*words: str) -> str:
+        group(["help", *words], standalone_mode=False)
+        return capsys.readouterr().out
+
+    assert said("case", "solver").startswith("[solver]")
+    assert said("adjust").startswith("Usage: ")
+    assert "--out" in said("adjust")
+    assert "campaign" in said()
+    with pytest.raises(click.UsageError, match="adjust"):
+        said("adjst")
 
 
 WRONG = {

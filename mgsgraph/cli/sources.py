@@ -134,6 +134,13 @@ def simulate(
     "--terrain", type=click.Choice(["4", "16", "128", "none"]), default="16", show_default=True,
     help="MOLA's grids, pixels per degree: 4 (4 MB), 16 (66 MB), 128 (260 MB for each tile).",
 )  # fmt: skip
+@click.option(
+    "--shots", "altimeter", type=click.Choice(["mola", "lola"]), help="No images: an altimeter's shots in --box (ODE)."
+)
+@click.option(
+    "--box", type=(float, float, float, float), metavar="W E S N",
+    help="Degrees: longitudes east, planetocentric latitudes.",
+)  # fmt: skip
 @click.option("--volume", "volumes", multiple=True, metavar="mgsc_NNNN", help="Where the images are; may be repeated.")
 @click.option("--mirror", metavar="URL", help="All archives below one address: URL/images/, URL/kernels/ ...")
 @click.option("--mirrors", type=PATH, help="TOML file with addresses of single archives; also $MGSGRAPH_MIRRORS.")
@@ -141,8 +148,9 @@ def simulate(
 @click.option("--update", is_flag=True, help="Ask the archives for everything anew, and take what has changed.")
 @click.option("--verify", type=PATH, metavar="FOLDER", help="Compare a folder with its fetch.lock; fetches nothing.")
 def fetch(
-    images: tuple[str, ...], out: Path | None, terrain: str, volumes: tuple[str, ...], mirror: str | None,
-    mirrors: Path | None, dry_run: bool, update: bool, verify: Path | None,
+    images: tuple[str, ...], out: Path | None, terrain: str, altimeter: str | None,
+    box: tuple[float, float, float, float] | None, volumes: tuple[str, ...], mirror: str | None, mirrors: Path | None,
+    dry_run: bool, update: bool, verify: Path | None,
 ) -> None:
     """Fetch all that the adjustment of images needs, by their ids, and write a case file: of MOC's narrow angle
     (E02/00665, e0200665), CTX (B10_013341_1010_XN_79S172W), LROC NAC (M103595705LE) or HRSC (h5270_0000_ir2), those of
@@ -161,11 +169,20 @@ def fetch(
         raise click.UsageError("--dry-run tells what is not here, not what has changed: leave --update out")
     if out is None and not dry_run:
         raise click.UsageError(_OUT_MISSING)
+    if (altimeter is None) != (box is None) or (altimeter is not None and (images or dry_run)):
+        raise click.UsageError("--shots and --box go together, without images and --dry-run")
     from mgsgraph.cli.progress import counting_bar, passing_word
     from mgsgraph.fetch.archives import Archives
-    from mgsgraph.fetch.folder import fetch_images, survey
+    from mgsgraph.fetch.folder import fetch_images, fetch_shots, survey
 
     archives = Archives.chosen(mirror, mirrors)
+    if altimeter is not None and box is not None and out is not None:
+        with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
+            table = fetch_shots(
+                altimeter, box, out, archives=archives, update=update, progress=show, say=passing_word
+            )
+        click.echo(f"The shots are in {table}")
+        return
     if out is None or dry_run:
         with counting_bar("looking up", "B") as show:
             plan = survey(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.cameras import ArchivedCamera, CameraProduct
-from mgsgraph.fetch.download import NotInArchive
+from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import MARGIN, Interval
 from mgsgraph.fetch.needs import ImageNeeds, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
@@ -93,8 +93,8 @@ class CameraSearch:
             except NotInArchive:
                 continue
             return file
-        found = f"in none of {', '.join(sorted(listed))}"
-        raise InputError(where, found, expected, "check the id, and the digit of its level")
+        nowhere = f"in none of {', '.join(sorted(listed))}"
+        raise InputError(where, nowhere, expected, "check the id, and the digit of its level")
 
     def _label(self, product: CameraProduct, url: str) -> Block:
         head = self._store.remote.head(url, _LABEL)
@@ -161,11 +161,17 @@ class CameraSearch:
         """Path below ODE of the altimeter's shots over a box, and sentences: why there are none."""
         if box is None:
             return "", (f"{where}: no laser shots, its place is not known before its kernels are here",)
-        asked = f"livegds/?query={camera.altimetry}&results=v&output=JSON"
-        sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), box, (-_EDGE, _EDGE, -_EDGE, _EDGE), strict=True)
-        asked += "".join(f"&{name}={value + more:.4f}" for name, value, more in sides)
-        found = _URL.search(self._store.remote.listing(self._archives.ode + asked))
-        return (found[1], ()) if found else ("", (f"{where}: no laser shots, ODE has none over its ground",))
+        wider = Box(*(side + more for side, more in zip(box, (-_EDGE, _EDGE, -_EDGE, _EDGE), strict=True)))
+        found = shots_in(wider, camera.altimetry, self._archives, self._store.remote)
+        return found, () if found else (f"{where}: no laser shots, ODE has none over its ground",)
+
+
+def shots_in(box: Box, data_set: str, archives: Archives, remote: Remote) -> str:
+    """Path below ODE of the table that it makes of an altimeter's shots in a box; empty for none."""
+    sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), box, strict=True)
+    asked = f"livegds/?query={data_set}&results=v&output=JSON" + "".join(f"&{name}={side:.4f}" for name, side in sides)
+    found = _URL.search(remote.listing(archives.ode + asked))
+    return found[1] if found else ""
 
 
 def box_of(answer: str, label: Block) -> Box | None:

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
+from mgsgraph.fetch.camera_search import Box, shots_in
 from mgsgraph.fetch.case_file import CASE, camera_focal_length, case_text, meta_kernel, meta_kernel_path
 from mgsgraph.fetch.download import Remote, RetryPolicy
 from mgsgraph.fetch.grids import Grid, grid_of, terrain_of, wanted_grids
 from mgsgraph.fetch.lock import LOCK, Lock
-from mgsgraph.fetch.needs import ImageNeeds, Product, products_of, require_one_mission, wanted_files
+from mgsgraph.fetch.needs import ImageNeeds, Product, WantedFile, products_of, require_one_mission, wanted_files
 from mgsgraph.fetch.search import Search
 from mgsgraph.fetch.store import DownloadFolder, Progress
 from mgsgraph.fetch.volumes import volumes_of
@@ -151,6 +152,61 @@ def fetch_images(
         store.mend()
         notes += [*store.notes, *_write_case(lock, needs, grid)]
     return Fetched(folder, needs, store.brought, len(lock.files) - len(store.brought), tuple(notes))
+
+
+DATA_SETS = {"mola": "molapedr", "lola": "lolardr"}
+"""What ODE calls the shots of altimeters."""
+
+
+def fetch_shots(
+    altimeter: str,
+    box: tuple[float, float, float, float],
+    out: str | Path,
+    *,
+    archives: Archives | None = None,
+    update: bool = False,
+    retry: RetryPolicy | None = None,
+    progress: Progress = lambda done, total: None,
+    say: Callable[[str], None] = lambda sentence: None,
+) -> Path:
+    """Fetch the table of an altimeter's shots in a box, which the Orbital Data Explorer makes; see `fetch_images`.
+
+    Parameters
+    ----------
+    altimeter : str
+        "mola" or "lola".
+    box : 4 numbers
+        deg: western and eastern longitude (east), least and largest planetocentric latitude.
+
+    Returns
+    -------
+    Path
+        The table, in shots/.
+
+    Raises
+    ------
+    InputError
+        A box that is none, or without shots; anything that can go wrong on the way.
+    """
+    folder, archives = Path(out), archives or Archives()
+    west, east, south, north = box
+    if altimeter not in DATA_SETS:
+        raise InputError("altimeter", repr(altimeter), f"one of {', '.join(DATA_SETS)}")
+    if not (-90.0 <= south < north <= 90.0 and -180.0 <= west < east <= 360.0):
+        raise InputError("box", f"{west:g} {east:g} {south:g} {north:g}", "west < east, south < north, in degrees")
+    name = f"shots/{altimeter}_{west:g}_{east:g}_{south:g}_{north:g}_pts_csv.csv".replace("-", "m")
+    with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
+        lock = Lock.read(folder)
+        lock.write()
+        store = DownloadFolder(lock, remote, update, progress)
+        if update or not lock.whole(name):
+            found = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, remote)
+            if not found:
+                raise InputError(f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
+            if name in lock.files:  # ODE makes another table each time it is asked
+                del lock.files[name]
+            store.get(WantedFile(archives.ode + found, name))
+        return store.path(name)
 
 
 def survey(

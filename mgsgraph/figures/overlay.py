@@ -34,7 +34,7 @@ from mgsgraph.figures.sheet import (
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.moc_label import read_moc_label
+from mgsgraph.io.image_label import cube_of, read_label
 from mgsgraph.io.pictures import Pixels, as_bytes, is_moc, read_moc_pixels, read_picture
 from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
 
@@ -69,8 +69,8 @@ def pixels_of(path: Path | None) -> Pixels | None:
         return None
     if not is_moc(path):
         return as_bytes(read_picture(path))
-    cube = read_moc_label(path).pixels is None
-    if cube and not any(path.with_suffix(suffix).is_file() for suffix in (".cub", ".CUB")):
+    cube = cube_of(read_label(path))
+    if cube is not None and not any(path.with_suffix(suffix).is_file() for suffix in (".cub", ".CUB")):
         return None
     return read_moc_pixels(path)
 

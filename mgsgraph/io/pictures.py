@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.image_label import instrument_of
-from mgsgraph.io.moc_label import MocLabel, PixelArea, read_moc_label
+from mgsgraph.io.cameras.camera import LineScanLabel
+from mgsgraph.io.cameras.label import label_of
+from mgsgraph.io.image_label import cube_of, instrument_of, read_label
+from mgsgraph.io.moc_pixels import PixelArea, pixel_area
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
@@ -121,17 +123,19 @@ def read_moc_pixels(path: Path) -> Pixels:
         No such image, a file shorter than its label says, a compressed one where pdr is not installed, or a cube that
         does not hold the eight bits that came down.
     """
-    label = read_moc_label(path)
-    if label.pixels is None:
+    root = read_label(path)
+    cube, label = cube_of(root), label_of(path, root)
+    if cube is not None:
         return _from_cube(label)
-    _require_size(label, label.pixels)
-    return _decompressed(label, label.pixels) if label.compressed else _plain(label, label.pixels)
+    area = pixel_area(path, root)
+    _require_size(label, area)
+    return _decompressed(label, area) if area.encoding else _plain(label, area)
 
 
-def _require_size(label: MocLabel, area: PixelArea) -> None:
+def _require_size(label: LineScanLabel, area: PixelArea) -> None:
     """Raise InputError unless the file is as long as its label says."""
     plain = area.offset + label.lines * (area.prefix + label.samples + area.suffix)
-    wanted, size = area.file_size if label.compressed else plain, area.file.stat().st_size
+    wanted, size = area.file_size if area.encoding else plain, area.file.stat().st_size
     if size < wanted:
         raise InputError(
             str(area.file), f"{size} bytes", f"{wanted} for {label.lines} lines of {label.samples} samples",
@@ -139,13 +143,13 @@ def _require_size(label: MocLabel, area: PixelArea) -> None:
         )
 
 
-def _plain(label: MocLabel, area: PixelArea) -> Pixels:
+def _plain(label: LineScanLabel, area: PixelArea) -> Pixels:
     width = area.prefix + label.samples + area.suffix
     rows = np.fromfile(area.file, np.uint8, label.lines * width, offset=area.offset).reshape(label.lines, width)
     return np.ascontiguousarray(rows[:, area.prefix : area.prefix + label.samples])
 
 
-def _decompressed(label: MocLabel, area: PixelArea) -> Pixels:
+def _decompressed(label: LineScanLabel, area: PixelArea) -> Pixels:
     try:
         import pdr  # heavy, and only compressed images need it
     except ImportError:
@@ -162,7 +166,7 @@ def _decompressed(label: MocLabel, area: PixelArea) -> Pixels:
     return _checked(label, area.file, pixels)
 
 
-def _from_cube(label: MocLabel) -> Pixels:
+def _from_cube(label: LineScanLabel) -> Pixels:
     path = label.path
     if path.suffix.lower() != ".cub":
         beside = [path.with_suffix(suffix) for suffix in (".cub", ".CUB") if path.with_suffix(suffix).is_file()]
@@ -174,7 +178,7 @@ def _from_cube(label: MocLabel) -> Pixels:
     return _checked(label, path, pixels)
 
 
-def _checked(label: MocLabel, file: Path, pixels: Any) -> Pixels:
+def _checked(label: LineScanLabel, file: Path, pixels: Any) -> Pixels:
     """Pixels as another library gave them, after a look whether they are what the label says."""
     shape = (label.lines, label.samples)
     if not isinstance(pixels, np.ndarray) or pixels.shape != shape:

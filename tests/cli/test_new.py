@@ -13,6 +13,7 @@ from mgsgraph.case.draft import draft_case
 from mgsgraph.case.draft_images import DraftImage, named_as
 from mgsgraph.errors import InputError
 from mgsgraph.io.kinds import Kind
+from mgsgraph.reports.inventory import images_inventory
 from mgsgraph.simulation.pair import simulate_pair
 
 
@@ -27,9 +28,9 @@ def test_a_case_of_a_folder(case_file: Path, tmp_path: Path) -> None:
     after = mgsgraph.read_case(out).network
     assert [image.name for image in wanted.images] == ["SIM/A", "SIM/B"]
     assert (len(after.points), after.ranges.point.size) == (len(before.points), before.ranges.point.size)
-    assert run("check", out).returncode == 0
-    refused(run("new", case_file.parent, "--out", out), "there already")
-    assert run("new", case_file.parent, "--out", out, "--replace").returncode == 0
+    with pytest.raises(InputError, match="there already"):
+        draft_case([case_file.parent], out)
+    assert draft_case([case_file.parent], out, replace=True).text == out.read_text(encoding="utf-8")
 
 
 def test_images_whose_names_nobody_knows_are_taken_by_their_times(case_file: Path, tmp_path: Path) -> None:
@@ -65,13 +66,11 @@ def test_products_are_known_however_they_are_written() -> None:
 
 def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> None:
     files, out = sorted(case_file.parent.glob("*.isd")), tmp_path / "case.toml"
-    done = run("new", *files, "--out", out)
-    assert done.returncode == 0, done.stderr
-    assert f"Next: mgsgraph check {out}" in done.stdout
-    checked = run("check", out)
-    assert checked.returncode == 0, checked.stderr
-    assert "overlap by" in checked.stdout
-    assert f"mgsgraph match {out}" in checked.stdout
+    assert draft_case(files, out).command == f"mgsgraph check {out}"
+    said = images_inventory(out)
+    assert said is not None
+    assert "overlap by" in said
+    assert f"mgsgraph match {out}" in said
 
 
 def test_an_isis_list_stands_for_its_files(case_file: Path, tmp_path: Path) -> None:
@@ -107,6 +106,7 @@ def test_one_image_in_two_files_is_taken_once(case_file: Path, tmp_path: Path) -
 def test_nothing_to_make_a_case_of(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "case.toml"
     refused(run("new", case_file.with_name("network.pvl"), "--out", out), "no image: it holds a control network")
-    refused(run("new", case_file, "--out", out), "a TOML file with a format")
-    refused(run("new", tmp_path / "none", "--out", out), "no such file")
+    for given, said in ((case_file, "a TOML file with a format"), (tmp_path / "none", "no such file")):
+        with pytest.raises(InputError, match=said):
+            draft_case([given], out)
     assert not out.exists()

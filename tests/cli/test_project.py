@@ -3,11 +3,29 @@
 import csv
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
-from commands import refused, run
+from commands import run
+
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
 
 SIM = "SIM/A"
+
+
+def call(*arguments: object) -> None:
+    """A command in this process."""
+    assert not group([str(one) for one in arguments], standalone_mode=False)
+
+
+def refused(said: str, *arguments: object) -> None:
+    """In one line."""
+    with pytest.raises((InputError, click.UsageError)) as caught:
+        call(*arguments)
+    message = caught.value.format_message() if isinstance(caught.value, click.UsageError) else str(caught.value)
+    assert said in message
+    assert "\n" not in message
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -24,22 +42,20 @@ def test_a_table_there_and_back_and_nothing_is_left_out(case_file: Path) -> None
     assert [row["note"] for row in there] == ["a, b", "", "far"]
     assert [row["state"] for row in there] == ["seen", "seen", "far outside the image"]
     assert there[2]["x_m"] == ""
-    assert run("project", case_file, SIM, "--points", ground, "--image", "--out", back).returncode == 0
+    call("project", case_file, SIM, "--points", ground, "--image", "--out", back)
     again = rows(back)
     for name in ("isis_line", "isis_sample"):  # the header says how pixels are counted, and so does the result's
         np.testing.assert_allclose(
             [float(row[name]) for row in again[:2]], [float(row[f"given_{name}"]) for row in again[:2]], atol=1e-6
         )
     assert [row["state"] for row in again] == ["seen", "seen", "no ground"]
-    both = run("project", case_file, SIM, "--points", ground)
-    refused(both, "--ground")
+    refused("--ground", "project", case_file, SIM, "--points", ground)
 
 
-def test_single_places_and_conventions(case_file: Path) -> None:
+def test_single_places_and_conventions(case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def values(*options: object) -> dict[str, str]:
-        done = run("project", case_file, SIM, *options)
-        assert done.returncode == 0, done.stderr
-        return dict(line.split(" = ") for line in done.stdout.splitlines())
+        call("project", case_file, SIM, *options)
+        return dict(line.split(" = ") for line in capsys.readouterr().out.splitlines())
 
     ours, isis = values("--pixel", 99.5, 9.5), values("--pixel", 100, 10, "--isis")
     assert ours["x_m"] == isis["x_m"]
@@ -51,17 +67,26 @@ def test_single_places_and_conventions(case_file: Path) -> None:
     assert "sigma_line_px" not in line
 
 
-def test_results_have_the_adjusted_orientation_and_sigmas(case_file: Path, tmp_path: Path) -> None:
+def test_results_have_the_adjusted_orientation_and_sigmas(
+    case_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "result"
-    assert run("adjust", case_file, "--out", out, "--no-figures").returncode == 0
-    adjusted, nominal = (run("project", source, SIM, "--pixel", 100, 20).stdout for source in (out, case_file))
+    call("adjust", case_file, "--out", out, "--no-figures")
+    capsys.readouterr()
+
+    def shown(source: Path, *options: object) -> str:
+        call("project", source, SIM, *options)
+        return capsys.readouterr().out
+
+    adjusted, nominal = (shown(source, "--pixel", 100, 20) for source in (out, case_file))
     assert "sigma_latitude_m" in adjusted
     assert adjusted.splitlines()[3] != nominal.splitlines()[3]
     given = case_file.with_name("given.csv")
     given.write_text("longitude_deg,latitude_deg\n1,2\n", encoding="utf-8")
-    shown = run("project", out, SIM, "--points", given)  # a table on the screen, words beside it
-    assert next(csv.DictReader(shown.stdout.splitlines()))["state"]
-    assert shown.stderr.startswith("- 1 ground place")
+    call("project", out, SIM, "--points", given)  # a table on the screen, words beside it
+    table, words = capsys.readouterr()
+    assert next(csv.DictReader(table.splitlines()))["state"]
+    assert words.startswith("- 1 ground place")
 
 
 WRONG = {
@@ -77,10 +102,10 @@ WRONG = {
 @pytest.mark.parametrize("fault", WRONG)
 def test_what_is_refused(case_file: Path, fault: str) -> None:
     options, said = WRONG[fault]
-    refused(run("project", case_file, SIM, *options), said)
+    refused(said, "project", case_file, SIM, *options)
 
 
-@pytest.mark.parametrize(("name", "said"), [("SIM", "2 images"), ("nothing", "no image")])
-def test_images_by_their_names(case_file: Path, name: str, said: str) -> None:
-    refused(run("project", case_file, name, "--pixel", 1, 2), said)
-    assert run("project", case_file, "/B", "--pixel", 1, 2).returncode == 0
+def test_images_by_their_names(case_file: Path) -> None:
+    refused("2 images", "project", case_file, "SIM", "--pixel", 1, 2)
+    refused("no image", "project", case_file, "nothing", "--pixel", 1, 2)
+    call("project", case_file, "/B", "--pixel", 1, 2)

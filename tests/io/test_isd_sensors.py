@@ -10,6 +10,7 @@ from support_data import ISD, edited, read
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.aberration import Aberration, geometric
+from mgsgraph.io.cameras.table import CAMERAS
 from mgsgraph.io.isd_positions import _SENSORS
 
 SILENT = edited(("naif_keywords",), {})
@@ -135,3 +136,9 @@ def test_metres_for_kilometres_are_named(tmp_path: Path, changes: dict[str, Any]
 def test_what_nobody_doubts_goes_unremarked(tmp_path: Path) -> None:
     geometric_ones = edited(("naif_keywords",), {"INS-94031_LIGHTTIME_CORRECTION": "NONE"})
     assert read(tmp_path, geometric_ones).remarks == ()
+
+
+def test_cubes_and_support_data_know_the_same() -> None:
+    for camera in CAMERAS:
+        mine = [one for one in _SENSORS if one.spacecraft == camera.spacecraft]
+        assert [one.stated.correction for one in mine] == [camera.aberration], camera.name

@@ -10,9 +10,12 @@ from mgs import LABEL, START, STOP, image_bytes, kernels
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.io.cameras.keywords import NaifKeywords
+from mgsgraph.io.cameras.label import read_line_scan_label
+from mgsgraph.io.image_label import read_label
 from mgsgraph.io.kernels import clock_time, loaded
 from mgsgraph.io.labelled_image import read_labelled_image
-from mgsgraph.io.moc_label import read_moc_label
+from mgsgraph.io.moc_pixels import pixel_area
 from mgsgraph.io.pictures import read_moc_pixels
 
 PITCH, FOCAL = 0.0131240578522949e-3, 3.5
@@ -48,41 +51,38 @@ def changed_cube(isis_label: Path, folder: Path, *changes: tuple[str, str]) -> P
 
 
 def test_pds_label(tmp_path: Path) -> None:
-    got = read_moc_label(written(tmp_path))
-    assert (got.instrument, got.product, got.target) == ("MOC-NA", "M04/02852", "MARS")
-    assert (got.lines, got.samples, got.first_sample) == (6, 256, 513)
-    assert (got.crosstrack_summing, got.downtrack_summing) == (2, 4)
-    assert got.exposure == pytest.approx(4.821e-4, rel=1e-15)
-    assert got.line_period == pytest.approx(4 * 4.821e-4, rel=1e-15)
-    assert got.clock_start == "619971158:28"
-    assert got.pixels is not None
-    assert (got.pixels.offset, got.pixels.encoding, got.compressed) == (2048, "", False)
+    path = written(tmp_path)
+    got, area = read_line_scan_label(path), pixel_area(path, read_label(path))
+    assert (got.camera.name, got.product, got.target) == ("MGS MOC-NA", "M04/02852", "MARS")
+    assert (got.lines, got.samples, got.first_sample, got.sample_summing) == (6, 256, 512, 2)
+    assert got.period == pytest.approx(4 * 4.821e-4, rel=1e-15)
+    assert got.start == "619971158:28"
+    assert (area.offset, area.encoding) == (2048, "")
 
 
 def test_isis_label(isis_label: Path) -> None:
-    got = read_moc_label(isis_label)
-    assert (got.instrument, got.product, got.target) == ("MOC-NA", "M04/02852", "Mars")
-    assert (got.lines, got.samples, got.first_sample) == (1536, 256, 1)
-    assert (got.crosstrack_summing, got.downtrack_summing, got.pixels) == (8, 8, None)
-    assert got.lines * got.line_period == pytest.approx(STOP - START, abs=1e-7)
+    got = read_line_scan_label(isis_label)
+    assert (got.camera.name, got.product, got.target) == ("MGS MOC-NA", "M04/02852", "MARS")
+    assert (got.lines, got.samples, got.first_sample, got.sample_summing) == (1536, 256, 0, 8)
+    assert got.lines * got.period == pytest.approx(STOP - START, abs=1e-7)
 
 
 def test_real_pds_labels_of_both_encodings(shared_data: Path) -> None:
-    packed, plain = (read_moc_label(shared_data / "mgs_moc_pair" / f"M0100115.{end}") for end in ("imq", "img"))
-    assert (packed.product, packed.lines, packed.samples, packed.crosstrack_summing) == ("M01/00115", 4864, 672, 3)
-    assert packed.pixels is not None
-    assert plain.pixels is not None
-    assert (packed.pixels.encoding, packed.pixels.offset) == ("MOC-PRED-X-5", 2048)
-    assert (packed.compressed, plain.compressed, plain.pixels.offset) == (True, False, 4 * 672)
+    paths = [shared_data / "mgs_moc_pair" / f"M0100115.{end}" for end in ("imq", "img")]
+    said = read_line_scan_label(paths[0])
+    assert (said.product, said.lines, said.samples, said.sample_summing) == ("M01/00115", 4864, 672, 3)
+    packed, plain = (pixel_area(path, read_label(path)) for path in paths)
+    assert (packed.encoding, packed.offset) == ("MOC-PRED-X-5", 2048)
+    assert (plain.encoding, plain.offset) == ("", 4 * 672)
 
 
 def test_the_published_start_and_length_of_a_real_image(shared_data: Path) -> None:
     """M01/00115: ET -20723097.688171, 7.034798 s (NASA Ames StereoPipeline, TestPEDR)."""
-    label = read_moc_label(shared_data / "mgs_moc_pair" / "M0100115.img")
+    label = read_line_scan_label(shared_data / "mgs_moc_pair" / "M0100115.img")
     with loaded(kernels(shared_data)):
-        assert clock_time(-94, label.clock_start) == pytest.approx(-20723097.688171, abs=2e-6)
+        assert clock_time(-94, label.start) == pytest.approx(-20723097.688171, abs=2e-6)
     # their length counts from the first line's centre to the last one's
-    assert (label.lines - 0.5) * label.line_period == pytest.approx(7.034798, abs=1e-3)
+    assert (label.lines - 0.5) * label.period == pytest.approx(7.034798, abs=1e-3)
 
 
 @pytest.mark.parametrize("pointer", ['"m0402852.img"', '("M0402852.IMG", 9)', '("M0402852.IMG", 2049 <BYTES>)'])
@@ -99,26 +99,47 @@ def test_detached_label(tmp_path: Path, pointer: str, asked: str) -> None:
 
 def test_wide_angles_are_told_by_their_filter(tmp_path: Path) -> None:
     wide = ('INSTRUMENT_ID = "MOC-NA"', 'INSTRUMENT_ID = "MOC-WA"\nFILTER_NAME = BLUE')
-    assert read_moc_label(written(tmp_path, wide)).instrument == "MOC-WA-BLUE"
-    assert read_moc_label(written(tmp_path, (wide[0], wide[1].replace("BLUE", "RED")))).instrument == "MOC-WA-RED"
-    uneven = ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 27")  # varies along the detector
-    assert read_moc_label(written(tmp_path, wide, uneven)).crosstrack_summing == 27
+    red = wide[0], wide[1].replace("BLUE", "RED")
+    codes = [read_line_scan_label(written(tmp_path, change)).camera.instrument for change in (wide, red)]
+    assert codes == [-94033, -94032]
+    uneven = ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 27")
+    assert "which changes along the detector" in refused(written(tmp_path, wide, uneven))
+
+
+CONSTANTS = NaifKeywords("the addendum", {
+    "INS-94031_FOCAL_LENGTH": 3500.0, "INS-94031_ITRANSL": (0.0, 76.2, 0.0), "INS-94031_ITRANSS": (0.0, 0.0, 76.2),
+})  # fmt: skip
+
+
+def everything_of(path: Path) -> None:
+    label = read_line_scan_label(path)
+    label.camera.interior(CONSTANTS, label)
+    read_moc_pixels(path)
+
+
+def refused(path: Path) -> str:
+    """What is said of a label whose image can't be used, in one line that begins with its file."""
+    with pytest.raises(InputError) as caught:
+        everything_of(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 FAULTS: dict[str, tuple[str, str, str]] = {
     "no exposure": ("LINE_EXPOSURE_DURATION = 0.482100 <MILLISECONDS>\n", "", "no LINE_EXPOSURE_DURATION"),
-    "negative exposure": ("0.482100", "-0.4821", "-0.0004821 s; expected a positive line exposure"),
+    "negative exposure": ("0.482100", "-0.4821", "-0.0019284 s; expected a positive line period"),
     "exposure in hours": ("<MILLISECONDS>", "<HOURS>", "the unit <hours>"),
     "exposure not available": ("0.482100 <MILLISECONDS>", '"N/A"', "'N/A'; expected a finite number"),
-    "summing of 9": ("DOWNTRACK_SUMMING = 4", "DOWNTRACK_SUMMING = 9", "downtrack summing 9; expected 1 .. 8"),
-    "no summing": ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 0", "0; expected a whole number above zero"),
-    "half a summing": ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 2.5", "2.5; expected a whole number"),
+    "summing of 9": ("DOWNTRACK_SUMMING = 4", "DOWNTRACK_SUMMING = 9", "9; expected 1 .. 8"),
+    "no summing": ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 0", "crosstrack summing 0; expected 1 .. 8"),
+    "half a summing": ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 2.5", "crosstrack summing 2.5; expected 1 .. 8"),
     "off the detector": ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 7", "from 513 on end at 2304"),
     "edit mode beyond": ('EDIT_MODE_ID = "512"', 'EDIT_MODE_ID = "1600"', "end at 2112"),
     "negative edit mode": ('EDIT_MODE_ID = "512"', 'EDIT_MODE_ID = "-16"', "-16; expected a whole number of detector"),
     "edit mode missing": ('EDIT_MODE_ID = "512"\n', "", "no EDIT_MODE_ID"),
-    "other instrument": ('"MOC-NA"', '"CTX"', "the instrument 'CTX'; expected MOC-NA or MOC-WA"),
-    "wide angle without filter": ('"MOC-NA"', '"MOC-WA"', "no FILTER_NAME"),
+    "other instrument": ('"MOC-NA"', '"MARCI"', "the camera 'MARCI'; expected one of those known by PDS3 labels"),
+    "wide angle without filter": ('"MOC-NA"', '"MOC-WA"', "the camera 'MOC-WA'"),
     "no clock": ('SPACECRAFT_CLOCK_START_COUNT = "619971158:28"\n', "", "no SPACECRAFT_CLOCK_START_COUNT"),
     "no image": ("OBJECT = IMAGE", "OBJECT = TABLE", "no IMAGE; expected Object = IMAGE"),
     "a keyword twice": ("LINES = 6", "LINES = 6\n  LINES = 7", "line 25: lines twice in one object"),
@@ -137,11 +158,7 @@ FAULTS: dict[str, tuple[str, str, str]] = {
 def test_a_faulty_label_is_refused_in_one_line(tmp_path: Path, fault: str) -> None:
     old, new, said = FAULTS[fault]
     path = written(tmp_path, (old, new))
-    with pytest.raises(InputError) as caught:
-        read_moc_label(path)
-    assert said in str(caught.value)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    assert said in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -154,28 +171,25 @@ def test_a_faulty_label_is_refused_in_one_line(tmp_path: Path, fault: str) -> No
         (
             "  Group = BandBin",
             "  Group = AlphaCube\n AlphaSamples = 672\n AlphaLines = 4864\n  End_Group\n  Group = BandBin",
-            "1536 x 256 pixels cut out of 4864 x 672",
+            "1536 of 4864 lines",
         ),
-        ("  Group = Archive", "  Group = Chest", "no Archive"),
-        ("InstrumentId          = MOC-NA", "InstrumentId          = THEMIS_IR", "the instrument 'THEMIS_IR'"),
+        ("InstrumentId          = MOC-NA", "InstrumentId          = MARCI", "the camera 'MARCI'"),
     ],
 )
 def test_a_faulty_cube_label_is_refused(isis_label: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
-    with pytest.raises(InputError) as caught:
-        read_moc_label(changed_cube(isis_label, tmp_path, (old, new)))
-    assert said in str(caught.value)
+    assert said in refused(changed_cube(isis_label, tmp_path, (old, new)))
 
 
 def test_a_projected_cube_of_the_real_pair_is_refused(shared_data: Path) -> None:
     with pytest.raises(InputError, match="line 95: a map-projected cube"):
-        read_moc_label(shared_data / "mgs_moc_pair" / "E0201461.tiny.cub")
+        read_moc_pixels(shared_data / "mgs_moc_pair" / "E0201461.tiny.cub")
 
 
 def test_no_file_and_a_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        read_moc_label(tmp_path / "gone.img")
+        read_moc_pixels(tmp_path / "gone.img")
     with pytest.raises(InputError, match="can't be read"):
-        read_moc_label(tmp_path)
+        read_moc_pixels(tmp_path)
 
 
 # --- geometry

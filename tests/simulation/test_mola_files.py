@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mgsgraph.altimetry.pedr import read_pedr
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
-from mgsgraph.io.moc_label import read_moc_label
+from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.mgs_files import MocImageLabel, write_moc_image
 from mgsgraph.simulation.mola_files import PedrFrames, write_pedr
@@ -195,10 +195,10 @@ def test_images_are_read_back(tmp_path: Path, samples: int, summing: int, record
     path, grey = tmp_path / "E0200665.img", pixels(33, samples)
     write_moc_image(path, replace(LABEL, crosstrack_summing=summing), grey)
     assert path.stat().st_size == (33 + records) * samples
-    label = read_moc_label(path)
-    assert (label.instrument, label.product, label.clock_start) == ("MOC-NA", "E02/00665", "668523185:17")
-    assert (label.lines, label.samples, label.crosstrack_summing, label.first_sample) == (33, samples, summing, 1)
-    assert label.line_period == pytest.approx(1.4462e-3, rel=1e-12)
+    label = read_line_scan_label(path)
+    assert (label.camera.name, label.product, label.start) == ("MGS MOC-NA", "E02/00665", "668523185:17")
+    assert (label.lines, label.samples, label.sample_summing, label.first_sample) == (33, samples, summing, 0)
+    assert label.period == pytest.approx(1.4462e-3, rel=1e-12)
     np.testing.assert_array_equal(read_moc_pixels(path), grey)
     again = tmp_path / "again"
     again.mkdir()

@@ -14,10 +14,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import areoid_grid
+from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.moc_label import read_moc_label
 from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.mgs_files import shot_names
@@ -74,11 +74,11 @@ def test_labels_are_those_of_table_1(written: Written) -> None:
         "E02-01453": (1.4462, 8960, 1024), "E02-01301": (0.9642, 7680, 1024), "E02-02016": (1.4462, 7680, 1024),
     }
     for image in written.site.images:
-        label = read_moc_label(image_file(image, written.folder))
+        label = read_line_scan_label(image_file(image, written.folder))
         exposure, lines, samples = published[image.true.name]
-        assert round(1e3 * label.line_period, 4) == exposure
+        assert round(1e3 * label.period, 4) == exposure
         assert (label.lines, label.samples) == (lines, samples)
-        assert label.crosstrack_summing == {672: 3, 1024: 2}[samples]
+        assert label.sample_summing == {672: 3, 1024: 2}[samples]
         assert read_moc_pixels(image_file(image, written.folder)).shape == (lines, samples)
 
 

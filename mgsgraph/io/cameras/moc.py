@@ -7,6 +7,8 @@ place behind the lens stand in ISIS's camera models (and in the addendum under B
 which cubes don't hold).
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mgsgraph.errors import InputError
@@ -15,6 +17,7 @@ from mgsgraph.geometry.distortion import MocWideAngleDistortion, NoDistortion
 from mgsgraph.io.cameras.camera import (
     Camera,
     Interior,
+    LabelBlock,
     LabelKeys,
     LineScanLabel,
     interior_by_addendum,
@@ -38,6 +41,21 @@ _METRES_BELOW, _METRES_BELOW_WIDE = 100.0, 1.0
 the wide angles not the unit alone is another."""
 _PITCH = 0.0131240578522949
 """mm, the narrow angle's."""
+
+
+def _checked(highest: int) -> Callable[[LabelBlock, LineScanLabel], LineScanLabel]:
+    """A look at what only some of the label's numbers can be."""
+
+    def facts(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
+        down = "DowntrackSumming" if block.kind == "isis" else "DOWNTRACK_SUMMING"
+        first = "FirstLineSample" if block.kind == "isis" else "EDIT_MODE_ID"
+        if not (1.0 <= block.number(down) <= highest and block.number(down) % 1.0 == 0.0):
+            raise InputError(block.where(down), f"{block.number(down):g}", f"1 .. {highest} for {label.camera.name}")
+        if label.first_sample < 0.0 or label.first_sample % 1.0:
+            raise InputError(block.where(first), block.text(first), "a whole number of detector pixels")
+        return label
+
+    return facts
 
 
 def _narrow(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
@@ -92,7 +110,6 @@ def _camera(
         mission="MGS",
         spacecraft=-94,
         instrument=instrument,
-        structure=-94000,
         isis=LabelKeys(
             identity=identity, start="SpacecraftClockCount", utc="StartTime",
             period="LineExposureDuration", product="ProductId",
@@ -110,6 +127,7 @@ def _camera(
         instrument_kernel=_narrow_by_instrument_kernel if instrument == _NARROW else None,
         addendum="mocAddendum004.ti",
         source="ISIS MocNarrowAngleCamera, MocWideAngleCamera",
+        label_facts=_checked(_NARROW_SUMMING if instrument == _NARROW else _WIDE_SUMMING),
         attitude_bias=ATTITUDE_BIAS,
         constants_target="MARS",
         constants={"BODY499_RADII": _MARS} | {f"INS{instrument}_{key}": value for key, value in constants.items()},
