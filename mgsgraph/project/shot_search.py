@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_lengths
+from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on_body
 from mgsgraph.geometry.records import Mask
 from mgsgraph.project.oriented import OrientedImages
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
@@ -68,8 +68,7 @@ def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice
     """
     parts = [read_shots(path, version=choice.version, leap_seconds=choice.leap_seconds) for path in files]
     for part in parts:
-        radii = np.linalg.norm(part.footprints, axis=1)
-        require_lengths(radii, np.full(radii.size, seen.images[0].body.equatorial), "radii", part.source)
+        require_on_body(part.footprints, seen.images[0].body.equatorial, part.source)
     shots = joined_shots(parts)
     over = shots_over_images(seen.images, shots.chosen(choice.of(shots)), seen.corrections, choice.margin)
     return replace(over, inside=over.inside & (over.seconds == 0.0)) if choice.along else over
