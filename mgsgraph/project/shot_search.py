@@ -15,7 +15,8 @@ from mgsgraph.project.oriented import OrientedImages
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
 from mgsgraph.units import DEG
 
-_DAY = 86400.0
+_DAY = 86400.0 - 1e-3
+"""s to the last millisecond of a day."""
 _DATE = len("2010-05-10")
 
 
@@ -53,9 +54,10 @@ def _interval(dates: tuple[str, str]) -> tuple[float, float]:
     """S TDB past J2000 from the beginning of the first to the end of the last."""
     texts = [text.strip() + "T00:00:00"[len(text.strip()) - _DATE :] for text in dates]
     first, last = tdb_of_utc(texts, "dates").tolist()
+    last += _DAY if len(dates[1].strip()) == _DATE else 0.0
     if first > last:
         raise InputError("dates", f"{dates[0]} after {dates[1]}", "FROM before TO")
-    return first, last + (_DAY if len(dates[1].strip()) == _DATE else 0.0)
+    return first, last
 
 
 def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice) -> ShotsOverImages:
