@@ -5,7 +5,7 @@ from itertools import groupby
 from mgsgraph.io.cameras.camera import Camera, LabelKeys
 from mgsgraph.io.cameras.table import CAMERAS
 
-HEAD = ("camera", "NAIF ids: constants, frame of the CK", "labels", "first line", "line period", "constants",
+HEAD = ("camera", "NAIF ids: constants; frames", "labels", "first line", "line period", "constants",
         "positions of cubes", "attitude")  # fmt: skip
 
 
@@ -41,7 +41,8 @@ def table() -> str:
         names = alike[0].name if len(alike) == 1 else f"{alike[0].name} … {alike[-1].name.split()[-1]}"
         first, last = alike[0].instrument, alike[-1].instrument
         codes = f"{first}" if first == last else f"{first} … {last}"
-        rows.append((names, f"{codes}; {', '.join(dict.fromkeys(str(one.structure) for one in alike))}", *cells))
+        frames = ", ".join(dict.fromkeys(str(one.frame or one.instrument) for one in alike))
+        rows.append((names, f"{codes}; {frames}", *cells))
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 

@@ -37,6 +37,8 @@ MARGIN = 2.0
 
 _CK_TOLERANCE = 1e-4
 """ticks (0.4 microseconds of MGS): rounding of a time at the very end of a segment, no more."""
+_FIXED = 4
+"""SPICE's class of frames that are fixed to another."""
 _PAGE = 1000
 """Pool variables asked for at once."""
 _NEAR = 1e-4
@@ -182,6 +184,20 @@ def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
             if not name:
                 raise InputError("kernels", f"no frame {frame}", remedy="load the instrument or frames kernel")
         return np.asarray(spiceypy.pxform(names[0], names[1], time), dtype=np.float64)
+
+
+def ck_frame(frame: int) -> int:
+    """Class id of the frame that CK orient, to which a frame is fixed; its own where they orient it (as new ones do
+    LROC's cameras, which older frames kernels have fixed to the spacecraft).
+    """
+    with spice_words(f"frame {frame}", "load the instrument or frames kernel"):
+        try:
+            _, kind, class_id = spiceypy.frinfo(frame)
+            while kind == _FIXED:
+                _, kind, class_id = spiceypy.frinfo(spiceypy.tkfram(class_id)[1])
+        except NotFoundError:
+            raise InputError("kernels", f"no frame {frame}", remedy="load the instrument or frames kernel") from None
+    return int(class_id)
 
 
 def ellipsoid(body: str | int) -> Ellipsoid:

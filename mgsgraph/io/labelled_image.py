@@ -26,6 +26,7 @@ from mgsgraph.io.kernels import (
     Correction,
     body_code,
     body_frame,
+    ck_frame,
     clock_time,
     ellipsoid,
     fixed_rotation,
@@ -121,10 +122,11 @@ def read_strip(
         words = [_Constants.of(one, constants) for one in said]
         times = [_line_times(one, said_by) for one, said_by in zip(said, words, strict=True)]
         start, stop = min(one.start for one in times), max(one.stop for one in times)
-        mount = fixed_rotation(camera.structure, _frame(camera), start)
+        structure = ck_frame(_frame(camera))
+        mount = fixed_rotation(structure, _frame(camera), start)
         bias = camera.attitude_bias if attitude_bias is None else attitude_bias
         trajectory = sample_trajectory(
-            camera.spacecraft, target, camera.structure, mount, start, stop, interval,
+            camera.spacecraft, target, structure, mount, start, stop, interval,
             attitude_bias=bias, position_bias=position_bias, aberration=aberration,
         )  # fmt: skip
         body = ellipsoid(target)
@@ -155,7 +157,7 @@ def _with_line_times(label: LineScanLabel, source: LineTimesSource) -> LineScanL
 def _require_alike(first: LineScanLabel, other: LineScanLabel) -> None:
     if other.target != first.target:
         raise InputError(str(other.path), f"an image of {other.target}", f"one of {first.target}, as the others")
-    if (other.camera.structure, _frame(other.camera)) != (first.camera.structure, _frame(first.camera)):
+    if _frame(other.camera) != _frame(first.camera):
         expected = f"one behind the lens of {first.camera.name}, as the others"
         raise InputError(str(other.path), f"an image of {other.camera.name}", expected)
 

@@ -13,6 +13,7 @@ from mgsgraph.io.cameras.camera import LabelKind, LineScanLabel
 from mgsgraph.io.cameras.keywords import NaifKeywords
 from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.cameras.table import CAMERAS
+from mgsgraph.io.kernels import ck_frame, clock_time, fixed_rotation, loaded
 
 MM = 1e-3
 CUBE = """Object = IsisCube
@@ -92,14 +93,15 @@ RED5 = (
     "InstrumentId = HIRISE; ObservationStartCount = 895484264:44383; SpacecraftClockStartCount = 895484264:57342; "
     "DeltaLineTimerCount = 337; Summing = 1; Tdi = 128; CpmmNumber = 8; CcdId = RED5; ChannelNumber = 0"
 )
-BG12 = RED5.replace("= 337", "= 155").replace("Summing = 1", "Summing = 4").replace("128", "64").replace(
-    "CpmmNumber = 8; CcdId = RED5; ChannelNumber = 0", "CpmmNumber = 4; CcdId = BG12; ChannelNumber = 1"
-)  # fmt: skip
+BG12 = (
+    "InstrumentId = HIRISE; ObservationStartCount = 848201291:54379; SpacecraftClockStartCount = 848201291:62546; "
+    "DeltaLineTimerCount = 155; Summing = 4; Tdi = 64; CpmmNumber = 4; CcdId = BG12; ChannelNumber = 0"
+)
 HIRISE = {
     "INS-74605_ITRANSS": (-1000.86, -0.0087, -83.333), "INS-74605_ITRANSL": (7457.9, 83.3333, -0.0087),
-    "INS-74999_FOCAL_LENGTH": 11994.9988, "INS-74999_OD_K": (-0.0048509, 2.41312e-07, -1.62369e-13),
+    "INS-74699_FOCAL_LENGTH": 11994.9988, "INS-74699_OD_K": (-0.0048509, 2.41312e-07, -1.62369e-13),
 }  # fmt: skip
-"""Labels and constants of ISIS's own tests (CameraFixtures.cpp, MroHiriseCube)."""
+"""Labels and constants of tests of ISIS (CameraFixtures.cpp, MroHiriseCube) and ALE (test_isis_spice.py)."""
 
 
 def test_hirise(tmp_path: Path) -> None:
@@ -119,7 +121,55 @@ def test_hirise_binned(tmp_path: Path) -> None:
     assert said.late == pytest.approx(line * (-31.5 + 1.5), rel=1e-12)
     assert said.detector == -74612
     keywords = {name.replace("-74605", "-74612"): value for name, value in HIRISE.items()}
-    require_place(said, NaifKeywords("here", keywords), (0.0, 1024.5), -32.0, 1.0)
+    require_place(said, NaifKeywords("here", keywords), (0.0, 1024.5), -32.0, 1025.0)
+
+
+def test_hirise_begins_when_isis_says(tmp_path: Path, shared_data: Path) -> None:
+    """PSP_001446_1790_BG12_0: CkTableStartTime 217006138.29611 (ISIS), and to the last digit by ALE (hirise_isd.json);
+    ConstantRotation there of the mount.
+    """
+    said, folder = label(tmp_path, BG12), shared_data / "mro_ctx_b10"
+    with loaded([folder / "naif0012.tls", folder / "mro_sclkscet_00082_65536.tsc", folder / "mro_v16.tf"]):
+        start = clock_time(said.camera.clock, said.start) + said.late
+        mount = fixed_rotation(ck_frame(said.camera.frame), said.camera.frame, start)
+    assert start == pytest.approx(217006138.29611498, abs=1e-7)
+    published = [
+        [0.9999703083413012, 0.0, -0.007705999987217688],
+        [8.815848890311187e-06, 0.9999993456043353, 0.0011439900269605027],
+        [0.007705994944444704, -0.0011440239949305033, 0.9999696539650667],
+    ]  # fmt: skip
+    np.testing.assert_allclose(mount, published, rtol=0, atol=1e-12)
+
+
+# --- LROC
+
+NAC_RIGHT = """PDS_VERSION_ID = PDS3
+INSTRUMENT_ID = LROC
+FRAME_ID = RIGHT
+PRODUCT_ID = M1RE
+PRODUCT_VERSION_ID = "{}"
+TARGET_NAME = MOON
+LRO:PREROLL_TIME = 2009-07-30T12:20:37.127
+LRO:SPACECRAFT_CLOCK_PREROLL_COUNT = "1/270649237:07208"
+SPACECRAFT_CLOCK_START_COUNT = "1/270649238:11024"
+CROSSTRACK_SUMMING = 1
+LINE_EXPOSURE_DURATION = 1.028800 <ms>
+OBJECT = IMAGE
+  LINES = 400
+  LINE_SAMPLES = 5064
+END_OBJECT = IMAGE
+END
+"""
+
+
+def test_early_images_of_the_right_camera_run_the_other_way(tmp_path: Path) -> None:
+    """ISIS lronac2isis turns lines of versions before 1.30 round."""
+    path = tmp_path / "M1RE.IMG"
+    path.write_text(NAC_RIGHT.format("v1.8"))
+    assert read_line_scan_label(path).serial == "LRO/1/270649238:11024/NACR"
+    path.write_text(NAC_RIGHT.format("v1.2"))
+    with pytest.raises(InputError, match=r"v1\.2; expected v1\.3 or later"):
+        read_line_scan_label(path)
 
 
 # --- THEMIS

@@ -74,6 +74,24 @@ def test_lroc_is_where_isis_has_it(shared_data: Path) -> None:
     assert turned(trajectory.camera.at(between)[0], pointing.at(between)[0]) < 5e-7
 
 
+def test_an_older_frames_kernel_has_the_camera_fixed(shared_data: Path, tmp_path: Path) -> None:
+    """As before lro_frames_2014049_v01.tf: no CK of the camera's own is asked for, its angles to the bus stay."""
+    older = tmp_path / "lro_frames_2012.tf"
+    older.write_text(
+        "KPL/FK\n\\begindata\nFRAME_LRO_LROCNACL = -85600\nFRAME_-85600_NAME = 'LRO_LROCNACL'\nFRAME_-85600_CLASS = 4\n"
+        "FRAME_-85600_CLASS_ID = -85600\nFRAME_-85600_CENTER = -85\nTKFRAME_-85600_SPEC = 'ANGLES'\n"
+        "TKFRAME_-85600_RELATIVE = 'LRO_SC_BUS'\nTKFRAME_-85600_ANGLES = (0.0, 0.0, -1.0)\n"
+        "TKFRAME_-85600_AXES = (3, 2, 1)\nTKFRAME_-85600_UNITS = 'DEGREES'\n"
+    )
+    given = [*kernels(shared_data, LROC, "lrolc_"), older]
+    trajectory = tables(read_labelled_image(shared_data / f"{LROC}_pds3.lbl", given))
+    camera = trajectory.camera
+    with loaded(given):
+        want = spiceypy.pxform("LRO_SC_BUS", "LRO_LROCNACL", trajectory.epoch)
+    np.testing.assert_allclose(camera.constant, want, rtol=0, atol=1e-15)
+    assert np.arccos(0.5 * (np.trace(camera.constant) - 1.0)) == pytest.approx(np.radians(1.0), rel=1e-9)
+
+
 # --- CTX
 
 ALE_CTX = {

@@ -124,8 +124,6 @@ class Camera:
     """NAIF id."""
     instrument: int
     """NAIF id by which kernels call its constants and its frame."""
-    structure: int
-    """Class id of the frame that the CK orients."""
     addendum: str
     """ISIS's kernel of its constants."""
     isis: LabelKeys
@@ -141,7 +139,7 @@ class Camera:
     instrument_kernel: Interior | None = None
     """Interior orientation by NAIF's instrument kernel alone; None where only the addendum's is known."""
     frame: int = 0
-    """NAIF id of the camera's frame; the instrument's when 0."""
+    """NAIF id of the camera's frame, the instrument's when 0; to what it is fixed, kernels say."""
     start_is_utc: bool = False
     """Whether `LabelKeys.start` is UTC, not a clock count."""
     clock: int = 0

@@ -48,7 +48,6 @@ CTX = Camera(
     mission="MRO",
     spacecraft=-74,
     instrument=MRO_CTX,
-    structure=-74000,
     isis=LabelKeys(
         identity={"InstrumentId": "CTX"}, start="SpacecraftClockCount", utc="StartTime", period="LineExposureDuration",
         product="ProductId", target="TargetName", serial=("InstrumentId", "SpacecraftClockCount"),

@@ -20,7 +20,7 @@ from mgsgraph.io.cameras.camera import (
 from mgsgraph.io.cameras.keywords import Keywords
 from mgsgraph.units import MM
 
-_INSTRUMENT = -74999
+_INSTRUMENT = -74699
 _CCD_OF_CPMM = (0, 1, 2, 3, 12, 4, 10, 11, 5, 13, 6, 7, 8, 9)
 _PIXELS, _HIGHEST_SUMMING = 2048, 16
 _RIGHT_CHANNEL = 1024.0
@@ -62,7 +62,6 @@ HIRISE = Camera(
     spacecraft=-74,
     clock=-74999,
     instrument=_INSTRUMENT,
-    structure=-74000,
     frame=-74690,  # MRO_HIRISE_OPTICAL_AXIS
     isis=LabelKeys(
         identity={"InstrumentId": "HIRISE"}, start="SpacecraftClockStartCount", utc="StartTime", period="",

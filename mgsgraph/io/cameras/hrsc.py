@@ -36,8 +36,8 @@ from mgsgraph.units import MM
 
 DETECTORS = ("S2", "RED", "P2", "BLUE", "NADIR", "GREEN", "P1", "IR", "S1")
 """The nine lines in the order of their NAIF ids, from -41211 to -41219; those that look ahead come last."""
-MEX, MEX_SC_REF, HRSC_HEAD = -41, -41001, -41210
-"""NAIF ids of the spacecraft, of its structure's frame (CK), and of the camera that all lines share."""
+MEX, HRSC_HEAD = -41, -41210
+"""NAIF ids of the spacecraft, and of the camera that all lines share."""
 _ACTIVE_PIXELS, _MACROPIXELS = 5184, (1, 2, 4, 8)
 _NOMINAL_FOCAL_LENGTH = 175.0
 """mm, of all lines in the instrument kernel; the addendum has 174.61 to 175.23 under the same name."""
@@ -152,7 +152,6 @@ HRSC = tuple(
         mission="MEX",
         spacecraft=MEX,
         instrument=HRSC_HEAD - 1 - k,
-        structure=MEX_SC_REF,
         frame=HRSC_HEAD,
         isis=LabelKeys(
             identity={"InstrumentId": "HRSC", "DetectorId": f"MEX_HRSC_{name}"}, start="StartTime", utc="StartTime",

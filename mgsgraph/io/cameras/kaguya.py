@@ -27,7 +27,7 @@ from mgsgraph.io.cameras.camera import (
 from mgsgraph.io.cameras.keywords import Keywords, number
 from mgsgraph.units import ISIS_OFFSET, MM
 
-_KAGUYA, _STRUCTURE = -131, -131000
+_KAGUYA = -131
 _TC_PIXELS = 4096
 _FIRST_PIXEL = {"FULL": 0, "NOMINAL": 296, "HALF": 1171}
 """Pixels before the first one of each swath mode (instrument kernel SEL_TC_V01.TI: 1, 297, 1172)."""
@@ -90,7 +90,6 @@ def _tc(name: str, instrument: int) -> Camera:
         mission="KAGUYA",
         spacecraft=_KAGUYA,
         instrument=instrument,
-        structure=_STRUCTURE,
         frame=instrument + 1,  # LISM_TC1_HEAD -131350, LISM_TC2_HEAD -131370
         isis=LabelKeys(
             identity={"InstrumentId": name}, start="SpacecraftClockStartCount", utc="StartTime",
@@ -117,7 +116,6 @@ def _mi(name: str, instrument: int, terms: int, pixels: int) -> Camera:
         mission="KAGUYA",
         spacecraft=_KAGUYA,
         instrument=instrument,
-        structure=_STRUCTURE,
         frame=-131330 if instrument in _VISIBLE else -131340,  # LISM_MI_V_HEAD, LISM_MI_N_HEAD
         isis=LabelKeys(
             identity={"InstrumentId": name.split()[0], "NaifFrameCode": str(instrument)}, start="StartTime",

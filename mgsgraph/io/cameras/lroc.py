@@ -4,13 +4,24 @@ Formulas: ISIS LroNarrowAngleCamera, LroNarrowAngleDistortionMap. The clock coun
 the lines take longer than the label says: the addendum (lro_instrumentAddendum_v04.ti) has both corrections.
 """
 
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import LrocNacDistortion
-from mgsgraph.io.cameras.camera import Camera, LabelKeys, LineScanLabel, interior_by_addendum, require_summing
+from mgsgraph.io.cameras.camera import (
+    Camera,
+    LabelBlock,
+    LabelKeys,
+    LineScanLabel,
+    interior_by_addendum,
+    require_summing,
+)
 from mgsgraph.io.cameras.keywords import Keywords, number
 from mgsgraph.io.cameras.line_times import LineTimes, uniform
+from mgsgraph.io.files import number_of
 from mgsgraph.units import MM
 
+_LEFT, _RIGHT = -85600, -85610
+_STRAIGHT = 1.3
 _PIXELS, _HIGHEST_SUMMING = 5064, 2
 
 
@@ -31,13 +42,23 @@ def corrected_line_times(keywords: Keywords, label: LineScanLabel, start: float,
     return uniform(start + preroll * period + offset, period, label.lines, label.first_line)
 
 
+def _not_turned(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
+    """ISIS lronac2isis turns lines of the right camera round in files of the archive before version 1.30."""
+    key = "PRODUCT_VERSION_ID"
+    if block.kind == "pds3" and label.camera.instrument == _RIGHT and key in block:
+        version = number_of(block.text(key).lower().removeprefix("v"), block.where(key))
+        if version < _STRAIGHT:
+            remedy = "its samples run the other way: take the newer file, or the cube of lronac2isis"
+            raise InputError(block.where(key), block.text(key), f"v{_STRAIGHT:g} or later", remedy)
+    return label
+
+
 def _camera(name: str, instrument: int, identity: str, side: str) -> Camera:
     return Camera(
         name=f"LRO {name}",
         mission="LRO",
         spacecraft=-85,
         instrument=instrument,
-        structure=instrument,  # each has a CK of its own, relative to the bus
         isis=LabelKeys(
             identity={"InstrumentId": identity}, start="SpacecraftClockPrerollCount", utc="PrerollTime",
             period="LineExposureDuration", product="ProductId", target="TargetName",
@@ -53,9 +74,10 @@ def _camera(name: str, instrument: int, identity: str, side: str) -> Camera:
         addendum="lro_instrumentAddendum_v04.ti",
         source="ISIS LroNarrowAngleCamera",
         line_times=corrected_line_times,
+        label_facts=_not_turned,
         aberration="NONE",
     )  # fmt: skip
 
 
-NAC_LEFT = _camera("LROC NAC-L", -85600, "NACL", "LEFT")
-NAC_RIGHT = _camera("LROC NAC-R", -85610, "NACR", "RIGHT")
+NAC_LEFT = _camera("LROC NAC-L", _LEFT, "NACL", "LEFT")
+NAC_RIGHT = _camera("LROC NAC-R", _RIGHT, "NACR", "RIGHT")

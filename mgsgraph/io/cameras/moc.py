@@ -110,7 +110,6 @@ def _camera(
         mission="MGS",
         spacecraft=-94,
         instrument=instrument,
-        structure=-94000,
         isis=LabelKeys(
             identity=identity, start="SpacecraftClockCount", utc="StartTime",
             period="LineExposureDuration", product="ProductId",

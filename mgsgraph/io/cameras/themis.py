@@ -69,7 +69,6 @@ THEMIS = Camera(
     mission="Odyssey",
     spacecraft=-53,
     instrument=_INSTRUMENT,
-    structure=-53000,
     isis=LabelKeys(
         identity={"InstrumentId": "THEMIS_IR"}, start="SpacecraftClockCount", utc="StartTime", period="",
         product="ProductId", target="TargetName", serial=("InstrumentId", "SpacecraftClockCount"),
