@@ -16,6 +16,7 @@ from mgsgraph.geometry.altimetry import (
     LaserProfile,
     footprint_covariances,
     require_lengths,
+    require_on_body,
 )
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -78,7 +79,7 @@ class Parts:
 
     def add_profile(self, profile: LaserProfile, wanted: LaserInput) -> None:
         """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""
-        self._require_on_body(profile.footprints, profile.source)
+        require_on_body(profile.footprints, self.images[0].body.equatorial, profile.source)
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         covariances = profile.covariances
         if wanted.ground_sigma_m is not None:
@@ -106,7 +107,7 @@ class Parts:
         and, if asked for, back-projected image coordinates. Returns the shots taken: all but the check points. Images
         in `pointed` have an altimeter's boresight already.
         """
-        self._require_on_body(shots.footprints, shots.source)
+        require_on_body(shots.footprints, self.images[0].body.equatorial, shots.source)
         wanted = wanted.settled(shots.altimeter, shots.source)
         assert wanted.range_sigma_m is not None
         assert wanted.ground_sigma_m is not None
@@ -160,11 +161,6 @@ class Parts:
             self.footprints[full] = taken.altimeter.spot(taken.ranges)
             if wanted.drift_sigma_m is not None:
                 self.shared.append(SharedUnknown.of_drift(full, wanted.drift_sigma_m))
-
-    def _require_on_body(self, footprints: Array, source: str) -> None:
-        """Raise InputError where footprints are not at the radius of the images' body, by their unit."""
-        radii = np.linalg.norm(footprints, axis=1)
-        require_lengths(radii, np.full(radii.size, self.images[0].body.equatorial), "radii", source)
 
     def _require_ranges(self, image: int, times: Array, footprints: Array, ranges: Array, source: str) -> None:
         """Raise InputError where ranges are not the distances from an image's trajectory, by their unit."""

@@ -1,7 +1,7 @@
 """Several control networks as one set of tie points: a point of several files has the measures of all of them."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,30 +48,34 @@ def window_beside(network: Path) -> float:
         raise InputError(str(record), found, "what mgsgraph match writes", "state window_px in [ties]") from None
 
 
-def in_images(points: TiePoints, images: Sequence[str]) -> tuple[TiePoints, str]:
-    """Points as these images measure them, and a sentence about what was left out; empty where nothing was.
+def in_images(
+    points: TiePoints, images: Sequence[str], holder: str = "the case", known: Collection[str] = ()
+) -> tuple[TiePoints, str]:
+    """Points as the images of a case (or another `holder`) measure them, and a sentence about what was left out; empty
+    where nothing was.
 
-    Points go with measures in other images where no other measure is left, or a single one of a free point. Raises
-    InputError where nothing is left, which is so where images are called otherwise.
+    Points go with measures in other images where no other measure is left, or a single one of a free point that isn't
+    `known` by its id. Raises InputError where nothing is left, which is so where images are called otherwise.
     """
-    known = np.isin(points.measure_image, images)
-    if known.all():
+    held = np.isin(points.measure_image, images)
+    if held.all():
         return points, ""
-    strange = list(dict.fromkeys(np.array(points.measure_image)[~known].tolist()))
+    strange = list(dict.fromkeys(np.array(points.measure_image)[~held].tolist()))
     called = some(strange, len(strange))
     before, after = (
-        np.bincount(points.measure_point[mine], minlength=len(points.ids)) for mine in (slice(None), known)
+        np.bincount(points.measure_point[mine], minlength=len(points.ids)) for mine in (slice(None), held)
     )
-    gone = (after < before) & (after < np.where(points.kinds == PointKind.FREE, 2, 1))
+    alone = (points.kinds == PointKind.FREE) & ~np.isin(points.ids, list(known))
+    gone = (after < before) & (after < np.where(alone, 2, 1))
     if gone.all():
         found = f"points that are measured in {called}, and none that enough others see"
-        expected = f"points measured in the case's images ({some(images, len(images))})"
-        raise InputError(points.source, found, expected, "call images in the case as the network does")
-    left = points.with_measures(known).chosen(np.flatnonzero(~gone))
-    said = f"Left out of {points.source}: {many(int((~known).sum()), 'measure')} in "
-    said += f"{many(len(strange), 'image')} that the case doesn't hold ({called})"
+        expected = f"points measured in the images of {holder} ({some(images, len(images))})"
+        raise InputError(points.source, found, expected, "call images as the network does")
+    left = points.with_measures(held).chosen(np.flatnonzero(~gone))
+    said = f"Left out of {points.source}: {many(int((~held).sum()), 'measure')} in "
+    said += f"{many(len(strange), 'image')} that {holder} doesn't hold ({called})"
     if gone.any():
-        single = int(known.sum()) - len(left.measure_image)
+        single = int(held.sum()) - len(left.measure_image)
         said += f", and {many(int(gone.sum()), 'point')} of theirs that too few others see"
         said += f" ({many(single, 'more measure')})" if single else ""
     return left, f"{said}."

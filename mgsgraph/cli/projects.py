@@ -34,6 +34,7 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     with stage_bar(2) as stages:
         begun = begin(project, name, case, settings, stages.stage)
     click.echo(f"{project}: a new project, {begun.words}")
+    print_sentences(begun.notes)
     if begun.waits:
         click.echo(f"Its images wait for tie points; next: mgsgraph match {project}")
     elif case is not None:
@@ -96,12 +97,14 @@ def add(
                     closing = compare(opened)
     if dry_run:
         click.echo(f"{project}: would add {_words(addition)}; nothing was changed")
+        print_sentences(addition.notes)
         _warn(addition)
         return
     click.echo(f"{project}: added {_words(addition)}")
     for one in addition.images:
         if len(one.files) == 1 and not any(one.known.image.name in (given.name, given.path.stem) for given in wanted):
             click.echo(f"- {one.files[0]} was taken for {one.known.image.name}, which the ties name; NAME=FILE says it")
+    print_sentences(addition.notes)
     if impact is None:
         _warn(addition)
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")

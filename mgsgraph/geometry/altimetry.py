@@ -31,19 +31,26 @@ SPOT_WIDTHS = 4.0
 """Standard deviations of the Gaussian energy in a laser spot's diameter."""
 
 
-def require_lengths(found: Array, expected: Array, what: str, source: str) -> None:
-    """Raise InputError where lengths (n,) in m are not those expected (n,) in m, nor near: by their median ratio, which
-    says whether metres and kilometres were exchanged.
+def require_lengths(found: Array, expected: Array, what: str, source: str, near: float = _FAR_OFF) -> None:
+    """Raise InputError where lengths (n,) in m are more than `near` times those expected (n,) in m, or less, by the
+    median ratio, which says whether metres and kilometres were exchanged.
     """
     ratio = float(np.median(found / expected))
-    if 1.0 / _FAR_OFF < ratio < _FAR_OFF:
+    if 1.0 / near < ratio < near:
         return
     units = {1000.0: "metres stand where the format has kilometres", 0.001: "kilometres stand where it has metres"}
-    near = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
+    exchanged = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
+    remedy = f"{exchanged[0]}: mend the unit" if exchanged else "check file and images"
     raise InputError(
         source, f"{what} of {np.median(found) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
-        f"about {np.median(expected) / 1e3:,.6g} km", f"{near[0]}: mend the unit" if near else "check file and images",
+        f"about {np.median(expected) / 1e3:,.6g} km", remedy,
     )  # fmt: skip
+
+
+def require_on_body(footprints: Array, radius: float, source: str) -> None:
+    """Raise InputError where footprints (n, 3) in m are not at the radius (m) of the images' body, to 10 per cent."""
+    radii = np.linalg.norm(footprints, axis=1)
+    require_lengths(radii, np.full(radii.size, radius), "radii", source, near=1.1)
 
 
 def _minute(number: int) -> str:

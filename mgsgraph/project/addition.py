@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.case_file import decode, plain_image
+from mgsgraph.case.groups import in_images
 from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.laser import ShotsInput
 from mgsgraph.case.reading import Case, picture_of, read_case
@@ -59,6 +60,8 @@ class Addition:
     """New images that share no point with another one."""
     networks: tuple[Path, ...] = ()
     """Files of tie points."""
+    notes: tuple[str, ...] = ()
+    """What of these was left out, in sentences."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,26 +110,33 @@ def read_addition(
     Raises
     ------
     InputError
-        An image that is there already, a measure in an unknown image, or a file that can't be used.
+        An image that is there already; measures in unknown images alone, or along with a new image that no tie names;
+        a file that can't be used.
     """
     there = store.image_names()
-    networks, new, sources = list[Network](), list[NewImage](), list(ties)
+    networks, new, sources, notes = list[Network](), list[NewImage](), list(ties), list[str]()
     for wanted in images:
         if wanted.path.suffix.lower() in _CASES:
             found, case = _of_case(wanted.path)
             new += found
             networks += [] if case is None else [store.with_known_grids(case.network)]
             sources += [] if case is None else case.networks
+            notes += [] if case is None else case.notes
     every = ImagesByName(store, [one.known for one in new])
     body = next((every[name].image.body for name in every), None)  # of the first image that is known
     tie_points = [read_tie_points(path, body) for path in ties]
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
-    new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
+    alone = [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
+    new += alone
     _require_new(_names(new), there, where)
     if new:
         require_distinct([*(store.image(name).image for name in there), *(one.known.image for one in new)], where)
     known = [*there, *_names(new)]
-    _require_known(tie_points, known)
+    if not {name for one in tie_points for name in one.measure_image}.issuperset(_names(alone)):
+        _require_known(tie_points, known)  # an image that the ties don't name may be one that they call otherwise
+    for k, one in enumerate(tie_points):
+        tie_points[k], left_out = in_images(one, known, "the project", store.bundles_of(one.ids))
+        notes += [left_out] if left_out else []
     mapping = ImagesByName(store, [one.known for one in new])
     profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
     sigmas = settings.measures
@@ -136,13 +146,13 @@ def read_addition(
         networks.append(on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
     if not networks:
-        return Addition(tuple(new), None, files, tuple(_names(new)), tuple(sources))
+        return Addition(tuple(new), None, files, tuple(_names(new)), tuple(sources), tuple(notes))
     network = joined(networks)
     named = [image.name for image in network.images]
     pictures = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
     linked = _linked(network, store)
     unconnected = tuple(name for name in _names(new) if name not in linked)
-    return Addition(tuple(new), with_images(network, pictures), files, unconnected, tuple(sources))
+    return Addition(tuple(new), with_images(network, pictures), files, unconnected, tuple(sources), tuple(notes))
 
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:

@@ -172,6 +172,8 @@ class NewProject(NamedTuple):
     """Contents of the project, in words."""
     waits: bool
     """Whether its images wait for tie points."""
+    notes: tuple[str, ...] = ()
+    """What of its case's files was left out, in sentences."""
 
 
 def begin(folder: Path, name: str, case: Path | None, settings: Path | None, stages: Stages) -> NewProject:
@@ -183,16 +185,16 @@ def begin(folder: Path, name: str, case: Path | None, settings: Path | None, sta
         return NewProject("empty", False)
     with stages("reading the case"):
         network: Network | None = None
-        files: tuple[Path, ...] = ()
+        files, notes = tuple[Path, ...](), tuple[str, ...]()
         if decode(case).measured:
             images, read = images_of_case(case)
-            network, called, files = read.network, read.name, read.networks
+            network, called, files, notes = read.network, read.name, read.networks, read.notes
         else:
             images, called = images_alone(case)
         chosen = settings_of_case(case)
     with stages("writing the project"), Project.create(folder, name or called, chosen, case) as project:
         words = _put(project, "init", str(case), images, network, files)
-    return NewProject(words, network is None)
+    return NewProject(words, network is None, notes)
 
 
 def waiting_case(project: Project) -> Path:

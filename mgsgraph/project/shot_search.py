@@ -9,13 +9,14 @@ import numpy as np
 from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_lengths
+from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on_body
 from mgsgraph.geometry.records import Mask
 from mgsgraph.project.oriented import OrientedImages
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
 from mgsgraph.units import DEG
 
-_DAY = 86400.0
+_DAY = 86400.0 - 1e-3
+"""s to the last millisecond of a day."""
 _DATE = len("2010-05-10")
 
 
@@ -53,9 +54,10 @@ def _interval(dates: tuple[str, str]) -> tuple[float, float]:
     """S TDB past J2000 from the beginning of the first to the end of the last."""
     texts = [text.strip() + "T00:00:00"[len(text.strip()) - _DATE :] for text in dates]
     first, last = tdb_of_utc(texts, "dates").tolist()
+    last += _DAY if len(dates[1].strip()) == _DATE else 0.0
     if first > last:
         raise InputError("dates", f"{dates[0]} after {dates[1]}", "FROM before TO")
-    return first, last + (_DAY if len(dates[1].strip()) == _DATE else 0.0)
+    return first, last
 
 
 def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice) -> ShotsOverImages:
@@ -68,8 +70,7 @@ def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice
     """
     parts = [read_shots(path, version=choice.version, leap_seconds=choice.leap_seconds) for path in files]
     for part in parts:
-        radii = np.linalg.norm(part.footprints, axis=1)
-        require_lengths(radii, np.full(radii.size, seen.images[0].body.equatorial), "radii", part.source)
+        require_on_body(part.footprints, seen.images[0].body.equatorial, part.source)
     shots = joined_shots(parts)
     over = shots_over_images(seen.images, shots.chosen(choice.of(shots)), seen.corrections, choice.margin)
     return replace(over, inside=over.inside & (over.seconds == 0.0)) if choice.along else over

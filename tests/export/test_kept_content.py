@@ -45,7 +45,7 @@ def furnished(network: ControlNetwork) -> ControlNetwork:
     def point(i: int, one: ControlPoint) -> ControlPoint:
         measures = tuple(measure(i, k, seen) for k, seen in enumerate(one.measures))
         if i == 0:
-            measures += (structs.replace(measures[0], ignore=True, line=77.0),)
+            measures = (structs.replace(measures[0], ignore=True, line=77.0), *measures)
         return structs.replace(
             one, measures=measures, chooser_name="autoseed", date_time="2001", reference=1, edit_lock=i == 3,
             apriori_source=AprioriSource.USER, apriori_source_file="base.cub", apriori=(1.0 + i, 2.0, 3.39e6),
@@ -168,7 +168,7 @@ def test_other_images_and_other_places_are_said(case: Case) -> None:
     made = with_content(adjusted_network(solution), source, {image.name for image in solution.network.images})
 
     points = {one.id: one for one in made.network.points}
-    assert [one.serial_number for one in points[first.id].measures] == ["SIM/A", "SIM/B", "SIM/A"]
+    assert [one.serial_number for one in points[first.id].measures] == ["SIM/A", "SIM/A", "SIM/B"]
     assert points[first.id].reference is not None
     assert points[second.id].measures[0].line == second.measures[0].line
     assert "far" not in points

@@ -8,10 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 from projects import digest
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
+from mgsgraph.io.control.network_file import read_network
+from mgsgraph.io.control.pvl_writing import write_pvl_network
+from mgsgraph.io.control.record import ControlNetwork
 from mgsgraph.project.project import open_project
 from mgsgraph.reports.archive import read_solution
 
@@ -94,6 +98,47 @@ def test_images_come_into_an_empty_project(case_file: Path, tmp_path: Path, caps
     assert "20 with SIM/A" in capsys.readouterr().out
     call("solve", project, "--no-figures")
     assert "Closing check against batch: the same" in capsys.readouterr().out
+
+
+def test_measures_in_images_that_the_project_lacks_are_left_out_and_counted(
+    project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A network of three images, of which the project gets the second back and the third never: a point of the project
+    that the third one sees, too, keeps its measure in the second; one that is new and that only these two see goes.
+    """
+    network = read_network(case_file.with_name("network.pvl"))
+    call("remove", project, "SIM/B")
+    first = network.points[0]
+    third = structs.replace(first.measures[1], serial_number="SIM/X")
+    only = [one for one in first.measures if one.serial_number == "SIM/B"]
+    points = (
+        structs.replace(first, measures=(*only, third), reference=None),
+        structs.replace(first, id="new", measures=(*only, third), reference=None), *network.points[1:],
+    )  # fmt: skip
+    wide = project.with_name("wide.pvl")
+    write_pvl_network(structs.replace(network, points=points), wide)
+    capsys.readouterr()
+    assert call("add", project, f"SIM/B={case_file.with_name('image_B.isd')}", "--ties", wide) == 0
+
+    said = capsys.readouterr().out
+    assert re.search(r"2 measures in 1 image that the project doesn't hold \(SIM/X\), and 1 point", said)
+    with open_project(project) as opened:
+        assert wide.resolve() in opened.networks
+        assert opened.store.bundles_of(["new"]) == {}
+        rays = opened.store.network().rays
+        assert rays.point.size == 2 * len(network.points) + 8  # and those of the laser in SIM/A
+    refused(project, "measured in SIM/X", "add", project, "--ties", in_third(network, project.with_name("third.pvl")))
+
+
+def in_third(network: ControlNetwork, path: Path) -> Path:
+    """A network of which the project has no image."""
+    points = tuple(
+        structs.replace(one, measures=tuple(structs.replace(m, serial_number="SIM/X") for m in one.measures[:1]),
+                        reference=None)
+        for one in network.points
+    )  # fmt: skip
+    write_pvl_network(structs.replace(network, points=points), path)
+    return path
 
 
 def test_check_changes_nothing(project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
