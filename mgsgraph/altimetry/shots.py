@@ -55,6 +55,8 @@ def read_shots(
             )
         _require_unpacked(packed, path)
         return read_pedr(path, clock_bias, version)
+    if content.lstrip().startswith(b"{"):
+        raise InputError(str(path), "JSON", "a file of an altimeter's archive", "ISIS lidar data go into [laser]")
     if is_label(content):
         return read_labelled_shots(path, clock_bias)
     table = table_of(content, path)

@@ -1,5 +1,6 @@
 """A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.io.files import read_text
 from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
 
+_MOLA = re.compile(r"^(\s*\[\[\s*)mola(\s*\]\])", re.MULTILINE)
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 
 
@@ -25,7 +27,8 @@ def decode(path: Path) -> CaseInput:
         list without files, files that are no images, or one name for two.
     """
     toml = read_toml(path, CASE_FILE)
-    toml = toml._replace(tables=of_today(toml.tables))
+    text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
+    toml = toml._replace(tables=of_today(toml.tables), text=text)
     wanted = validated(toml, CaseInput, path, "all keys: mgsgraph help case")
     images = list[ImageInput]()
     for k, entry in enumerate(wanted.images):

@@ -33,6 +33,7 @@ _MEGDR_STEPS: dict[str, Terrain] = {"c": "4", "e": "16", "h": "128"}
 """Pixels per degree of MEGDR's grids, by the letter in their names."""
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""
+_ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
 _HEAD = """\
 # Written by `mgsgraph new`, and yours to change. All keys: mgsgraph help case.
 format = 1
@@ -111,6 +112,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     said = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
     said += [f"- {part.path.name}: {kinds[part.path]}" for part in parts]
     said += [f"- {one.name}: {one.note}" for one in images if one.note]
+    said += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
     said += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
     said += [f"- Left out: {line}" for line in left_out]
     said += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
@@ -212,6 +214,7 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
         text += _said(f"name = {_quoted(one.name)}", one.note) if one.note else f"name = {_quoted(one.name)}\n"
         text += _said(f"image = {_place(one.path, out)}", f"{one.kind}, {one.image.lines} x {one.image.samples}")
         text += f"pixels = {_place(one.pixels, out)}\n" if one.pixels is not None else ""
+        text += _said(f"line_times = {_quoted(one.line_times)}", _ROUGH) if one.line_times is not None else ""
     return text
 
 

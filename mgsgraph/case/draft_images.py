@@ -25,6 +25,8 @@ _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind
 """By which an image is read, if there are several: what holds its geometry before what needs kernels."""
 _ALONE = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
 """Kinds that know no serial number; a label whose name begins as theirs has it."""
+_LINE_TIMES = "line_times"
+"""Key that the reader of a label without times of its lines asks for."""
 _PICTURES = (Kind.CUBE, Kind.PDS3, Kind.RASTER, Kind.PICTURE)
 _CLOCK = re.compile(r"(?<!\d)(\d{6,})(?:[:.](\d+))?")
 _UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:[\d.]+")
@@ -47,6 +49,8 @@ class DraftImage(NamedTuple):
     """Whether it needs those of [spice]."""
     pixels: Path | None = None
     """File of its pixels, where its own file has none and that is called alike."""
+    line_times: str | None = None
+    """What stands for the times of its lines, where its file doesn't have them."""
     note: str = ""
     """What is to be said of the name."""
 
@@ -68,12 +72,15 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
     ))  # fmt: skip
     labels = [path for path in files if kinds[path] not in _ALONE]
     found, left_out = list[DraftImage](), dict[Path, str]()
-    for path in files:
+    for path, line_times in [*((path, None) for path in files), *((path, "mean") for path in files if kernels)]:
+        if line_times and _LINE_TIMES not in left_out.get(path, ""):
+            continue
         try:
-            made = _read(path, kinds[path], labels, spice)._replace(pixels=_pixels(path, kinds))
+            made = _read(path, kinds[path], labels, spice, line_times)._replace(pixels=_pixels(path, kinds))
         except InputError as error:
             left_out[path] = str(error)
             continue
+        left_out.pop(path, None)
         if (known := _twin(made, found)) is None:
             found.append(made)
             continue
@@ -114,15 +121,18 @@ def without_place(reason: str, path: Path) -> str:
     return reason
 
 
-def _read(path: Path, kind: Kind, labels: Sequence[Path], spice: SpiceInput | None) -> DraftImage:
-    entry = plain_image(ImageInput(image=str(path.absolute())), spice, Path(), path.name)
+def _read(
+    path: Path, kind: Kind, labels: Sequence[Path], spice: SpiceInput | None, line_times: str | None = None
+) -> DraftImage:
+    stated = ImageInput(image=str(path.absolute()), line_times=line_times)
+    entry = plain_image(stated, spice, Path(), path.name)
     image = read_image(entry, spice, Path(), path.name)
     names = [entry.name]
     if kind in _ALONE:
         beside = [label for label in labels if label.stem.startswith(path.stem) and label.parent == path.parent]
         names = [*_serials(beside), *names]
     others = frozenset({*names, path.stem, *_products([path, *(labels if kind in _ALONE else [])], path.stem)})
-    return DraftImage(path, kind, names[0], others, image, entry.label is not None)
+    return DraftImage(path, kind, names[0], others, image, entry.label is not None, None, line_times)
 
 
 def _pixels(path: Path, kinds: Mapping[Path, Kind]) -> Path | None:

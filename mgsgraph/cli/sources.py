@@ -314,7 +314,8 @@ def _match(
     help="Reference surface of the heights.",
 )
 @click.option(
-    "--mola", type=PATH, multiple=True, metavar="FILE", help="More laser shots to check by; repeatable."
+    "--shots", "--mola", "mola", type=PATH, multiple=True, metavar="FILE",
+    help="More laser shots to check by; repeatable.",
 )
 @click.option("--ortho-pixel", type=float, metavar="M", help="Pixel of the ortho image; default: the image's own.")
 @PAIR

@@ -18,7 +18,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.decoding import Name, Number, Positive, validated
-from mgsgraph.io.files import read_json
+from mgsgraph.io.files import read_bytes, read_json
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _FROM_TRIANGLE = np.array([[3, 1, 4], [1, 0, 2], [4, 2, 5]])
@@ -82,6 +82,8 @@ def read_lidar(path: Path) -> LaserProfile:
         that is not positive, a latitude beyond a pole, an image twice in a shot. A covariance that is not positive
         definite is named by its id.
     """
+    if not read_bytes(path).lstrip().startswith(b"{"):
+        raise InputError(str(path), "no JSON", "ISIS lidar data", "an altimeter's own file goes into [[shots]]")
     shots = validated(read_json(path), _LidarData, path, strict=True).points
     _require_sound(shots, str(path))
     places = np.array([(shot.longitude * DEG, shot.latitude * DEG, shot.radius * KM) for shot in shots])

@@ -223,6 +223,7 @@ def test_time_scales_are_those_of_spice(shared_data: Path) -> None:
         ([MLA_HEADER, mla_row(0, 354699676.684, radius=3390.0)], "radius: a median of 3390"),
         (["PDS_VERSION_ID = PDS3", "END"], "a label without a TABLE"),
         ([""], "an empty file"),
+        (['{"points": []}'], "ISIS lidar data go into [laser]"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, lines: list[str], said: str) -> None:

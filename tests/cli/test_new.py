@@ -85,7 +85,12 @@ def test_what_does_not_go_with_the_rest_is_left_out_with_the_reason(case_file: P
     network = case_file.with_name("network.pvl")
     other = tmp_path / "other.pvl"
     other.write_text(network.read_text(encoding="utf-8").replace("SIM/B", "NOT/HERE"), encoding="utf-8")
-    made = draft_case([case_file.parent, other], tmp_path / "case.toml")
+    lunar = tmp_path / "lunar.pvl"
+    text, count = re.subn(r"TargetName\s*=\s*\S+", "TargetName = Moon", network.read_text(encoding="utf-8"))
+    assert count == 1
+    lunar.write_text(text, encoding="utf-8")
+    made = draft_case([case_file.parent, other, lunar], tmp_path / "case.toml")
+    assert re.search("^# Left out: lunar.pvl: .*Moon.*MARS", made.text, re.MULTILINE)
     assert "NOT/HERE" in "\n".join(made.said)
     assert re.search(r"^# Left out: other.pvl: ", made.text, re.MULTILINE)
     assert [entry.network for entry in decode(tmp_path / "case.toml").tie_groups] == ["case/network.pvl"]
@@ -110,3 +115,42 @@ def test_nothing_to_make_a_case_of(case_file: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=said):
             draft_case([given], out)
     assert not out.exists()
+
+
+SLOW = pytest.mark.slow
+REAL = {
+    "mgs_moc_wa_three": 3, "lro_nac_hadley": 2, "lro_nac_lola": 2, "mgs_moc_m0402852": 1, "mgs_moc_pair": 1,
+    "kaguya_tc": 1, "mex_hrsc_h5270": 1, "mro_ctx_b10": 1, "mro_ctx_isds": 8, "usgscsm_states": 1,
+}  # fmt: skip
+"""Images that the case of a folder of real data has."""
+
+
+@pytest.mark.parametrize(
+    "folder", [pytest.param(one, marks=() if one == "mgs_moc_wa_three" else SLOW) for one in REAL]
+)
+def test_real_data_make_a_case_that_check_accepts(shared_data: Path, tmp_path: Path, folder: str) -> None:
+    out = tmp_path / "case.toml"
+    draft_case([shared_data / folder], out)
+    wanted = decode(out)
+    assert len(wanted.images) == REAL[folder]
+    assert images_inventory(out) or mgsgraph.read_case(out).network.rays.point.size > 40
+
+
+BARE = {
+    "kernels": "no image: it holds a SPICE kernel", "mola_megdr": "terrain model", "mola_pedr_ode": "laser shots",
+    "lro_nac_m103595705": "PCK",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("folder", BARE)
+def test_a_folder_that_alone_can_t_be_a_case_says_why(shared_data: Path, tmp_path: Path, folder: str) -> None:
+    with pytest.raises(InputError, match=BARE[folder]) as caught:
+        draft_case([shared_data / folder], tmp_path / "case.toml")
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_label_without_line_times_gets_rough_ones_and_a_word(shared_data: Path, tmp_path: Path) -> None:
+    made = draft_case([shared_data / "mex_hrsc_h5270"], tmp_path / "case.toml")
+    assert re.search('^line_times = "mean" +# a rough guess', made.text, re.MULTILINE)
+    assert any("rough" in line for line in made.said)
