@@ -2,29 +2,26 @@
 
 from itertools import groupby
 
-from mgsgraph.io.cameras.camera import Camera, LabelKeys
+from mgsgraph.io.cameras.camera import Camera, times_of_label
 from mgsgraph.io.cameras.table import CAMERAS
 
-HEAD = ("camera", "NAIF ids: constants; frames", "labels", "first line", "line period", "constants",
-        "positions of cubes", "attitude")  # fmt: skip
+HEAD = ("camera", "NAIF id", "first line", "line period", "constants", "positions of cubes", "attitude")
 
 
 def _labels(camera: Camera, says: str) -> str:
     keys = [one for one in (camera.isis, camera.pds3) if one is not None]
-    return ", ".join(dict.fromkeys(f"`{getattr(one, says)}`" for one in keys))
+    return "<br>".join(dict.fromkeys(f"`{getattr(one, says)}`" for one in keys))
 
 
 def _period(camera: Camera) -> str:
-    keys: LabelKeys = camera.isis
-    if not keys.period:
-        return "of each line" if camera.start_is_utc else "by the camera's own formula"
-    return _labels(camera, "period")
+    if not camera.isis.period:
+        return "formula" if camera.line_times is times_of_label else "each line's own"
+    return "label" if camera.line_times is times_of_label else "label, corrected"
 
 
 def _cells(camera: Camera) -> tuple[str, ...]:
     """All but the camera's name and number."""
     return (
-        "cube" if camera.pds3 is None else "cube, PDS3",
         _labels(camera, "start"),
         _period(camera),
         camera.addendum + ("" if camera.instrument_kernel is None else "; IK"),
@@ -41,8 +38,7 @@ def table() -> str:
         names = alike[0].name if len(alike) == 1 else f"{alike[0].name} … {alike[-1].name.split()[-1]}"
         first, last = alike[0].instrument, alike[-1].instrument
         codes = f"{first}" if first == last else f"{first} … {last}"
-        frames = ", ".join(dict.fromkeys(str(one.frame or one.instrument) for one in alike))
-        rows.append((names, f"{codes}; {frames}", *cells))
+        rows.append((names, codes, *cells))
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 

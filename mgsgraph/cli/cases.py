@@ -373,6 +373,7 @@ def coregister(
         raise click.UsageError("--out would replace --solution: give another folder")
     before = None if solution is None else read_solution(solution)
     read = read_case(case, ties=ties)
+    print_sentences(read.notes)
     ctx.exit(0 if _coregistered(read, out, not no_figures, settings, before, workers) else 1)
 
 

@@ -94,7 +94,8 @@ def images_inventory(path: Path) -> str | None:
     what = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {what}' if bare and pairs else what
     return "\n".join([
         f"{wanted.name}: {many(len(images), 'image')}, no measures in them\n", "Images",
-        *(line for image in images for line in _image(image)), "", "Overlaps", *(pairs or ["  none"]), "",
+        *(line for image in images for line in _image(image)),
+        *(f"  {sentence}" for sentence in reading_statements(images)), "", "Overlaps", *(pairs or ["  none"]), "",
         f"To be adjusted it needs tie points, ground control, or laser shots measured in images; next: {what}",
     ])
 
@@ -158,7 +159,7 @@ def _images(network: Network) -> str:
     for j, image in enumerate(network.images):
         lines += _image(image, ", held" if network.held[j] else "")
         lines.append(f"    {_orientation(network, j)}")
-    lines += [f"  {sentence}" for sentence in reading_statements(network)]
+    lines += [f"  {sentence}" for sentence in reading_statements(network.images)]
     return "\n".join(lines)
 
 

@@ -59,7 +59,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
         *strips_statements(solution),
         *_constant_residuals(solution, rays),
         *_left_out(solution),
-        *reading_statements(solution.network),
+        *reading_statements(solution.network.images),
         *connectivity_statements(connected or solution_connectivity(solution)),
     ]
 

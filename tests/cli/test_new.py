@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import refused, run
 
@@ -115,6 +116,30 @@ def test_nothing_to_make_a_case_of(case_file: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=said):
             draft_case([given], out)
     assert not out.exists()
+
+
+def test_a_raster_of_heights_gets_the_sphere_that_they_may_be_above(case_file: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    for name, kind in (("heights.tif", "float32"), ("picture.tif", "uint8")):
+        with rasterio.open(
+            tmp_path / name, "w", driver="GTiff", height=300, width=400, count=1, dtype=kind,
+            crs="+proj=longlat +R=3396190 +no_defs", transform=rasterio.Affine(0.01, 0, 86, 0, -0.01, 5.5),
+        ) as file:  # fmt: skip
+            file.write(np.full((1, 300, 400), 100, dtype=kind))
+    draft_case([case_file.parent, tmp_path / "heights.tif"], tmp_path / "case.toml")
+    (terrain,) = decode(tmp_path / "case.toml").terrain_models
+    assert (terrain.radius, terrain.reference_radius_m) == ("heights.tif", 3396190.0)
+    draft_case([case_file.parent, tmp_path / "picture.tif"], tmp_path / "case.toml", replace=True)
+    assert not decode(tmp_path / "case.toml").terrain_models
+
+
+def test_files_of_one_name_in_two_folders_are_two_images(case_file: Path, tmp_path: Path) -> None:
+    for folder, image in (("a", "image_A.isd"), ("b", "image_B.isd")):
+        (tmp_path / folder).mkdir()
+        text = case_file.with_name(image).read_text(encoding="utf-8")
+        (tmp_path / folder / "x.isd").write_text(re.sub(r'"image_identifier": *"[^"]*",?', "", text), encoding="utf-8")
+    draft_case([tmp_path / "a", tmp_path / "b"], tmp_path / "case.toml")
+    assert {image.name for image in decode(tmp_path / "case.toml").images} == {"x", "b/x"}
 
 
 SLOW = pytest.mark.slow

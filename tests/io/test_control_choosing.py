@@ -80,15 +80,17 @@ def test_of_two_files_one_counts() -> None:
     assert [(one.serial_number, one.line) for one in last.measures] == [("A", 1.0), ("B", 7.5), ("D", 9.0), ("C", 1.0)]
     assert (last.type, last.reference) == (PointType.FIXED, 3)
     assert said[-1].startswith("Locked")
+    locked = structs.replace(early, edit_lock=True)
+    for rule in (Duplicates.FIRST, Duplicates.LAST):
+        (kept, _), said = united([of(locked), networks[1]], rule)
+        assert kept == locked
+        assert said[-1].endswith(": 1 points and measures")
 
 
 def test_known_places_that_differ_are_counted() -> None:
     one, other = (point("p", type=PointType.FIXED, apriori=(x, 2.0, 3.0)) for x in (1.0, 9.0))
-    for rule, early, x in (
-        (Duplicates.FIRST, one, 1.0), (Duplicates.LAST, one, 9.0),
-        (Duplicates.LAST, structs.replace(one, edit_lock=True), 1.0),
-    ):  # fmt: skip
-        (found,), said = united([of(early), of(other, source="b.net")], rule)
+    for rule, x in ((Duplicates.FIRST, 1.0), (Duplicates.LAST, 9.0)):
+        (found,), said = united([of(one), of(other, source="b.net")], rule)
         assert found.apriori == (x, 2.0, 3.0)
         assert "1 point" in said[1]
 

@@ -144,6 +144,15 @@ def test_terrain_camera_begins_and_stands_as_ale_has_it(shared_data: Path) -> No
     assert turned(trajectory.camera.constant.T @ got, rotation.to_matrix(np.array(list(ALE_TC.values())))) < 1e-10
 
 
+def test_corners_are_those_of_the_archives_label(shared_data: Path) -> None:
+    """UPPER_LEFT_... and UPPER_RIGHT_..., JAXA's own on other terrain, 15 degrees off nadir: within 0.5 km."""
+    image = image_of(shared_data, KAGUYA)
+    ground, _ = image.image_to_ground(np.zeros(2), np.array([0.0, 3208.0]))
+    longitude, latitude = np.radians([[44.883039, 48.534829], [-81.172073, -81.200350]])
+    unit = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    assert np.linalg.norm(ground - 1737.4e3 * np.array(unit).T, axis=1).max() < 500.0
+
+
 def test_the_instrument_kernels_own_formula(shared_data: Path) -> None:
     """SEL_TC_V01.TI: r = -(n - CENTER) PIXEL_SIZE; v = BOREsight + (a(r), r + b(r))."""
     interior = image_of(shared_data, KAGUYA, constants="ik").interior

@@ -1,7 +1,9 @@
 """Control networks united: points of one id become one with the measures of all, and contradictions are counted.
 
 Where two files say different things of a point, or of its measure in an image, one of them counts, as ISIS's cnetmerge
-has it (OVERWRITEPOINTS, OVERWRITEMEASURES); what is locked (EditLock) in an earlier file stays as it is there.
+has it (DUPLICATEPOINTS=MERGE, with or without OVERWRITEPOINTS, OVERWRITEMEASURES and OVERWRITEREFERENCE). A point or
+measure that is locked (EditLock) in an earlier file stays as it is there. Source: DOI-USGS/ISIS3,
+isis/src/control/apps/cnetmerge/cnetmerge.xml.
 """
 
 from collections.abc import Sequence
@@ -40,7 +42,7 @@ class _Counts:
     otherwise: int = 0
     """Points of another type, or with another a-priori place or covariance."""
     locked: int = 0
-    """Points and measures that would have been replaced but for their lock."""
+    """Points that would have been changed, and measures that would have been replaced, but for their lock."""
 
     def notes(self, rule: Duplicates) -> list[str]:
         """In sentences; none where no point is in several files."""
@@ -87,8 +89,10 @@ def united(
 def _one(early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: _Counts) -> ControlPoint:
     """Two points of one id as one."""
     counts.points += 1
-    counts.locked += prefer_late and early.edit_lock
-    first, second = (late, early) if prefer_late and not early.edit_lock else (early, late)
+    if early.edit_lock:
+        counts.locked += 1
+        return early
+    first, second = (late, early) if prefer_late else (early, late)
     known: dict[str, Any] = {}
     if first.type == PointType.FREE and first.apriori is None:  # what the other knows contradicts nothing
         known = {name: getattr(second, name) for name in _KNOWN}
