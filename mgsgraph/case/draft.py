@@ -57,6 +57,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
         No image among the files, or images of several bodies; a file given by its name that is of no kind known here;
         a case file that is there already.
     """
+    require(not out.is_dir(), str(out), "a folder", "a case file (case.toml in it, say)")
     if out.exists() and not replace:
         raise InputError(str(out), "there already", remedy="choose another --out, or give --replace")
     kinds, unknown = _kinds(given)
@@ -64,7 +65,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     found = draft_images(kinds, kernels)
     where = ", ".join(map(str, given))
     if not found.images:
-        raise _no_image(where, kinds, found.left_out)
+        raise _no_image(where, kinds, found.left_out, unknown)
     bodies = {target_name(one.image.body): one for one in found.images}
     if len(bodies) > 1:
         each = " and ".join(f"{one.path.name} of {body}" for body, one in bodies.items())
@@ -118,13 +119,16 @@ def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], list[Path]]:
     return kinds, unknown
 
 
-def _no_image(where: str, kinds: dict[Path, Kind], left_out: Sequence[str]) -> InputError:
+def _no_image(
+    where: str, kinds: dict[Path, Kind], left_out: Sequence[str], unknown: Sequence[Path]
+) -> InputError:
     if left_out:  # labels come last: where there are kernels, it is they that say what is missing
         file, _, reason = left_out[-1].partition(": ")
         tried = [line.partition(": ")[0] for line in left_out]
         return InputError(where, f"no image that can be read ({some(tried, len(tried))}); {file}: {reason}")
     counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
-    holds = ", ".join(f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items())
+    each = [f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items()]
+    holds = ", ".join([*each, *(f"{path.name} of no kind known here" for path in unknown[:1])])
     return InputError(
         where, f"no image{f': it holds {holds}' if holds else ''}", "one image at least", "name a file of it, too"
     )
@@ -200,9 +204,11 @@ def _accepted(head: str, parts: list[Part], out: Path) -> tuple[list[Part], list
 def _refusal(text: str, out: Path, least: bool = False) -> str:
     """What is wrong with a case, in its reader's words; empty for nothing. `least`: a case without measures passes."""
     aside = beside(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
     try:
-        aside.write_text(text, encoding="utf-8")
+        write_file(aside, text)
+    except InputError as error:
+        raise InputError(str(out), error.found) from None
+    try:
         read_case(aside)
     except InputError as error:
         if least and "at least one of them" in str(error):

@@ -156,10 +156,11 @@ def _label(text: str, path: Path, size: int) -> Kind | None:
 
 
 def _json(path: Path) -> Kind | None:
+    text = path.read_bytes()
     try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
-        return None
+        content = json.loads(text)
+    except (ValueError, RecursionError):  # a file that was cut short, which its reader says
+        return Kind.SUPPORT_DATA if b'"instrument_po' in text or b'"name_model"' in text else None
     if "points" in content and isinstance(content["points"], list):
         return Kind.LIDAR
     if "m_modelName" in content:

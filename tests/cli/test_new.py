@@ -112,10 +112,16 @@ def test_one_image_in_two_files_is_taken_once(case_file: Path, tmp_path: Path) -
 def test_nothing_to_make_a_case_of(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "case.toml"
     refused(run("new", case_file.with_name("network.pvl"), "--out", out), "no image: it holds a control network")
-    for given, said in ((case_file, "a TOML file with a format"), (tmp_path / "none", "no such file")):
+    cut = tmp_path / "cut.isd"
+    cut.write_bytes(case_file.with_name("image_A.isd").read_bytes()[:-100])
+    wrong = {cut: "malformed or truncated JSON", case_file: "a TOML file with a format", tmp_path / "none": "no such"}
+    for given, said in wrong.items():
         with pytest.raises(InputError, match=said):
             draft_case([given], out)
     assert not out.exists()
+    for place, said in ((tmp_path, "a folder"), (Path("/dev/null/x.toml"), "can't be written")):
+        with pytest.raises(InputError, match=said):
+            draft_case([case_file.parent], place)
 
 
 def test_a_raster_of_heights_gets_the_sphere_that_they_may_be_above(case_file: Path, tmp_path: Path) -> None:
