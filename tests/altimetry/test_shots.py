@@ -150,7 +150,7 @@ def column(name: str, kind: str, start: int, size: int, unit: str) -> str:
 def test_text_by_its_label(tmp_path: Path) -> None:
     """Heights of LALT stand above 1737.4 km; names of files in another case than on disk, as archives have them."""
     columns = "\n".join([
-        column("OBSERVATION_TIME", "TIME", 1, 23, "UTC"), column("LONGITUDE", "ASCII_REAL", 25, 9, "DEGREE"),
+        column("UNIVERSAL TIME", "TIME", 1, 23, "N/A"), column("LONGITUDE", "ASCII_REAL", 25, 9, "DEGREE"),
         column("LATITUDE", "ASCII_REAL", 35, 10, "DEGREE"), column("TOPOGRAPHY", "ASCII_REAL", 46, 8, "KM"),
     ])
     rows = [f"2008-01-07 00:00:0{k}.500, 120.0{k}00,  -45.0000, -1.250{k}\r\n" for k in range(2)]
