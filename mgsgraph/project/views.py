@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 from mgsgraph.analysis.places import View
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.images import read_images
+from mgsgraph.case.images import read_image
 from mgsgraph.case.reading import terrain_shots
 from mgsgraph.case.schema import CaseInput, TerrainInput
-from mgsgraph.case.strips import members
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
@@ -55,8 +54,7 @@ def open_view(
     if (path / FILE).is_file() or (path / ARCHIVE).is_file() or path.suffix == ".npz":
         results = results_of(path)
         solution = read_solution(results.folder)
-        images = solution.network.images
-        view = View.adjusted(solution, _number([one.name for one in images], image, path))
+        view = View.adjusted(solution, _number([one.name for one in solution.network.images], image, path))
         surface = solution.network.surface
         grid = surface.grid if terrain is True and surface is not None else None
         warning = results.warning
@@ -64,10 +62,9 @@ def open_view(
             warning = f"The adjustment has NOT converged: {solution.message}"
     else:
         wanted = decode(path)
-        names = [one.name for one in wanted.images]
-        number = _number(names, image, path)
-        read, _ = read_images(wanted, wanted.orientations, members(wanted.strips, names, str(path)), path)
-        images, view, warning = read, View(read[number]), ""
+        number = _number([one.name for one in wanted.images], image, path)
+        picture = read_image(wanted.images[number], wanted.spice, path.parent, f"{path}, images[{number}]")
+        view, warning = View(wanted.orientations[number].nominal_of(picture)[0]), ""
         grid = _terrain(wanted, path, [view.image]) if terrain is True else None
     if isinstance(terrain, Path):
         entry = TerrainInput(radius=str(Path.cwd() / terrain), reference_radius_m=reference_radius)
