@@ -2,8 +2,9 @@
 
 For products whose layout no source that could be read gives in full: Kaguya's LALT_LGT_TS and LALT_RD (JAXA, data set
 SLN-L-LALT-4-TOPO-LGT-TS) and MESSENGER's binary MLARDR. What a column means is taken from its name, and its unit from
-its UNIT; where either leaves a doubt the file is refused with the columns that the label has. A label of LOLA RDR leads
-to its records, whose layout is known.
+its UNIT, as Clementine's profiles (CLEM1-L-LIDAR-5-TOPO) have UNIVERSAL TIME, and LONGITUDE and LATITUDE in DEGREE;
+where either leaves a doubt the file is refused with the columns that the label has. A label of LOLA RDR leads to its
+records, whose layout is known.
 """
 
 import re
@@ -30,7 +31,7 @@ _MEANINGS = {
     "latitude": rf"{_GROUND}lat(itude)?",
     "radius": rf"{_GROUND}(planetary|planet)?radius",
     "height": r"(topo(graphy|graphic)?)(height|elevation)?|height|elevation",
-    "utc": r"utc(time)?|(shot|observation|transmit)time(utc)?|time",
+    "utc": r"utc|(utc|universal|shot|observation|transmit)time(utc)?|time",
     "tdb": r"(ephemeris|et|tdb)(time|seconds)?",
     "range": r"range(oneway)?|onewayrange|1wayrange",
 }

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
+from mgsgraph.geometry.body import Ellipsoid, east_north_up, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.ray_terrain import meet_terrain
@@ -22,6 +22,8 @@ from mgsgraph.network.corrections import designs
 
 _RELIEF = 0.1
 """m by which a ray may meet the terrain before a place on it, which is seen all the same (posts' edges, rounding)."""
+_EDGE = 1e-6
+"""px by which a place may lie beyond an edge that it is on (rounding)."""
 _REACH = np.array([0.5, 2.0])
 """Share of the lines and samples beyond an image's edges at which its geometry still means something."""
 
@@ -138,7 +140,7 @@ class View:
 
     def _inside(self, pixels: Array) -> Mask:
         size = np.array([self.image.lines, self.image.samples])
-        inside: Mask = np.all((pixels >= 0.0) & (pixels <= size), axis=1)
+        inside: Mask = np.all((pixels >= -_EDGE) & (pixels <= size + _EDGE), axis=1)
         return inside
 
     def _spread(self, points: Array, pixels: Array) -> Array:
@@ -174,7 +176,11 @@ def _slopes(
     points: Array, origins: Array, directions: Array, d_origins: Array, d_directions: Array, terrain: TerrainGrid
 ) -> Array:
     """(n, 3, 2) m per px, how places on a terrain model move over it with line and sample."""
-    _, normal = terrain.height_above(points)
+    longitude, latitude, radius = planetocentric(points).T
+    _, by_longitude, by_latitude = terrain.radius(longitude, latitude)
+    axes = east_north_up(points)  # the normal is the gradient of the radius less that of the bilinear surface
+    normal = axes[:, 2] - (by_longitude / (radius * np.cos(latitude)))[:, None] * axes[:, 0]
+    normal -= (by_latitude / radius)[:, None] * axes[:, 1]
     distance = np.einsum("ni,ni->n", points - origins, directions) / np.einsum("ni,ni->n", directions, directions)
     moved = d_origins + distance[:, None, None] * d_directions
     fall = np.einsum("ni,ni->n", normal, directions)

@@ -82,7 +82,8 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
             continue
         left_out.pop(path, None)
         if (known := _twin(made, found)) is None:
-            found.append(made)
+            taken_names = {one.name for one in found}
+            found.append(made._replace(name=f"{path.parent.name}/{made.name}") if made.name in taken_names else made)
             continue
         kept, other = found[known], made
         if made.image.lines * made.image.samples > kept.image.lines * kept.image.samples:  # a cube cut to a stub
@@ -163,7 +164,9 @@ def _twin(made: DraftImage, found: Sequence[DraftImage]) -> int | None:
     """The image that a new one is again, by its geometry or its name."""
     images = [*(one.image for one in found), made.image]
     same = [one for one, other in twins(images) if other == len(found)]
-    return next(iter(same), next((k for k, one in enumerate(found) if one.name == made.name), None))
+    if made.name != made.path.stem:  # a serial number
+        same += [k for k, one in enumerate(found) if one.name == made.name]
+    return next(iter(same), None)
 
 
 def _start(image: PushbroomImage) -> float:

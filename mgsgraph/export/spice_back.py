@@ -243,7 +243,7 @@ def _moc_wide(place: Numbers, k: list[float]) -> Numbers:
     angle = np.arctan(tangent)
     ideal = sum(c * angle ** (2 * n + 1) for n, c in enumerate(odd))
     stretch = np.divide(np.tan(ideal), tangent, out=np.full_like(tangent, odd[0]), where=tangent > 0.0)
-    return np.array([x, y]) * stretch
+    return np.asarray(np.array([x, y]) * stretch)
 
 
 def _themis(place: Numbers, k: list[float]) -> Numbers:

@@ -1,5 +1,6 @@
 """The target body: an ellipsoid of revolution in its own frame, planetocentric places, and rays that meet it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,10 @@ _RADII = {"MARS": 3396.19e3, "MOON": 1737.4e3, "MERCURY": 2440.53e3, "VENUS": 60
 """m, equatorial (IAU 2015)."""
 
 
+_NEAR = 2.0
+"""How many times larger or smaller than a body's radii a place's may be."""
+
+
 def target_name(body: Ellipsoid) -> str:
     """What SPICE and ISIS call the body of this size, to half a per cent; UNKNOWN for others."""
     near = [name for name, radius in _RADII.items() if abs(body.equatorial / radius - 1.0) < 5e-3]
@@ -47,6 +52,15 @@ def is_another(body: Ellipsoid, target: str) -> bool:
     """Whether a name is not that of this body; False where there is none, or the body's own name isn't known."""
     own = target_name(body)
     return own != "UNKNOWN" and target.upper() not in ("", own)
+
+
+def require_near(radii: Array, body: Ellipsoid, where: Callable[[int], str]) -> None:
+    """Raise InputError for a distance (n,) in m from the body's centre that is less than half of its radii, or more
+    than twice: it must be in other units; `where` is the place of the k-th in messages.
+    """
+    for k in np.flatnonzero((radii < body.polar / _NEAR) | (radii > body.equatorial * _NEAR))[:1].tolist():
+        found, expected = f"{radii[k]:.6g} m from the body's centre", f"about {body.equatorial:.6g} m"
+        raise InputError(where(k), found, expected, "lengths are in m, not in km")
 
 
 def in_turn(angles: Array, middle: Array | float = 0.0) -> Array:

@@ -28,8 +28,6 @@ Constants = Literal["iak", "ik"]
 Correction = Literal["NONE", "LT", "LT+S"]
 """Aberration correction of positions, the body being the observer (as in ISIS and ALE tables of MGS)."""
 
-MGS_ATTITUDE_BIAS = -1.15
-"""s, by which ISIS looks attitude up earlier for MOC (addendum keyword INS-94031_CK_TIME_BIAS)."""
 INTERVAL = 0.5
 """s between nodes. On M04/02852 positions are then within 2e-9 m, attitude within 3e-6 arcsec of SPICE."""
 MARGIN = 2.0

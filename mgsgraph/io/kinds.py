@@ -109,7 +109,14 @@ def _tiff(head: bytes) -> Kind | None:
         return Kind.PICTURE if head.startswith((b"\x89PNG", b"\xff\xd8\xff")) else None
     big, order = head[2:4].strip(b"\0") == b"+", head[:2]
     tag = _GEO_KEYS.to_bytes(2, "little" if order == b"II" else "big")
-    return Kind.RASTER if big or tag in head or len(head) == _HEAD else Kind.PICTURE
+    on_map = big or tag in head or len(head) == _HEAD
+    return Kind.RASTER if on_map and not _of_bytes(head, order == b"II") else Kind.PICTURE
+
+
+def _of_bytes(head: bytes, little: bool) -> bool:
+    """Whether the first directory of a TIFF (not a BigTIFF) says eight bits for each pixel, which no heights have."""
+    entry = b"\x02\x01\x03\x00\x01\x00\x00\x00\x08\x00" if little else b"\x01\x02\x00\x03\x00\x00\x00\x01\x00\x08"
+    return entry in head
 
 
 def _kernel(head: bytes) -> Kind | None:
@@ -149,10 +156,11 @@ def _label(text: str, path: Path, size: int) -> Kind | None:
 
 
 def _json(path: Path) -> Kind | None:
+    text = path.read_bytes()
     try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
-        return None
+        content = json.loads(text)
+    except (ValueError, RecursionError):  # a file that was cut short, which its reader says
+        return Kind.SUPPORT_DATA if b'"instrument_po' in text or b'"name_model"' in text else None
     if "points" in content and isinstance(content["points"], list):
         return Kind.LIDAR
     if "m_modelName" in content:

@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.body import Ellipsoid, require_near
+from mgsgraph.geometry.records import Array, frozen
 from mgsgraph.io.control.table import Row, cartesian, csv_rows
 from mgsgraph.io.control.table_columns import GEODETIC, ISIS, OURS, PLACES, PLANETOCENTRIC
 from mgsgraph.units import DEG, ISIS_OFFSET
@@ -53,7 +53,7 @@ class PlaceTable:
     @classmethod
     def of_pixels(cls, places: Array, isis: bool) -> "PlaceTable":
         """Image places (n, 2) that stand in no file; counted from 1 or not."""
-        pixels = places - (ISIS_OFFSET if isis else 0.0)
+        pixels = frozen(places, "--pixel", (None, 2)) - (ISIS_OFFSET if isis else 0.0)
         none = np.zeros((0, 3)), np.zeros((0, 2))
         return cls("--pixel", dict(zip(ISIS if isis else OURS, _texts(places), strict=True)), "image", isis, pixels,
                    None, None, *none)  # fmt: skip
@@ -61,7 +61,7 @@ class PlaceTable:
     @classmethod
     def of_surface(cls, places: Array) -> "PlaceTable":
         """Planetocentric longitudes and latitudes (n, 2) in degrees that stand in no file."""
-        _require_latitudes(places[:, 1], lambda _: "--place")
+        _require_latitudes(frozen(places, "--place", (None, 2))[:, 1], lambda _: "--place")
         none = np.zeros((0, 2)), None, None, np.zeros((0, 3))
         return cls("--place", dict(zip(_SURFACE, _texts(places), strict=True)), "ground", None, *none, places * DEG)
 
@@ -88,7 +88,8 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
     number, header = next(rows, (1, []))
     names = [name.strip() for name in header]
     known = {name.lower(): name for name in names}
-    for name in [name for k, name in enumerate(names) if name in names[:k]][:1]:
+    lower = [name.lower() for name in names]
+    for name in [name for k, name in enumerate(lower) if name in lower[:k]][:1]:
         raise InputError(f"{path}, line {number}", f"the column {name!r} twice", "each once")
     pixel = next((pair for pair in (ISIS, OURS) if set(pair) <= set(known)), ())
     ground = next((group for group in (*PLACES, _SURFACE) if set(group) <= set(known)), ())
@@ -109,7 +110,7 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
         raise InputError(str(path), "a header alone", "places below it")
     columns = dict(zip(names, map(list, zip(*texts, strict=True)), strict=True))
     if sort == "image" or (sort is None and pixel):
-        return _image_places(str(path), columns, records, pixel, known)
+        return _image_places(str(path), columns, records, pixel, known, body)
     return _ground_places(str(path), columns, records, ground, body, pixel == ISIS if pixel else None)
 
 
@@ -123,15 +124,18 @@ def _numbers(records: list[Row], columns: tuple[str, ...]) -> Array:
 
 
 def _image_places(
-    source: str, columns: dict[str, list[str]], records: list[Row], pixel: tuple[str, ...], known: dict[str, str]
-) -> PlaceTable:
+    source: str, columns: dict[str, list[str]], records: list[Row], pixel: tuple[str, ...], known: dict[str, str],
+    body: Ellipsoid,
+) -> PlaceTable:  # fmt: skip
     isis = pixel == ISIS
     pixels = _numbers(records, pixel) - (ISIS_OFFSET if isis else 0.0)
     heights, radii = (
         _numbers(records, (name,))[:, 0] if name in known else None for name in (GEODETIC[2], PLANETOCENTRIC[2])
     )
     none, plane = np.zeros((0, 3)), np.zeros((0, 2))
-    heights = None if radii is not None else heights
+    if radii is not None:
+        heights = None
+        require_near(radii, body, lambda k: f"{records[k].where}, {PLANETOCENTRIC[2]}")
     return PlaceTable(source, columns, "image", isis, pixels, heights, radii, none, plane)
 
 
@@ -149,6 +153,7 @@ def _ground_places(
         cartesian(row, ground, body) if any(column in row.values for column in ground) else none_given
         for row in records
     ])  # fmt: skip
+    require_near(np.linalg.norm(points, axis=1), body, lambda k: f"{records[k].where}, {ground[-1]}")
     return PlaceTable(source, columns, "ground", isis, none, None, None, points, plane)
 
 

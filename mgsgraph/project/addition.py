@@ -217,7 +217,7 @@ def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
 
 def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
     """From a file of any kind that a case file takes, a label with the project's kernels."""
-    stated = ImageInput(name=wanted.name, image=str(wanted.path.absolute()))
+    stated = ImageInput(name=wanted.name or "", image=str(wanted.path.absolute()))
     entry = plain_image(stated, settings.spice, Path(), where)
     image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
     orientation = settings.orientation

@@ -8,7 +8,8 @@ import numpy as np
 
 from mgsgraph.analysis.places import Places, State, View, on_surface
 from mgsgraph.analysis.statistics import local_sigmas
-from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric
+from mgsgraph.errors import require
+from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.io.control.table_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
 from mgsgraph.io.place_table import PlaceTable
@@ -39,6 +40,9 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
     stands before the surface.
     """
     body, image = view.image.body, view.image.name
+    level = np.array([body.equatorial + surface.height if surface.radius is None else surface.radius])
+    require(np.all(np.isfinite(level)), "the ground", f"{level[0]}", "a finite number of metres")
+    require_near(level, body, lambda _: "the ground")
     if places.sort == "image":
         own = places.heights is not None or places.radii is not None
         radii = None if surface.radius is None or own else np.full(len(places.pixels), surface.radius)

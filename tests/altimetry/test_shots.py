@@ -102,6 +102,19 @@ def test_records_of_lola_have_ranges_spacecraft_and_noise(tmp_path: Path, labell
     assert shots.times[0] - 305495504.25 == pytest.approx(-1.457e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize(("column", "factor"), [("Pt_Range", 1000.0), ("SC_radius", 1000.0), ("Pt_Radius", 1000.0)])
+def test_lengths_of_lola_in_two_units(shared_data: Path, tmp_path: Path, column: str, factor: float) -> None:
+    """Of the three that close a triangle one is in metres: refused, and said as ranges that don't fit."""
+    text = gzip.decompress((shared_data / "lro_nac_hadley" / "RDR_hadley_LOLA.csv.gz").read_bytes())
+    head, *rows = text.decode().splitlines()[:5]
+    k = [name.strip() for name in head.split(",")].index(column)
+    parts = [row.split(",") for row in rows]
+    for part in parts:
+        part[k] = str(float(part[k]) * factor)
+    with pytest.raises(InputError, match=r"ranges of .* times what they should be"):
+        read_shots(written(tmp_path, head, *map(",".join, parts)))
+
+
 # --- MLA
 
 
@@ -150,7 +163,7 @@ def column(name: str, kind: str, start: int, size: int, unit: str) -> str:
 def test_text_by_its_label(tmp_path: Path) -> None:
     """Heights of LALT stand above 1737.4 km; names of files in another case than on disk, as archives have them."""
     columns = "\n".join([
-        column("OBSERVATION_TIME", "TIME", 1, 23, "UTC"), column("LONGITUDE", "ASCII_REAL", 25, 9, "DEGREE"),
+        column("UNIVERSAL TIME", "TIME", 1, 23, "N/A"), column("LONGITUDE", "ASCII_REAL", 25, 9, "DEGREE"),
         column("LATITUDE", "ASCII_REAL", 35, 10, "DEGREE"), column("TOPOGRAPHY", "ASCII_REAL", 46, 8, "KM"),
     ])
     rows = [f"2008-01-07 00:00:0{k}.500, 120.0{k}00,  -45.0000, -1.250{k}\r\n" for k in range(2)]

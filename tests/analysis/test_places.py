@@ -52,6 +52,7 @@ def test_there_and_back(solution: Solution, surface: str) -> None:
         assert set(ground.states) == {State.SEEN}
         back = view.seen(ground.points, terrain)
         np.testing.assert_allclose(back.pixels, pixels, atol=PIXEL)
+        assert set(back.states) == {State.SEEN}
         if surface != "radius":
             height = 1234.5 if surface == "height" else 0.0
             again = on_surface(*planetocentric(ground.points)[:, :2].T, view.image.body, height, terrain)
@@ -83,14 +84,15 @@ def test_relief_hides_what_is_behind_it(solution: Solution) -> None:
     assert set(view.seen(behind, terrain).states) == {State.BEHIND_RELIEF}
 
 
-def test_sigmas_by_numeric_derivatives(solution: Solution) -> None:
+@pytest.mark.parametrize("on_relief", [False, True])
+def test_sigmas_by_numeric_derivatives(solution: Solution, on_relief: bool) -> None:
     """By all coefficients of the image, one after the other; ground that stays at its height moves with the ray."""
     view = View.adjusted(solution, 1)
     assert view.correction is not None
-    pixels = places(view)[[1, 7, 18]]
-    ground = view.on_ground(pixels)
+    pixels, terrain = places(view)[[1, 7, 18]], relief(view) if on_relief else None
+    ground = view.on_ground(pixels, terrain=terrain)
     into, coefficients = view.seen(ground.points), view.correction.coefficients
-    covariance, step = solution.correction_covariance(1), np.tile([1.0] * 3 + [1e-5] * 3, len(coefficients))
+    covariance, step = solution.correction_covariance(1), np.tile([0.1] * 3 + [1e-7] * 3, len(coefficients))
     image_slopes, ground_slopes = [], []
     for k in range(coefficients.size):
         sides = []
@@ -98,7 +100,7 @@ def test_sigmas_by_numeric_derivatives(solution: Solution) -> None:
             moved = coefficients.ravel().copy()
             moved[k] += sign * step[k]
             other = View(view.image, OrientationCorrection(moved.reshape(-1, 6), view.correction.angles))
-            sides.append((other.seen(ground.points).pixels, other.on_ground(pixels).points))
+            sides.append((other.seen(ground.points).pixels, other.on_ground(pixels, terrain=terrain).points))
         image_slopes.append((sides[0][0] - sides[1][0]) / (2.0 * step[k]))
         ground_slopes.append((sides[0][1] - sides[1][1]) / (2.0 * step[k]))
     for slopes, found in ((image_slopes, into.covariances), (ground_slopes, ground.covariances)):

@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import refused, run
 
@@ -111,10 +112,40 @@ def test_one_image_in_two_files_is_taken_once(case_file: Path, tmp_path: Path) -
 def test_nothing_to_make_a_case_of(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "case.toml"
     refused(run("new", case_file.with_name("network.pvl"), "--out", out), "no image: it holds a control network")
-    for given, said in ((case_file, "a TOML file with a format"), (tmp_path / "none", "no such file")):
+    cut = tmp_path / "cut.isd"
+    cut.write_bytes(case_file.with_name("image_A.isd").read_bytes()[:-100])
+    wrong = {cut: "malformed or truncated JSON", case_file: "a TOML file with a format", tmp_path / "none": "no such"}
+    for given, said in wrong.items():
         with pytest.raises(InputError, match=said):
             draft_case([given], out)
     assert not out.exists()
+    for place, said in ((tmp_path, "a folder"), (Path("/dev/null/x.toml"), "can't be written")):
+        with pytest.raises(InputError, match=said):
+            draft_case([case_file.parent], place)
+
+
+def test_a_raster_of_heights_gets_the_sphere_that_they_may_be_above(case_file: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    for name, kind in (("heights.tif", "float32"), ("picture.tif", "uint8")):
+        with rasterio.open(
+            tmp_path / name, "w", driver="GTiff", height=300, width=400, count=1, dtype=kind,
+            crs="+proj=longlat +R=3396190 +no_defs", transform=rasterio.Affine(0.01, 0, 86, 0, -0.01, 5.5),
+        ) as file:  # fmt: skip
+            file.write(np.full((1, 300, 400), 100, dtype=kind))
+    draft_case([case_file.parent, tmp_path / "heights.tif"], tmp_path / "case.toml")
+    (terrain,) = decode(tmp_path / "case.toml").terrain_models
+    assert (terrain.radius, terrain.reference_radius_m) == ("heights.tif", 3396190.0)
+    draft_case([case_file.parent, tmp_path / "picture.tif"], tmp_path / "case.toml", replace=True)
+    assert not decode(tmp_path / "case.toml").terrain_models
+
+
+def test_files_of_one_name_in_two_folders_are_two_images(case_file: Path, tmp_path: Path) -> None:
+    for folder, image in (("a", "image_A.isd"), ("b", "image_B.isd")):
+        (tmp_path / folder).mkdir()
+        text = case_file.with_name(image).read_text(encoding="utf-8")
+        (tmp_path / folder / "x.isd").write_text(re.sub(r'"image_identifier": *"[^"]*",?', "", text), encoding="utf-8")
+    draft_case([tmp_path / "a", tmp_path / "b"], tmp_path / "case.toml")
+    assert {image.name for image in decode(tmp_path / "case.toml").images} == {"x", "b/x"}
 
 
 SLOW = pytest.mark.slow

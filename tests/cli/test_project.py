@@ -95,6 +95,9 @@ WRONG = {
     "two grounds": (("--pixel", 1, 2, "--height", 1, "--ellipsoid"), "one of"),
     "a reference of nothing": (("--pixel", 1, 2, "--reference-radius", 1), "--terrain"),
     "a latitude": (("--place", 1, 91), "91"),
+    "a pixel that is none": (("--pixel", "nan", 2), "nan"),
+    "kilometres": (("--pixel", 1, 2, "--radius", 3390), "not in km"),
+    "no height": (("--pixel", 1, 2, "--height", "nan"), "finite"),
     "no such file": (("--points", "none.csv"), "none.csv"),
 }
 

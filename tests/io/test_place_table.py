@@ -58,7 +58,11 @@ TABLES = {
     "too many": ("line,sample\n1,2,3\n", "3 fields"),
     "twice": ("line,line,sample\n1,2,3\n", "twice"),
     "a latitude": ("longitude_deg,latitude_deg\n1,91\n", "line 2"),
-    "kilometres": ("longitude_deg,latitude_deg,radius_m\n1,2,-3396\n", "radius_m"),
+    "twice but for capitals": ("line,Line,sample\n1,2,3\n", "twice"),
+    "no radius": ("longitude_deg,latitude_deg,radius_m\n1,2,-3396\n", "radius_m"),
+    "kilometres": ("longitude_deg,latitude_deg,radius_m\n1,2,3396\n", "line 2, radius_m: .* not in km"),
+    "kilometres along axes": ("x_m,y_m,z_m\n3396,0,0\n", "line 2, z_m: .* not in km"),
+    "kilometres under a pixel": ("line,sample,radius_m\n1,2,3396\n", "line 2, radius_m: .* not in km"),
 }
 
 

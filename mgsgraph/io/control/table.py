@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, planetocentric
+from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, planetocentric, require_near
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.control.network_file import read_control_network, read_network
 from mgsgraph.io.control.pvl import MEASURE_TYPES
@@ -48,8 +48,6 @@ _MEASURE_TYPES = {kind.name.lower().replace("_", ""): kind for kind in MeasureTy
 _FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _OF_OTHERS = (".gcp", ".match", ".nvm")
 """Files of tie points that must be converted first."""
-_NEAR = 2.0
-"""How many times larger or smaller than the body's radii a place's radius may be, before it must be in other units."""
 _LARGEST = 1e100
 """Of sigmas, whose squares must be numbers."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
@@ -258,10 +256,8 @@ def _point(
 def _place(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
     """(3,) m, body-fixed; near the ellipsoid, where there is one."""
     place = cartesian(row, columns, ellipsoid)
-    radius = float(np.linalg.norm(place))
-    if ellipsoid is not None and not ellipsoid.polar / _NEAR < radius < ellipsoid.equatorial * _NEAR:
-        found, expected = f"{radius:.6g} m from the body's centre", f"about {ellipsoid.equatorial:.6g} m"
-        raise InputError(f"{row.where}, {columns[-1]}", found, expected, "lengths are in m, not in km")
+    if ellipsoid is not None:
+        require_near(np.linalg.norm(place, keepdims=True), ellipsoid, lambda _: f"{row.where}, {columns[-1]}")
     return place
 
 
