@@ -9,6 +9,8 @@ import gzip
 import zlib
 from pathlib import Path
 
+import numpy as np
+
 from mgsgraph.altimetry.csv_table import CsvTable
 from mgsgraph.altimetry.lola import is_lola_rdr, lola_shots
 from mgsgraph.altimetry.pds_table import is_label, read_labelled_shots
@@ -16,7 +18,7 @@ from mgsgraph.altimetry.pedr import FRAME, read_pedr
 from mgsgraph.altimetry.pedr_text import PEDR_RADII, read_pedr_text
 from mgsgraph.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.altimetry import AltimeterShots, require_lengths
 from mgsgraph.io.files import read_bytes
 
 
@@ -40,8 +42,18 @@ def read_shots(
     ------
     InputError
         With file and line or record: a file that is missing, empty, cut short or of an unknown format; a column that is
-        missing; a value that is no number or can't be; radii in no unit in which they are the body's.
+        missing; a value that is no number or can't be; radii in no unit in which they are the body's, ranges in another
+        than the way from the spacecraft, where the file has that.
     """
+    shots = _as_read(path, clock_bias, version, leap_seconds)
+    ways = np.linalg.norm(shots.spacecraft - shots.footprints, axis=1)
+    known = np.isfinite(ways) & np.isfinite(shots.ranges)
+    if np.any(known):
+        require_lengths(shots.ranges[known], ways[known], "ranges", str(path))
+    return shots
+
+
+def _as_read(path: Path, clock_bias: float, version: str | None, leap_seconds: Path | None) -> AltimeterShots:
     content, packed = unpacked(read_bytes(path), path)
     if not content.strip():
         raise InputError(str(path), "an empty file", "laser shots")

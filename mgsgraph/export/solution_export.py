@@ -15,6 +15,7 @@ from mgsgraph.export import Target
 from mgsgraph.export.round_trip import reprojection
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.files import write_file
+from mgsgraph.network import PointClass
 from mgsgraph.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import read_solution
 
@@ -192,7 +193,7 @@ def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path,
 def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.control_back import control_differences
     from mgsgraph.export.isis import write_isis
-    from mgsgraph.export.kept_content import source_networks
+    from mgsgraph.export.kept_content import Sources, source_networks
     from mgsgraph.export.round_trip import measured_places
 
     def compare(solution: Solution, folder: Path) -> Array:
@@ -200,7 +201,9 @@ def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path
         # that points are seen where they should be says nothing of the places that are written
         return np.where(found.points <= _SAME, np.fmax(found.measured, found.predicted), np.inf)
 
-    sources = source_networks(path, settings.networks, solution.network.images[0].body)
+    sources = Sources(None)
+    if settings.networks or np.any(solution.network.points.classes == PointClass.TIE):
+        sources = source_networks(path, settings.networks, solution.network.images[0].body)
     made = write_isis(solution, folder, settings.scaled, source=sources.network)
     return made.paths, compare, (*made.notes, *sources.notes)
 

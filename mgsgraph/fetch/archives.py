@@ -40,6 +40,8 @@ class Archives:
     """SPICE kernels of LRO."""
     mex_kernels: str = "https://naif.jpl.nasa.gov/pub/naif/pds/data/mex-e_m-spice-6-v2.0/mexsp_2000/"
     """SPICE kernels of Mars Express."""
+    isis: str = "https://asc-isisdata.s3.us-west-2.amazonaws.com/usgs_data/"
+    """ISIS's own data: addenda of instrument kernels, MISSION/kernels/iak/ (USGS)."""
     ode: str = "https://oderest.rsl.wustl.edu/"
     """REST services of the Orbital Data Explorer: live2 (products), livegds (laser shots over a box)."""
 

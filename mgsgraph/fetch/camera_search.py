@@ -58,10 +58,11 @@ class CameraSearch:
         box = box_of(answer, label)
         kernels = self._kernels(camera, taken, str(product))
         shots, why = self._shots(camera, box, str(product))
+        addendum, lacking = self._addendum(camera, str(product))
         orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label and label.text("ORBIT_NUMBER").isdigit() else 0
         return ImageNeeds(
-            product, file, label.text("START_TIME"), label.text("STOP_TIME"), orbit, kernels, "", why, shots,
-            tuple(box) if box else (),
+            product, file, label.text("START_TIME"), label.text("STOP_TIME"), orbit, kernels, "", (*why, *lacking),
+            shots, addendum, tuple(box) if box else (),
         )  # fmt: skip
 
     def _asked(self, product: CameraProduct) -> str:
@@ -154,6 +155,17 @@ class CameraSearch:
             return True
         said = Interval.said_by(flat_label(text, label))
         return said is None or said.meets(wanted)
+
+    def _addendum(self, camera: ArchivedCamera, where: str) -> tuple[str, tuple[str, ...]]:
+        """Path of ISIS's addendum below its data, and a sentence where there is none."""
+        if not camera.addendum:
+            return "", ()
+        try:
+            self._store.remote.head(self._archives.isis + camera.addendum, 1)
+        except NotInArchive:
+            name = camera.addendum.rpartition("/")[2]
+            return "", (f"{where}: {name} is not among ISIS's data; put it into the meta-kernel by hand",)
+        return camera.addendum, ()
 
     # --- shots
 

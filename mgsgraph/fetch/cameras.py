@@ -36,6 +36,8 @@ class ArchivedCamera:
     """Names of the CKs that its pointing needs, among those of antennas, arrays and other instruments."""
     altimetry: str
     """Query of ODE for shots over a box: that altimeter's data set on the body."""
+    addendum: str = ""
+    """ISIS's addendum to the instrument kernel, below its data, where that kernel lacks what the camera needs."""
     moon: bool = False
     """Whether it flies about the Moon, of which no terrain is fetched."""
 
@@ -45,17 +47,19 @@ CTX = ArchivedCamera(
     r"mrox_\d{{4}}/data/{}\.IMG",
     "live2/?query=product&results=m&output=JSON&target=mars&ihid=MRO&iid=CTX&pt=EDR&pdsid={}",
     "mro_kernels", r"mro_{}_v\d\d\.tm", re.compile(r"mro_sc_"), "molapedr",
+    "mro/kernels/iak/mroctxAddendum005.ti",
 )  # fmt: skip
 LROC_NAC = ArchivedCamera(
     "LROC NAC", re.compile(r"M\d{9,10}[LR]E"), "M103595705LE", "LROC", "lroc",
     r"LROLRC_\d{{4}}[A-Z]?/DATA/\w+/\d{{7}}/NAC/{}\.IMG",
     "live2/?query=product&results=m&output=JSON&target=moon&ihid=LRO&iid=LROC&pt=EDRNAC4&pdsid=nac.{}",
-    "lro_kernels", r"lro_{}_v\d\d\.tm", re.compile(r"(lrosc|lrolc|moc42)"), "lolardr", True,
+    "lro_kernels", r"lro_{}_v\d\d\.tm", re.compile(r"(lrosc|lrolc|moc42)"), "lolardr",
+    "lro/kernels/iak/lro_instrumentAddendum_v04.ti", True,
 )  # fmt: skip
 HRSC = ArchivedCamera(
     "HRSC", re.compile(r"H[0-9A-Z]\d{3}_\d{4}_([A-Z]{2}\d?|[A-Z]\d\d)"), "h5270_0000_ir2", "HRSC", "hrsc",
     r"mexhrs_\d{{4}}/data/\w+/{}\.img", "", "mex_kernels", r"mex_(?:{}_)?v\d\d\.tm",
-    re.compile(r"atnm_measured", re.IGNORECASE), "molapedr",
+    re.compile(r"atnm_measured", re.IGNORECASE), "molapedr", "mex/kernels/iak/hrscAddendum004.ti",
 )  # fmt: skip
 CAMERAS = (CTX, LROC_NAC, HRSC)
 """All of them."""

@@ -56,7 +56,7 @@ def meta_kernel(needs: Sequence[ImageNeeds]) -> str:
     """Text of a meta-kernel that names files beside it, in the order of loading."""
     kernels = [LEAP_SECONDS, *FIXED, *kernels_of(needs)]
     if needs[0].camera is not None:
-        kernels = list(dict.fromkeys(kernel for image in needs for kernel in image.kernels))
+        kernels = list(dict.fromkeys(one for image in needs for one in (*image.kernels, image.addendum) if one))
     names = [Path(kernel_path(kernel)).name for kernel in kernels]
     listed = "\n".join(f"  '{name}'" for name in names)
     return f"""KPL/MK

@@ -50,7 +50,7 @@ class Fetched:
     def sentences(self) -> list[str]:
         """What there is now, one line each."""
         said = [
-            f"{image.product}: {image.start}, orbit {image.orbit}, "
+            f"{image.product}: {image.start}, {f'orbit {image.orbit}, ' if image.orbit else ''}"
             f"{_kernels(image)}, {Path(image.pedr or image.shots_path).name or 'no laser profile'}"
             for image in self.images
         ]

@@ -124,6 +124,8 @@ class ImageNeeds:
     """Sentences about what could not be found or confirmed."""
     shots: str = ""
     """Laser shots over its ground, below ODE; empty for none."""
+    addendum: str = ""
+    """To its instrument kernel, below ISIS's data; empty for none."""
     box: tuple[float, ...] = ()
     """deg, of its ground: least and largest planetocentric latitude, then east longitude; empty where unknown."""
 
@@ -186,6 +188,7 @@ def wanted_files(needs: Iterable[ImageNeeds], archives: Archives) -> tuple[Wante
         if image.camera is not None:
             root = getattr(archives, image.camera.kernels)
             found += [WantedFile(root + kernel, kernel_path(kernel)) for kernel in image.kernels]
+            found += [WantedFile(archives.isis + one, kernel_path(one)) for one in [image.addendum] if one]
     found += [WantedFile(archives.pedr + image.pedr, image.pedr_path) for image in needs if image.pedr]
     found += [WantedFile(archives.ode + image.shots, image.shots_path) for image in needs if image.shots]
     return tuple(dict.fromkeys(found))

@@ -102,6 +102,19 @@ def test_records_of_lola_have_ranges_spacecraft_and_noise(tmp_path: Path, labell
     assert shots.times[0] - 305495504.25 == pytest.approx(-1.457e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize(("column", "factor"), [("Pt_Range", 1000.0), ("SC_radius", 1000.0), ("Pt_Radius", 1000.0)])
+def test_lengths_of_lola_in_two_units(shared_data: Path, tmp_path: Path, column: str, factor: float) -> None:
+    """Of the three that close a triangle one is in metres: refused, and said as ranges that don't fit."""
+    text = gzip.decompress((shared_data / "lro_nac_hadley" / "RDR_hadley_LOLA.csv.gz").read_bytes())
+    head, *rows = text.decode().splitlines()[:5]
+    k = [name.strip() for name in head.split(",")].index(column)
+    parts = [row.split(",") for row in rows]
+    for part in parts:
+        part[k] = str(float(part[k]) * factor)
+    with pytest.raises(InputError, match=r"ranges of .* times what they should be"):
+        read_shots(written(tmp_path, head, *map(",".join, parts)))
+
+
 # --- MLA
 
 

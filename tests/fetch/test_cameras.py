@@ -101,6 +101,8 @@ def archive_files() -> dict[str, bytes]:
         "spk/lrorg_2009169_2009258_v01.bsp", "spk/lrorg_2009258_2009349_v01.bsp", "ck/lrosc_2009182_2009213_v01.bc",
         "ck/lrolc_2009181_2009213_v01.bc", "ck/lrosa_2009182_2009213_v01.bc",
     ))  # fmt: skip
+    for name in ("lro/kernels/iak/lro_instrumentAddendum_v04.ti", "mro/kernels/iak/mroctxAddendum005.ti"):
+        found[f"isis/{name}"] = b"KPL/IK\n\\begindata\nB = 1\n"
     found |= kernels("mex_kernels/", "MEX_V16.TM", (
         "LSK/NAIF0012.TLS", "SPK/ORMM_T19_080201000000_00474.BSP", "SPK/ORMM_T19_080301000000_00484.BSP",
         "CK/ATNM_MEASURED_080101_090101_V03.BC", "CK/ATNM_MEASURED_090101_100101_V03.BC",
@@ -155,7 +157,9 @@ def test_an_image_and_the_kernels_of_its_time(
     assert [(one.name, one.label) for one in case.images] == [(image.upper(), needs.image_path)]
     assert case.spice is not None
     loaded = members(folder / case.spice.kernels[0])
-    assert [path.name for path in loaded] == [Path(one).name for one in needs.kernels]
+    assert [path.name for path in loaded] == [Path(one).name for one in (*needs.kernels, needs.addendum) if one]
+    assert bool(needs.addendum) == (image != H5270)
+    assert any("hrscAddendum004.ti is not" in note for note in needs.notes) == (image == H5270)
     assert verify(folder).images[image.upper()] == needs
 
     archive.asked.clear()
