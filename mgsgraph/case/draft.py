@@ -86,7 +86,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     write_file(out, text)
     called = some([one.name for one in images], len(images))
     told = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
-    told += [f"- {part.path.name}: {kinds[part.path]}" for part in parts]
+    told += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
     told += [f"- {one.name}: {one.note}" for one in images if one.note]
     told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
     told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []

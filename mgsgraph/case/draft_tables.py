@@ -25,6 +25,8 @@ from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.kinds import Kind
 from mgsgraph.io.lidar import read_lidar
 
+_ALTIMETRY = "[[altimetry]]"
+_RELIEF = "control by relief for `mgsgraph coregister`"
 _SAME_SHOT = 1e-3
 """s between the times of one shot in two files."""
 _MEGDR_STEPS: dict[str, Terrain] = {"c": "4", "e": "16", "h": "128"}
@@ -38,6 +40,8 @@ class Part(NamedTuple):
     text: str
     measured: bool = False
     """Whether it holds measures in images."""
+    note: str = ""
+    """What is to be said of it."""
 
 
 def quoted(text: str) -> str:
@@ -71,7 +75,12 @@ def draft_tables(
                 continue
             head, _, rest = text.partition("\n")
             head = f"[{head}]" if several and not head.startswith("[[") else head
-            parts.append(Part(path, f"\n{head}\n{rest}", measured))
+            text, note = f"\n{head}\n{rest}", ""
+            if head == _ALTIMETRY:  # it says nothing without the images' relief, to which `adjust` is blind
+                note = f"{_RELIEF}; in comments"
+                text = "".join(f"\n# {line}" for line in (_RELIEF, head, *rest.splitlines())) + "\n"
+                text = f"\n{text.lstrip()}"
+            parts.append(Part(path, text, measured, note))
     return parts, refused
 
 
@@ -153,7 +162,7 @@ def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path)
 
 
 def _of_relief(path: Path, images: Sequence[DraftImage], out: Path) -> _Made:
-    text = f"[[altimetry]]\nfile = {place(path, out)}\n"
+    text = f"{_ALTIMETRY}\nfile = {place(path, out)}\n"
     text += said("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/coregister.md")
     wanted = AltimetryInput(file=str(path.absolute()))
     yield path, text, lambda: read_altimetry(wanted, Path(), images[0].image.body), False

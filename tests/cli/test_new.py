@@ -161,9 +161,10 @@ REAL = {
 )
 def test_real_data_make_a_case_that_check_accepts(shared_data: Path, tmp_path: Path, folder: str) -> None:
     out = tmp_path / "case.toml"
-    draft_case([shared_data / folder], out)
+    made = draft_case([shared_data / folder], out)
     wanted = decode(out)
     assert len(wanted.images) == REAL[folder]
+    assert ("# [[altimetry]]" in made.text) == (folder == "lro_nac_hadley")
     assert images_inventory(out) or mgsgraph.read_case(out).network.rays.point.size > 40
 
 
