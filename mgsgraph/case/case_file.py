@@ -26,10 +26,7 @@ def decode(path: Path) -> CaseInput:
         With the place of what is wrong: an unknown key, a value out of range; an image given in two ways or none, a
         list without files, files that are no images, or one name for two.
     """
-    toml = read_toml(path, CASE_FILE)
-    text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
-    toml = toml._replace(tables=of_today(toml.tables), text=text)
-    wanted = validated(toml, CaseInput, path, "all keys: mgsgraph help case")
+    wanted = stated(path)
     images = list[ImageInput]()
     for k, entry in enumerate(wanted.images):
         where = f"{path}, images[{k}]"
@@ -41,6 +38,14 @@ def decode(path: Path) -> CaseInput:
             found = f"the name {image.name!r} for {_file(twin)} and for {_file(image)}"
             raise InputError(f"{path}, images", found, "each image once", "rename one of the two, or take it out")
     return msgspec.structs.replace(wanted, images=tuple(images))
+
+
+def stated(path: Path) -> CaseInput:
+    """A case file's tables, validated, its images as it has them; InputError with the place of what is wrong."""
+    toml = read_toml(path, CASE_FILE)
+    text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
+    toml = toml._replace(tables=of_today(toml.tables), text=text)
+    return validated(toml, CaseInput, path, "all keys: mgsgraph help case")
 
 
 def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:
