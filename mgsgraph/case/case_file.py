@@ -43,7 +43,7 @@ def decode(path: Path) -> CaseInput:
     first = dict[str, ImageInput]()
     for image in images:
         if (twin := first.setdefault(image.name, image)) is not image:
-            found = f"the name {image.name!r} for {_file(twin)} and for {_file(image)}"
+            found = f"the name {image.name!r} for {image_file(twin)} and for {image_file(image)}"
             raise InputError(f"{path}, images", found, "each image once", "rename one of the two, or take it out")
     return msgspec.structs.replace(wanted, images=tuple(images))
 
@@ -60,7 +60,7 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
         entry = msgspec.structs.replace(entry, image=None, **{kind: entry.image})
     kind = next(key for key in _FILES if getattr(entry, key) is not None)
     _require_heeded(entry, kind, where)
-    return entry if entry.name else msgspec.structs.replace(entry, name=image_name(folder / _file(entry), kind))
+    return entry if entry.name else msgspec.structs.replace(entry, name=image_name(folder / image_file(entry), kind))
 
 
 def _require_heeded(entry: ImageInput, kind: ImageKind, where: str) -> None:
@@ -68,11 +68,12 @@ def _require_heeded(entry: ImageInput, kind: ImageKind, where: str) -> None:
     untold = ImageInput()
     for key, kinds in _OF_KINDS.items():
         if kind not in kinds and getattr(entry, key) != getattr(untold, key):
-            found = f"{key} for {_file(entry)}, which is read as {kind}"
+            found = f"{key} for {image_file(entry)}, which is read as {kind}"
             raise InputError(where, found, f"it for {' or '.join(kinds)}", "take it out")
 
 
-def _file(entry: ImageInput) -> str:
+def image_file(entry: ImageInput) -> str:
+    """The file that says an image's geometry, as its plain entry has it."""
     return next(str(getattr(entry, key)) for key in _FILES if getattr(entry, key) is not None)
 
 
