@@ -206,14 +206,13 @@ def read_selection(table: CsvTable, clock_bias: float) -> AltimeterShots:
     }
     angles = np.column_stack([needed["longitudedeg"], needed["latitudedeg"]])
     lines = {"frames": np.array(table.line_numbers()), "shots": np.ones(n)}
-    whole = {
-        name: whole_numbers(
-            needed.get(column, lines.get(name, np.zeros(n))), lambda k, one=column: f"{table.where(k)}, {one}", 2.0**53
-        )
-        for column, name in _OWN.items()
-    }
+
+    def whole(column: str, name: str) -> Index:
+        values = needed.get(column, lines.get(name, np.zeros(n)))
+        return whole_numbers(values, lambda k: f"{table.where(k)}, {column}", 2.0**53)
+
     require_years(needed["times"], table.called("times"))
-    known: dict[str, Any] = whole | gaps
+    known: dict[str, Any] = {name: whole(column, name) for column, name in _OWN.items()} | gaps
     return AltimeterShots(
         source=str(table.path), times=needed["times"] + clock_bias,
         footprints=positions(angles, needed["radiusm"], table.where),
