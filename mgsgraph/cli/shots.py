@@ -10,7 +10,8 @@ from mgsgraph.cli.options import PATH, print_sentences
 @click.command()
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES...")
 @click.option("--case", type=PATH, required=True, metavar="CASE|RESULT", help="Whose images; a project's, too.")
-@click.option("--image", "names", multiple=True, metavar="NAME", help="One image alone; may be repeated.")
+@click.option("--image", "names", multiple=True, metavar="NAME",
+    help="One image alone, by its name or a part of it that no other has; may be repeated.")
 @click.option(
     "--dates", type=(str, str), metavar="FROM TO", help="UTC, as 2010-05-10 or 2010-05-10T06:30; both days included."
 )

@@ -10,6 +10,7 @@ import pytest
 
 from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.altimetry.time_scales import utc_of_tdb
+from mgsgraph.analysis.places import View
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import LOLA
 from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots
@@ -73,7 +74,7 @@ def test_lola_over_a_pair_of_lroc_nac(shared_data: Path, tmp_path: Path) -> None
     """
     folder = shared_data / "lro_nac_hadley"
     images = tuple(read_isd(folder / f"observationImage{side}.isd", side) for side in "LR")
-    seen = OrientedImages(images, [None, None])
+    seen = OrientedImages(tuple(map(View, images)))
     over = search_shots([folder / "RDR_hadley_LOLA.csv.gz"], seen, ShotChoice())
     found = over.crossings()
 
