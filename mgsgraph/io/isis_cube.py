@@ -112,7 +112,15 @@ def _files(path: Path) -> tuple[Path, Path | None]:
         return label, path
     if path.suffix.lower() == ".cub":
         return path, None
-    return path, next((path.with_suffix(end) for end in _JSON if path.with_suffix(end).is_file()), None)
+    return path, next((path.with_suffix(end) for end in _JSON if _holds_tables(path.with_suffix(end))), None)
+
+
+def _holds_tables(path: Path) -> bool:
+    """Whether there is JSON with a cube's tables, and not anything else that is called like the label."""
+    try:
+        return path.is_file() and {"instrument_position", "instrument_pointing"} <= read_json(path).keys()
+    except InputError:
+        return False
 
 
 def has_tables(path: Path, root: Block) -> bool:

@@ -296,7 +296,8 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
             "expect their sigma along the line of sight to be large"
         )
     found += _doubtful_observations(network, prediction)
-    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
+    controlled = network.surface is not None or network.stereo is not None
+    held_down = controlled or np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
     if not held_down:
         found.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"

@@ -257,7 +257,7 @@ def _place(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Arr
     """(3,) m, body-fixed; near the ellipsoid, where there is one."""
     place = cartesian(row, columns, ellipsoid)
     if ellipsoid is not None:
-        require_near(np.linalg.norm(place, keepdims=True), ellipsoid, lambda _: f"{row.where}, {columns[-1]}")
+        require_near(np.linalg.norm(place[None], axis=1), ellipsoid, lambda _: f"{row.where}, {columns[-1]}")
     return place
 
 
