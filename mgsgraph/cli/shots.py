@@ -22,12 +22,10 @@ from mgsgraph.cli.options import PATH, print_sentences
 @click.option("--margin", type=click.FloatRange(0.0), default=0.0, help="Pixels a shot may lie beside an image.")
 @click.option("--along", is_flag=True, help="Shots alone that were fired while an image was taken in which they fall.")
 @click.option("--version", metavar="LETTER", help="Of a PEDR product, where its name doesn't say.")
-@click.option("--leap-seconds", type=PATH, metavar="KERNEL", help="For PEDR tables with UTC alone.")
 @click.option("--out", type=PATH, metavar="CSV", help="File for the selection, which a case takes as [[shots]] file.")
 def shots(
     files: tuple[Path, ...], case: Path, names: tuple[str, ...], dates: tuple[str, str] | None, quality: str,
-    off_nadir: float | None, margin: float, along: bool, version: str | None, leap_seconds: Path | None,
-    out: Path | None,
+    off_nadir: float | None, margin: float, along: bool, version: str | None, out: Path | None,
 ) -> None:
     """Find the laser shots of FILES that fall in images, profile by profile, and those taken along with an image.
 
@@ -42,7 +40,7 @@ def shots(
     from mgsgraph.project.shot_search import ShotChoice, search_shots
     from mgsgraph.registration.crossing_tables import crossing_sentences, crossings_table, selection_table
 
-    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version, leap_seconds)
+    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
     seen = oriented_images(case, names)
     over = search_shots(files, seen, choice)
     found = over.crossings()

@@ -68,13 +68,13 @@ def open_view(
         grid = _terrain(wanted, path, [view.image]) if terrain is True else None
     if isinstance(terrain, Path):
         entry = TerrainInput(radius=str(Path.cwd() / terrain), reference_radius_m=reference_radius)
-        grid = as_grid(read_terrain_model(entry, terrain, [view.image], terrain_shots(entry, terrain))[0])
+        grid = as_grid(read_terrain_model(entry, terrain, [view.image], terrain_shots(entry))[0])
     return Scene(view, grid, warning)
 
 
 def _terrain(wanted: CaseInput, path: Path, images: Sequence[PushbroomImage]) -> TerrainGrid | None:
     for entry in wanted.terrain_models[:1]:
-        return as_grid(read_terrain_model(entry, path, images, terrain_shots(entry, path))[0])
+        return as_grid(read_terrain_model(entry, path, images, terrain_shots(entry))[0])
     return None
 
 
