@@ -4,6 +4,7 @@ from itertools import groupby
 
 from mgsgraph.io.cameras.camera import Camera, times_of_label
 from mgsgraph.io.cameras.table import CAMERAS
+from mgsgraph.io.stated_aberration import spacecraft_of
 
 HEAD = ("camera", "NAIF id", "first line", "line period", "constants", "positions of cubes", "attitude")
 
@@ -16,16 +17,20 @@ def _labels(camera: Camera, says: str) -> str:
 def _period(camera: Camera) -> str:
     if not camera.isis.period:
         return "formula" if camera.line_times is times_of_label else "each line's own"
+    if camera.isis.line_summing:
+        return "label, times summing"
     return "label" if camera.line_times is times_of_label else "label, corrected"
 
 
 def _cells(camera: Camera) -> tuple[str, ...]:
     """All but the camera's name and number."""
+    spacecraft = spacecraft_of(camera.spacecraft)
+    assert spacecraft is not None
     return (
         _labels(camera, "start"),
         _period(camera),
         camera.addendum + ("" if camera.instrument_kernel is None else "; IK"),
-        camera.aberration,
+        spacecraft.stated.correction,
         f"{camera.attitude_bias:g} s" if camera.attitude_bias else "",
     )
 

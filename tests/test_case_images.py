@@ -81,3 +81,21 @@ def test_faults_are_said_in_one_line(tmp_path: Path, fault: str) -> None:
     assert said in done.stderr
     assert str(tmp_path) in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "key", ["attitude_bias_s = 5.0", "focal_length_m = 1.0", 'constants = "ik"', 'line_times = "mean"']
+)
+def test_keys_that_would_change_nothing_are_refused(tmp_path: Path, key: str) -> None:
+    """A cube has its own constants and times: a case that says others would be adjusted as if it didn't."""
+    written(tmp_path)
+    with pytest.raises(InputError, match=f"{key.split()[0]} for image.cub, which is read as cube"):
+        decode(case_file(tmp_path, f'image = "image.cub"\n{key}'))
+
+
+def test_other_json_beside_a_label_is_no_table(tmp_path: Path) -> None:
+    label = tmp_path / "image.lbl"
+    label.write_bytes(written(tmp_path).read_bytes().split(b"Object = Table")[0] + b"End\n")
+    (tmp_path / "image.json").write_text('{"type": "FeatureCollection", "features": []}')
+    entry = plain_image(ImageInput(image="image.lbl"), SpiceInput(("a.bsp",)), tmp_path, "case")
+    assert entry.label == "image.lbl"

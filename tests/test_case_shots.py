@@ -21,6 +21,8 @@ def test_files_of_earlier_versions_say_mola_and_pedr(case_file: Path) -> None:
 
     assert decode(old).shots == decode(case_file).shots
     assert decode(old).shots[0].file == "profile.csv"
+    old.write_text(old.read_text(encoding="utf-8").replace("[[mola]]", '[[mola]]\nleap_seconds = "old.tls"'))
+    assert decode(old).shots == decode(case_file).shots
     found = mgsgraph.read_case(old).network
     np.testing.assert_array_equal(found.ranges.values, mgsgraph.read_case(case_file).network.ranges.values)
     both = old.with_name("both.toml")

@@ -20,6 +20,7 @@ from mgsgraph.altimetry.csv_table import CsvTable
 from mgsgraph.altimetry.places import by_pauses, positions, require_radii, unit_of_radii
 from mgsgraph.altimetry.shots import is_archive_table, read_shots, unpacked
 from mgsgraph.altimetry.tables import table_of
+from mgsgraph.altimetry.time_scales import require_years, tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic
@@ -34,7 +35,7 @@ _EXPECTED = (
 
 
 def read_altimetry_cloud(
-    path: Path, body: Ellipsoid | None = None, version: str | None = None, leap_seconds: Path | None = None
+    path: Path, body: Ellipsoid | None = None, version: str | None = None
 ) -> AltimetryCloud:
     """Read the ground returns of an altimeter.
 
@@ -46,8 +47,6 @@ def read_altimetry_cloud(
         Body on which the shots lie; a plain CSV with heights, or with a radius without unit, needs it.
     version : str, optional
         Version letter of a PEDR product, where the file's name doesn't say it.
-    leap_seconds : Path, optional
-        SPICE leap seconds kernel, needed where a file has times in UTC alone.
 
     Raises
     ------
@@ -59,9 +58,9 @@ def read_altimetry_cloud(
     content, _ = unpacked(read_bytes(path), path)
     table = table_of(content, path) if content.strip() and b"\0" not in content else None
     if table is None or is_archive_table(table) or table.names[0].startswith("pdsversionid"):
-        cloud = _cloud_of(read_shots(path, version=version, leap_seconds=leap_seconds))
+        cloud = _cloud_of(read_shots(path, version=version))
     else:
-        cloud = _plain_table(table, body, leap_seconds)
+        cloud = _plain_table(table, body)
     if body is not None:
         require_radii(np.linalg.norm(cloud.points, axis=1), body, cloud.source)
     return cloud
@@ -98,7 +97,7 @@ def _cloud_of(shots: AltimeterShots) -> AltimetryCloud:
 # --- plain CSV
 
 
-def _plain_table(table: CsvTable, body: Ellipsoid | None, leap_seconds: Path | None) -> AltimetryCloud:
+def _plain_table(table: CsvTable, body: Ellipsoid | None) -> AltimetryCloud:
     """A plain CSV; an id is the number of the line where there is no column of ids."""
     names = set(table.names)
     heights = [name for name in ("radiusm", "radiuskm", "heightm", "radius") if name in names]
@@ -113,25 +112,19 @@ def _plain_table(table: CsvTable, body: Ellipsoid | None, leap_seconds: Path | N
     else:
         where = f"{table.path}, {table.written[table.names.index(heights[0])]}"
         points = _planetocentric_points(values, heights[0], body, table.where, where)
-    times = numbers["times"] if "times" in numbers else _utc_times(table, leap_seconds)
+    times = numbers["times"] if "times" in numbers else _utc_times(table)
+    require_years(times, str(table.path))
     named = [name for name in ("profile", "orbit") if name in names]
     keys = table.texts(named[0]) if named else _profiles(table, times)
     ids = table.texts("id") if "id" in names else [str(number) for number in table.line_numbers()]
     return _in_profiles(table.path, ids, points, times, keys, float("nan"))
 
 
-def _utc_times(table: CsvTable, leap_seconds: Path | None) -> Array:
+def _utc_times(table: CsvTable) -> Array:
     """Times (n,) in s TDB past J2000 of a column of UTC; NaN where there is none."""
     if "utc" not in table.names:
         return np.full(len(table), np.nan)
-    if leap_seconds is None:
-        raise InputError(
-            f"{table.path}, header", "times in UTC alone", "a column of s past J2000, or a leap seconds kernel",
-            "give the kernel: leap_seconds = \"naif0012.tls\"",
-        )
-    from mgsgraph.io.kernels import times_of_utc  # SPICE takes half a second, which other files need not wait for
-
-    return times_of_utc(table.texts("utc"), [leap_seconds], f"{table.path}, utc")
+    return tdb_of_utc(table.texts("utc"), f"{table.path}, utc")
 
 
 def _profiles(table: CsvTable, times: Array) -> ArrayLike:

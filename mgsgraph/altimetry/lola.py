@@ -113,7 +113,7 @@ def _shots(
         return np.where((values != _NONE) & (values > 0), values * _MM, np.nan)
 
     return AltimeterShots(
-        source=str(path), orbits=crossings(times), frames=record, shots=spot, times=times + clock_bias,
+        source=str(path), orbits=crossings(times, str(path)), frames=record, shots=spot, times=times + clock_bias,
         footprints=positions(
             np.column_stack([spots["longitude"], spots["latitude"]]) * _ANGLE, spots["radius"] * _MM,
             lambda k: f"{path}, record {record[k]}, spot {spot[k]}",

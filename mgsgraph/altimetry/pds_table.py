@@ -47,6 +47,9 @@ _TYPES = {
     "msb_integer": ">i", "msb_unsigned_integer": ">u", "integer": ">i", "unsigned_integer": ">u", "ieee_real": ">f",
     "real": ">f",
 }  # fmt: skip
+_SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
+"""Bytes of a number, by the letter of its type."""
+_AS_CSV = "write a CSV with longitude_deg, latitude_deg, radius_m, time_s and range_m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,9 +125,12 @@ class _Rows:
         if found["longitude"] is None or found["latitude"] is None or (radius is None and height is None):
             raise self._unknown("longitude, latitude, and radius or topography")
         body = self._altimeter.body
-        if radius is None and body is None:
-            raise InputError(str(self.path), "heights of an unknown altimeter", "INSTRUMENT_ID = LALT, or radii")
-        above = body.equatorial if body and radius is None else 0.0
+        above = self._altimeter.height_sphere if radius is None else 0.0
+        if np.isnan(above):
+            raise InputError(
+                str(self.path), f"heights of {self._altimeter.name} without radii, above no one knows what",
+                "a column of radii, or INSTRUMENT_ID = LALT, whose heights stand above 1737.4 km", _AS_CSV,
+            )
         radii = above + self._values(radius or height)
         degrees = np.column_stack([self._values(found["longitude"]), self._values(found["latitude"])]) / DEG
         require_radii(radii, body, str(self.path))
@@ -132,8 +138,9 @@ class _Rows:
         nothing, numbers = np.full(n, np.nan), np.arange(1, n + 1)
         ranges = self._values(found["range"]) if found["range"] is not None else nothing
         return AltimeterShots(
-            source=str(self.path), orbits=crossings(times), frames=numbers, shots=np.ones(n, dtype=np.int64),
-            times=times + clock_bias, footprints=positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
+            source=str(self.path), orbits=crossings(times, str(self.path)), frames=numbers,
+            shots=np.ones(n, dtype=np.int64), times=times + clock_bias,
+            footprints=positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
             areoid_radii=nothing, ranges=np.where(ranges > 0.0, ranges, np.nan), range_corrections=nothing,
             spacecraft=np.full((n, 3), np.nan), off_nadir=nothing, ground=np.ones(n, dtype=bool),
             channels=np.zeros(n, dtype=np.int64), clocks=nothing, pulses=nothing, altimeter=self._altimeter,
@@ -142,8 +149,7 @@ class _Rows:
     def _unknown(self, expected: str) -> InputError:
         names = ", ".join(one.block.text("NAME") for one in self._columns)
         return InputError(
-            str(self.path), f"the columns {names}"[:200], expected,
-            "write a CSV with longitude_deg, latitude_deg, radius_m, time_s and range_m",
+            str(self.path), f"the columns {names}"[:200], expected, _AS_CSV,
         )
 
     def _column(self, meaning: str) -> Column | None:
@@ -164,6 +170,10 @@ class _Rows:
             kind = block.text("DATA_TYPE").lower()
             if kind not in _TYPES:
                 raise InputError(block.where("DATA_TYPE"), kind, ", ".join(_TYPES))
+            sizes = _SIZES[_TYPES[kind][1]]
+            if column.size not in sizes:
+                found = f"{kind} of {column.size} bytes"
+                raise InputError(block.where("BYTES"), found, " or ".join(map(str, sizes)), _AS_CSV)
             whole = self._rows.view(np.uint8).reshape(self._rows.size, -1)
             part = np.ascontiguousarray(whole[:, column.start : column.start + column.size])
             numbers = part.view(f"{_TYPES[kind]}{column.size}")[:, 0].astype(np.float64)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from mgsgraph.altimetry.csv_table import plain_name
 from mgsgraph.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
+from mgsgraph.altimetry.places import whole_numbers
+from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
@@ -50,7 +52,7 @@ _NOT_GROUND = 4
 
 
 def read_pedr_text(
-    path: Path, clock_bias: float = 0.0, version: str | None = None, leap_seconds: Path | None = None
+    path: Path, clock_bias: float = 0.0, version: str | None = None
 ) -> AltimeterShots:
     """Read shots from a PEDR2TAB table or a CSV file of ODE.
 
@@ -63,8 +65,6 @@ def read_pedr_text(
     version : str, optional
         Product version of the PEDR they were taken from, a letter. ODE serves version L alone; a table says it only
         by its file's name. Shots of versions before L are turned from the IAU1991 to the IAU2000 frame.
-    leap_seconds : Path, optional
-        SPICE leap seconds kernel, needed where a file has times in UTC alone.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def read_pedr_text(
     cut = _cut_csv if csv else _cut_table
     table = _ShotTable(path, np.array([number for number, _ in body]), cut(body, names, wanted, path))
     letter = IAU2000_VERSION if csv and version is None else pedr_version(path, None, version)
-    shots = _shots(table, clock_bias, leap_seconds)
+    shots = _shots(table, clock_bias)
     return in_iau2000(shots) if letter < IAU2000_VERSION else shots
 
 
@@ -123,10 +123,7 @@ class _ShotTable:
         """A column of whole numbers; zero throughout where there is no such column."""
         if name not in self.columns:
             return np.zeros(self.lines.size, dtype=np.int64)
-        values = self.within(name, 0.0, 2.0**53)
-        for k in np.flatnonzero(values % 1.0)[:1]:
-            raise InputError(f"{self.path}, line {self.lines[k]}, {name}", f"{values[k]:g}", "a whole number")
-        return values.astype(np.int64)
+        return whole_numbers(self.numbers(name), lambda k: f"{self.path}, line {self.lines[k]}, {name}")
 
     def within(self, name: str, least: float, largest: float) -> Array:
         """A column of numbers that lie between two bounds."""
@@ -199,12 +196,15 @@ def _cut_table(
     return {meaning: np.array([row[k] for row in rows]) for k, meaning in wanted.items()}
 
 
-def _shots(table: _ShotTable, clock_bias: float, leap_seconds: Path | None) -> AltimeterShots:
+def _shots(table: _ShotTable, clock_bias: float) -> AltimeterShots:
     n = table.lines.size
     longitude = table.within("longitude", -360.0, 360.0) * DEG
     latitude = table.within("latitude", -90.0, 90.0) * DEG
     radius = table.within("radius", 3.3e6, 3.5e6)
-    times = table.numbers("time") if "time" in table.columns else _from_utc(table, leap_seconds)
+    if "time" in table.columns:
+        times = table.numbers("time")
+    else:
+        times = tdb_of_utc(table.columns["utc"].tolist(), f"{table.path}, UTC")
     ranges = table.numbers("range")
     areoid = table.numbers("areoid")
     areoid = np.where(np.isnan(areoid), radius - table.numbers("topography"), areoid)
@@ -230,17 +230,3 @@ def _shots(table: _ShotTable, clock_bias: float, leap_seconds: Path | None) -> A
         clocks=np.full(n, np.nan),
         pulses=np.full(n, np.nan),  # in what unit PEDR2TAB writes Sigopt is not known
     )
-
-
-def _from_utc(table: _ShotTable, leap_seconds: Path | None) -> Array:
-    """Times (n,) in s TDB past J2000 of the column UTC."""
-    if leap_seconds is None:
-        raise InputError(
-            f"{table.path}, header", "times in UTC alone", "a column EphemerisTime, or a leap seconds kernel",
-            "give the kernel (naif0012.tls), or ask ODE for a file with the ephemeris time",
-        )
-    from mgsgraph.io.kernels import (
-        times_of_utc,  # SPICE: half a second, which files with ephemeris times need not wait for
-    )
-
-    return times_of_utc(table.columns["utc"].tolist(), [leap_seconds], f"{table.path}, UTC")

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mgsgraph.altimetry.time_scales import utc_of_tdb
+from mgsgraph.altimetry.time_scales import require_years, utc_of_tdb
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.records import Array, Index
@@ -45,6 +45,13 @@ def positions(angles: Array, radii: Array, where: Callable[[int], str]) -> Array
     return from_planetocentric(np.column_stack([angles * DEG, radii]))
 
 
+def whole_numbers(values: Array, where: Callable[[int], str], largest: float = 2.0**32) -> Index:
+    """Values (n,) as the whole numbers from 0 that they must be; `where` names the k-th in errors."""
+    for k in np.flatnonzero(~((values >= 0.0) & (values <= largest)) | (values % 1.0 != 0.0))[:1]:
+        raise InputError(where(int(k)), f"{values[k]:g}", f"a whole number, 0 .. {largest:g}")
+    return values.astype(np.int64)
+
+
 def by_pauses(times: Array) -> tuple[Index, Index]:
     """Number (n,) from 0 of each shot's profile, and the first shot (p,) of each: a pause lies between two profiles."""
     order = np.argsort(times, kind="stable")
@@ -54,8 +61,12 @@ def by_pauses(times: Array) -> tuple[Index, Index]:
     return numbers, order[begins]
 
 
-def crossings(times: Array) -> Index:
-    """Number (n,) of each shot's crossing between pauses: year to minute (UTC) in which it began."""
+def crossings(times: Array, source: str) -> Index:
+    """Number (n,) of each shot's crossing between pauses: year to minute (UTC) in which it began.
+
+    InputError names the `source` of times (s TDB past J2000) that can't be.
+    """
+    require_years(times, source)
     numbers, first = by_pauses(times)
     minutes = [int(f"{utc_of_tdb(times[k]):%Y%m%d%H%M}") for k in first.tolist()]
     return np.array(minutes, dtype=np.int64)[numbers]

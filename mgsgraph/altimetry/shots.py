@@ -23,7 +23,7 @@ from mgsgraph.io.files import read_bytes
 
 
 def read_shots(
-    path: Path, clock_bias: float = 0.0, version: str | None = None, leap_seconds: Path | None = None
+    path: Path, clock_bias: float = 0.0, version: str | None = None
 ) -> AltimeterShots:
     """Shots of an altimeter, ground or not, in the file's order.
 
@@ -35,8 +35,6 @@ def read_shots(
         s, added to the times of the shots (the footprints stay where the archive has them).
     version : str, optional
         Version letter of a PEDR product, where the file's name doesn't say it.
-    leap_seconds : Path, optional
-        SPICE leap seconds kernel, for PEDR tables with UTC alone.
 
     Raises
     ------
@@ -45,7 +43,7 @@ def read_shots(
         missing; a value that is no number or can't be; radii in no unit in which they are the body's, ranges in another
         than the way from the spacecraft, where the file has that.
     """
-    shots = _as_read(path, clock_bias, version, leap_seconds)
+    shots = _as_read(path, clock_bias, version)
     ways = np.linalg.norm(shots.spacecraft - shots.footprints, axis=1)
     known = np.isfinite(ways) & np.isfinite(shots.ranges)
     if np.any(known):
@@ -53,7 +51,7 @@ def read_shots(
     return shots
 
 
-def _as_read(path: Path, clock_bias: float, version: str | None, leap_seconds: Path | None) -> AltimeterShots:
+def _as_read(path: Path, clock_bias: float, version: str | None) -> AltimeterShots:
     content, packed = unpacked(read_bytes(path), path)
     if not content.strip():
         raise InputError(str(path), "an empty file", "laser shots")
@@ -78,7 +76,7 @@ def _as_read(path: Path, clock_bias: float, version: str | None, leap_seconds: P
     if is_selection(table):
         return read_selection(table, clock_bias)
     _require_unpacked(packed, path)
-    return read_pedr_text(path, clock_bias, version, leap_seconds)
+    return read_pedr_text(path, clock_bias, version)
 
 
 def is_archive_table(table: CsvTable) -> bool:

@@ -17,16 +17,16 @@ import numpy as np
 
 from mgsgraph.altimetry.csv_table import CsvTable
 from mgsgraph.altimetry.lola import INVALID
-from mgsgraph.altimetry.places import crossings, positions, unit_of_radii
-from mgsgraph.altimetry.time_scales import tdb_of_tt, tdb_of_utc
+from mgsgraph.altimetry.places import crossings, positions, unit_of_radii, whole_numbers
+from mgsgraph.altimetry.time_scales import require_years, tdb_of_tt, tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.units import DEG, KM
+from mgsgraph.units import DEG, KM, SPEED_OF_LIGHT
 
-_HALF_LIGHT = 0.5e-9 * 299_792_458.0
+_HALF_LIGHT = 0.5e-9 * SPEED_OF_LIGHT
 """m of one way in a ns of both."""
 
 
@@ -130,14 +130,21 @@ def shots_of_table(table: Columns, layout: Layout, clock_bias: float) -> Altimet
     places = positions(angles, np.where(there, radii, 1.0) * length, table.where)
     spacecraft = [value(f"spacecraft {one}") for one in ("longitude", "latitude", "radius")]
     ranges = value("flight") if column("flight") is not None else value("range")
-    frames, shots = _numbers_of(table, column("second"), column("frame"), column("spot"))
+
+    def whole(meaning: str) -> Index | None:
+        found = column(meaning)
+        return None if found is None else whole_numbers(found, lambda k: f"{table.where(k)}, {names[meaning]}")
+
+    frames, shots = _numbers_of(table, whole("second"), whole("frame"), whole("spot"))
+    channels = whole("channel")
     found = AltimeterShots(
-        source=str(table.path), orbits=crossings(times), frames=frames, shots=shots, times=times + clock_bias,
-        footprints=places, areoid_radii=value("geoid"), ranges=np.where(ranges > 0.0, ranges, np.nan),
-        range_corrections=np.full(radii.size, np.nan), spacecraft=from_planetocentric(np.column_stack(spacecraft)),
-        off_nadir=value("off nadir"), ground=_ground(column("flag"), column("channel"), radii.size),
-        channels=_whole(column("channel"), radii.size), clocks=np.full(radii.size, np.nan),
-        pulses=np.full(radii.size, np.nan), altimeter=layout.altimeter,
+        source=str(table.path), orbits=crossings(times, str(table.path)), frames=frames, shots=shots,
+        times=times + clock_bias, footprints=places, areoid_radii=value("geoid"),
+        ranges=np.where(ranges > 0.0, ranges, np.nan), range_corrections=np.full(radii.size, np.nan),
+        spacecraft=from_planetocentric(np.column_stack(spacecraft)),
+        off_nadir=value("off nadir"), ground=_ground(whole("flag"), channels, radii.size),
+        channels=np.zeros(radii.size, dtype=np.int64) if channels is None else channels,
+        clocks=np.full(radii.size, np.nan), pulses=np.full(radii.size, np.nan), altimeter=layout.altimeter,
     )  # fmt: skip
     return found if np.all(there) else found.chosen(there)
 
@@ -154,25 +161,21 @@ def _times(table: Columns, tdb: Array | None, tt: Array | None, names: Mapping[s
 
 
 def _numbers_of(
-    table: Columns, seconds: Array | None, frames: Array | None, spots: Array | None
+    table: Columns, seconds: Index | None, frames: Index | None, spots: Index | None
 ) -> tuple[Index, Index]:
     if seconds is not None and frames is not None and spots is not None:
-        return (seconds * 100.0 + frames).astype(np.int64), spots.astype(np.int64)
+        return seconds * 100 + frames, spots
     lines = np.array(table.line_numbers(), dtype=np.int64)
     return lines, np.ones(lines.size, dtype=np.int64)
 
 
-def _ground(flags: Array | None, channels: Array | None, n: int) -> Mask:
+def _ground(flags: Index | None, channels: Index | None, n: int) -> Mask:
     ground = np.ones(n, dtype=bool)
     if flags is not None:
-        ground &= flags.astype(np.int64) & INVALID == 0
+        ground &= flags & INVALID == 0
     if channels is not None:
         ground &= channels < _NOISE_CHANNEL
     return ground
-
-
-def _whole(values: Array | None, n: int) -> Index:
-    return np.zeros(n, dtype=np.int64) if values is None else values.astype(np.int64)
 
 
 # --- our own selections
@@ -203,8 +206,13 @@ def read_selection(table: CsvTable, clock_bias: float) -> AltimeterShots:
     }
     angles = np.column_stack([needed["longitudedeg"], needed["latitudedeg"]])
     lines = {"frames": np.array(table.line_numbers()), "shots": np.ones(n)}
-    whole = {name: _whole(needed.get(column, lines.get(name)), n) for column, name in _OWN.items()}
-    known: dict[str, Any] = whole | gaps
+
+    def whole(column: str, name: str) -> Index:
+        values = needed.get(column, lines.get(name, np.zeros(n)))
+        return whole_numbers(values, lambda k: f"{table.where(k)}, {column}", 2.0**53)
+
+    require_years(needed["times"], table.called("times"))
+    known: dict[str, Any] = {name: whole(column, name) for column, name in _OWN.items()} | gaps
     return AltimeterShots(
         source=str(table.path), times=needed["times"] + clock_bias,
         footprints=positions(angles, needed["radiusm"], table.where),

@@ -1,9 +1,10 @@
 """Times of an archive in s TDB past J2000: terrestrial time as LOLA's records have it, UTC as tables write it.
 
 The difference of TDB and TT is the term of one year that SPICE has (leap seconds kernel: DELTET/K, EB, M), 1.7 ms: to a
-spacecraft 2.7 m of its way. The leap seconds are those of IERS Bulletin C up to now.
+spacecraft 2.7 m of its way. The leap seconds are those of IERS Bulletin C from 1972 up to now.
 """
 
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 
@@ -15,41 +16,67 @@ from mgsgraph.geometry.records import Array
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 _TT_OF_TAI = 32.184
 _TERM, _ECCENTRICITY, _ANOMALY, _MOTION = 1.657e-3, 1.671e-2, 6.239996, 1.99096871e-7
+_FIRST_LEAPS = 10
+"""TAI minus UTC in s from 1972 on."""
 _LEAPS = (
-    (32, datetime(1999, 1, 1, tzinfo=UTC)), (33, datetime(2006, 1, 1, tzinfo=UTC)),
-    (34, datetime(2009, 1, 1, tzinfo=UTC)), (35, datetime(2012, 7, 1, tzinfo=UTC)),
-    (36, datetime(2015, 7, 1, tzinfo=UTC)), (37, datetime(2017, 1, 1, tzinfo=UTC)),
-)
-"""TAI minus UTC in s, and from when on."""
+    "1972-01", "1972-07", "1973-01", "1974-01", "1975-01", "1976-01", "1977-01", "1978-01", "1979-01", "1980-01",
+    "1981-07", "1982-07", "1983-07", "1985-07", "1988-01", "1990-01", "1991-01", "1992-07", "1993-07", "1994-07",
+    "1996-01", "1997-07", "1999-01", "2006-01", "2009-01", "2012-07", "2015-07", "2017-01",
+)  # fmt: skip
+"""Months from whose first day on that difference is one second more than before."""
+_STARTS = np.array([(datetime.fromisoformat(f"{month}-01T00:00Z") - _J2000).total_seconds() for month in _LEAPS])
+"""s UTC past J2000 of these days."""
+_UTC = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d*)?))?Z?")
+"""Year, month and day or day of the year, hour, minute, second."""
+_YEARS = (-1.0e9, 3.2e9)
+"""s past J2000 between which times are those of a spacecraft: 1968 to 2101."""
 
 
 def tdb_of_tt(times: Array) -> Array:
     """S TDB past J2000 of times (n,) in s TT past J2000."""
+    return np.asarray(times + _yearly_term(times))
+
+
+def _yearly_term(times: Array) -> Array:
+    """S of TDB - TT at times (n,) in either: it changes by 3e-13 s within itself."""
     anomaly = _ANOMALY + _MOTION * times
-    return np.asarray(times + _TERM * np.sin(anomaly + _ECCENTRICITY * np.sin(anomaly)))
+    return np.asarray(_TERM * np.sin(anomaly + _ECCENTRICITY * np.sin(anomaly)))
 
 
 def tdb_of_utc(texts: Sequence[str], where: str) -> Array:
-    """S TDB past J2000 of times such as 2009-09-06T07:50:38.773, from 1999 on; InputError names `where`."""
+    """S TDB past J2000 of times such as 2009-09-06T07:50:38.773, from 1972 on; InputError names `where`."""
+    minutes, seconds = np.array([_minute_and_second(text, where) for text in texts]).reshape(-1, 2).T
+    leaps = np.searchsorted(_STARTS, minutes, side="right") - 1
+    return tdb_of_tt(minutes + seconds + leaps + _FIRST_LEAPS + _TT_OF_TAI)
+
+
+def _minute_and_second(text: str, where: str) -> tuple[float, float]:
+    """S UTC past J2000 of a time's minute, and its seconds; a leap second is the sixtieth."""
+    found = _UTC.fullmatch(text.strip())
     try:
-        wholes = [datetime.fromisoformat(text.strip()[:19]).replace(tzinfo=UTC) for text in texts]
-        parts = [float(f"0{text.strip().removesuffix('Z')[19:]}") for text in texts]
-        seconds = [(one - _J2000).total_seconds() + _leaps(one) for one in wholes]
-    except ValueError:
-        expected = "UTC such as 2009-09-06T07:50:38.773, from 1999 on"
-        raise InputError(where, "times that can't be read", expected) from None
-    return tdb_of_tt(np.array(seconds) + np.array(parts) + _TT_OF_TAI)
+        if found is None:
+            raise ValueError(text)
+        year, month, day, of_year, hour, minute, second = found.groups(default="")
+        when = datetime(int(year), int(month or 1), int(day or 1), int(hour), int(minute), tzinfo=UTC)
+        when += timedelta(days=int(of_year or 1) - 1)
+        past = (when - _J2000).total_seconds()
+        if when.year != int(year) or past < _STARTS[0] or float(second or 0.0) >= 61.0:
+            raise ValueError(text)
+    except (ValueError, OverflowError):
+        expected = "UTC such as 2009-09-06T07:50:38.773, from 1972 on"
+        raise InputError(where, f"a time that can't be read: {text.strip()[:40]!r}", expected) from None
+    return past, float(second or 0.0)
 
 
 def utc_of_tdb(time: float) -> datetime:
-    """UTC of a time in s TDB past J2000, from 1999 on, to some milliseconds."""
-    tai = _J2000 + timedelta(seconds=time - _TT_OF_TAI)
-    passed = [leap for leap, start in _LEAPS if start + timedelta(seconds=leap) <= tai]
-    return tai - timedelta(seconds=passed[-1] if passed else _LEAPS[0][0])
+    """UTC of a time in s TDB past J2000, from 1972 on."""
+    tai = time - float(_yearly_term(np.asarray(time))) - _TT_OF_TAI
+    leaps = np.searchsorted(_STARTS + np.arange(_STARTS.size) + _FIRST_LEAPS, tai, side="right") - 1
+    return _J2000 + timedelta(seconds=tai - max(int(leaps), 0) - _FIRST_LEAPS)
 
 
-def _leaps(when: datetime) -> int:
-    passed = [leap for leap, start in _LEAPS if start <= when]
-    if not passed:
-        raise ValueError(when)
-    return passed[-1]
+def require_years(times: Array, source: str) -> None:
+    """Raise InputError unless times (n,) in s past J2000 (NaN where unknown) are those of spacecraft."""
+    for k in np.flatnonzero((times < _YEARS[0]) | (times > _YEARS[1]))[:1]:
+        found, expected = f"a time of {times[k]:g} s past J2000", f"{_YEARS[0]:g} .. {_YEARS[1]:g} s, 1968 to 2101"
+        raise InputError(source, found, expected, "check the unit of the times")

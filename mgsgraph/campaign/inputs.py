@@ -126,13 +126,10 @@ def _named(wanted: CaseInput, folder: Path) -> Iterator[str]:
     yield from (group.file for group in wanted.laser_groups)
     yield from (profile.file for profile in wanted.shots)
     yield from (cloud.file for cloud in wanted.altimetry)
-    for stated in ([one.leap_seconds for one in wanted.shots], [one.leap_seconds for one in wanted.altimetry]):
-        yield from (name for name in stated if name is not None)
     for terrain in wanted.terrain_models:
         for several in (terrain.radius, terrain.tracks):
             yield from (several,) if isinstance(several, str) else several
-        others = (terrain.topography, terrain.areoid, terrain.leap_seconds)
-        yield from (name for name in others if name is not None)
+        yield from (name for name in (terrain.topography, terrain.areoid) if name is not None)
         yield from () if terrain.counts is True else count_files(terrain, folder)
 
 

@@ -36,7 +36,7 @@ from mgsgraph.network import (
 from mgsgraph.network.observations import nominal_ground, require_inside
 from mgsgraph.network.shared import off_nadir
 from mgsgraph.network.terrain_control import coverage, terrain_ground
-from mgsgraph.registration.footprints import footprints_in_images, points_in_images
+from mgsgraph.registration.footprints import Registration, footprints_in_images, points_in_images
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG, MRAD
 
@@ -45,6 +45,57 @@ _BEAM_SIGMA = 0.25
 100 m (Kirk et al. 2002), seen from 400 km."""
 _OFF_NADIR = 2.0 * DEG
 """From which that is an unknown by default: it lifts footprints by range * beam * sin(off-nadir), 3.5 m at 400 km."""
+
+
+def shots_in_images(images: Sequence[PushbroomImage], shots: AltimeterShots) -> tuple[Registration, Mask]:
+    """Where shots fall in images, and which of them (n,) can be used: returns from the ground with a range.
+
+    InputError where they are on another body than the first image's.
+    """
+    require_on_body(shots.footprints, images[0].body.equatorial, shots.source)
+    return footprints_in_images(tuple(images), shots), shots.ground & np.isfinite(shots.ranges)
+
+
+def laser_profile(
+    taken: AltimeterShots, name: str, wanted: ShotsInput, image: PushbroomImage | None
+) -> LaserProfile:
+    """Shots as observations with the sigmas that are wanted, or else those of their altimeter.
+
+    Parameters
+    ----------
+    taken : AltimeterShots
+        All of which have a range.
+    name : str
+        Of the profile, put before theirs.
+    wanted : ShotsInput
+        Sigmas, and whether ranges are used.
+    image : PushbroomImage, optional
+        Taken along with the shots, whose orientation carries the ranges.
+
+    Raises
+    ------
+    InputError
+        Ranges that are not the distances from the image's trajectory, by their unit; an altimeter without sigmas.
+    """
+    wanted = wanted.settled(taken.altimeter, taken.source)
+    assert wanted.range_sigma_m is not None
+    assert wanted.ground_sigma_m is not None
+    if image is not None:
+        _require_ranges(image, taken.times, taken.footprints, taken.ranges, taken.source)
+    ranged = image.name if image is not None and wanted.ranges else None
+    return taken.profile(
+        wanted.range_sigma_m, wanted.ground_sigma_m, ranged, name, wanted.height_sigma_m, wanted.pulse_share,
+        ranged=ranged is not None,
+    )  # fmt: skip
+
+
+def _require_ranges(image: PushbroomImage, times: Array, footprints: Array, ranges: Array, source: str) -> None:
+    """Raise InputError where ranges are not the distances from an image's trajectory, by their unit."""
+    lines = image.timing.lines(times - image.trajectory.epoch)
+    within = (lines >= 0.0) & (lines <= image.lines)
+    if np.any(within):
+        distances = np.linalg.norm(footprints[within] - image.pose(lines[within]).position, axis=1)
+        require_lengths(ranges[within], distances, "ranges", source)
 
 
 class Parts:
@@ -98,7 +149,7 @@ class Parts:
             for k in sorted(set(image.tolist())):
                 mine = shot[image == k]
                 ground = profile.footprints[mine]
-                self._require_ranges(k, profile.times[mine], ground, profile.ranges[mine], profile.source)
+                _require_ranges(self.images[k], profile.times[mine], ground, profile.ranges[mine], profile.source)
             own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
             self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
 
@@ -107,12 +158,7 @@ class Parts:
         and, if asked for, back-projected image coordinates. Returns the shots taken: all but the check points. Images
         in `pointed` have an altimeter's boresight already.
         """
-        require_on_body(shots.footprints, self.images[0].body.equatorial, shots.source)
-        wanted = wanted.settled(shots.altimeter, shots.source)
-        assert wanted.range_sigma_m is not None
-        assert wanted.ground_sigma_m is not None
-        seen = footprints_in_images(self.images, shots)
-        usable = shots.ground & np.isfinite(shots.ranges)
+        seen, usable = shots_in_images(self.images, shots)
         if wanted.image:
             owner: int | None = self._image(wanted.image, shots.source)
         else:
@@ -129,13 +175,8 @@ class Parts:
         if wanted.check_every is not None:
             usable[np.flatnonzero(usable)[wanted.check_every - 1 :: wanted.check_every]] = False
         taken = shots.chosen(usable)
-        if owner is not None:
-            self._require_ranges(owner, taken.times, taken.footprints, taken.ranges, taken.source)
         name = Path(shots.source).stem
-        profile = taken.profile(
-            wanted.range_sigma_m, wanted.ground_sigma_m, name=name, height_sigma=wanted.height_sigma_m,
-            pulse_share=wanted.pulse_share, ranged=owner is not None and wanted.ranges,
-        )  # fmt: skip
+        profile = laser_profile(taken, name, wanted, None if owner is None else self.images[owner])
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
@@ -161,15 +202,6 @@ class Parts:
             self.footprints[full] = taken.altimeter.spot(taken.ranges)
             if wanted.drift_sigma_m is not None:
                 self.shared.append(SharedUnknown.of_drift(full, wanted.drift_sigma_m))
-
-    def _require_ranges(self, image: int, times: Array, footprints: Array, ranges: Array, source: str) -> None:
-        """Raise InputError where ranges are not the distances from an image's trajectory, by their unit."""
-        taken = self.images[image]
-        lines = taken.timing.lines(times - taken.trajectory.epoch)
-        within = (lines >= 0.0) & (lines <= taken.lines)
-        if np.any(within):
-            distances = np.linalg.norm(footprints[within] - taken.pose(lines[within]).position, axis=1)
-            require_lengths(ranges[within], distances, "ranges", source)
 
     def _add_beam(
         self, name: str, taken: AltimeterShots, wanted: ShotsInput, owner: int | None, pointed: frozenset[str]

@@ -15,6 +15,11 @@ from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
 
 _MOLA = re.compile(r"^(\s*\[\[\s*)mola(\s*\]\])", re.MULTILINE)
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
+_OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
+    "kernels": ("label",), "constants": ("label",), "focal_length_m": ("label",), "attitude_bias_s": ("label",),
+    "position_bias_s": ("label",), "line_times": ("label",), "aberration": ("isd", "cube"), "observer": ("isd", "cube"),
+}  # fmt: skip
+"""Keys that say something of files of some kinds alone."""
 
 
 def decode(path: Path) -> CaseInput:
@@ -35,7 +40,7 @@ def decode(path: Path) -> CaseInput:
     first = dict[str, ImageInput]()
     for image in images:
         if (twin := first.setdefault(image.name, image)) is not image:
-            found = f"the name {image.name!r} for {_file(twin)} and for {_file(image)}"
+            found = f"the name {image.name!r} for {image_file(twin)} and for {image_file(image)}"
             raise InputError(f"{path}, images", found, "each image once", "rename one of the two, or take it out")
     return msgspec.structs.replace(wanted, images=tuple(images))
 
@@ -58,13 +63,22 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
         kernels = entry.kernels or (spice.kernels if spice else ())
         kind = image_kind(folder / entry.image, bool(entry.kernels), bool(kernels))
         entry = msgspec.structs.replace(entry, image=None, **{kind: entry.image})
-    if entry.name:
-        return entry
     kind = next(key for key in _FILES if getattr(entry, key) is not None)
-    return msgspec.structs.replace(entry, name=image_name(folder / _file(entry), kind))
+    _require_heeded(entry, kind, where)
+    return entry if entry.name else msgspec.structs.replace(entry, name=image_name(folder / image_file(entry), kind))
 
 
-def _file(entry: ImageInput) -> str:
+def _require_heeded(entry: ImageInput, kind: ImageKind, where: str) -> None:
+    """Raise InputError for a key that has no meaning for this kind of file: it would change nothing, unsaid."""
+    untold = ImageInput()
+    for key, kinds in _OF_KINDS.items():
+        if kind not in kinds and getattr(entry, key) != getattr(untold, key):
+            found = f"{key} for {image_file(entry)}, which is read as {kind}"
+            raise InputError(where, found, f"it for {' or '.join(kinds)}", "take it out")
+
+
+def image_file(entry: ImageInput) -> str:
+    """The file that says an image's geometry, as its plain entry has it."""
     return next(str(getattr(entry, key)) for key in _FILES if getattr(entry, key) is not None)
 
 

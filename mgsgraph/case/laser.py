@@ -9,6 +9,9 @@ from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import Altimeter
 
+_TIMED = ("mola", "shots", "altimetry", "terrain")
+"""Tables that had a key `leap_seconds`."""
+
 
 class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Laser shots in a file of ISIS, and the sigmas that they get."""
@@ -63,8 +66,6 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """PEDR version letter, where the file's name doesn't say."""
     clock_bias_s: float = 0.0
     """Added to the shots' times."""
-    leap_seconds: str | None = None
-    """Leap seconds kernel, for tables with UTC alone."""
 
     def settled(self, altimeter: Altimeter, source: str) -> "ShotsInput":
         """The same with the altimeter's sigmas where none are stated; InputError names `source` where it has none."""
@@ -72,12 +73,16 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         usual = {"range_sigma_m": altimeter.range_sigma, "ground_sigma_m": altimeter.ground_sigma}
         sigmas = {key: usual[key] if value is None else value for key, value in stated.items()}
         for key in [key for key, value in sigmas.items() if np.isnan(value)][:1]:
-            raise InputError(source, f"no {key}, and none published for {altimeter.name}", f"{key} in [[shots]]")
+            found = f"no {key}, and none published for {altimeter.name}"
+            raise InputError(source, found, f"{key} in [[shots]], shot_{key} in a project's [measures]")
         return msgspec.structs.replace(self, **sigmas)
 
 
 def of_today(table: dict[str, Any]) -> dict[str, Any]:
-    """The tables of a case file with those of [[mola]], as earlier versions call them, among [[shots]]."""
+    """The tables of a case file with those of [[mola]], as earlier versions call them, among [[shots]], and without the
+    leap seconds kernels that laser shots in UTC needed.
+    """
+    table = {key: _without_leap_seconds(value) if key in _TIMED else value for key, value in table.items()}
     old = table.get("mola")
     if not isinstance(old, list):
         return table
@@ -87,6 +92,12 @@ def of_today(table: dict[str, Any]) -> dict[str, Any]:
     ]
     others = {key: value for key, value in table.items() if key != "mola"}
     return others | {"shots": [*renamed, *table.get("shots", ())]}
+
+
+def _without_leap_seconds(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_without_leap_seconds(one) for one in value]
+    return {key: one for key, one in value.items() if key != "leap_seconds"} if isinstance(value, dict) else value
 
 
 class AltimetryInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -109,5 +120,3 @@ class AltimetryInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Shots are taken that lie in an image or so many pixels beside it."""
     version: str | None = None
     """PEDR version letter, where the file's name doesn't say."""
-    leap_seconds: str | None = None
-    """Leap seconds kernel, for files with UTC alone."""

@@ -275,8 +275,7 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
 
 def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
     """Shots of a profile as a case states it."""
-    leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
-    return read_shots(folder / entry.file, entry.clock_bias_s, entry.version, leap_seconds)
+    return read_shots(folder / entry.file, entry.clock_bias_s, entry.version)
 
 
 def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
@@ -284,8 +283,7 @@ def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> Alti
     from mgsgraph.altimetry.cloud import read_altimetry_cloud
 
     path = folder / entry.file
-    leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
-    cloud = read_altimetry_cloud(path, body, entry.version, leap_seconds)
+    cloud = read_altimetry_cloud(path, body, entry.version)
     if entry.footprint_m is not None:
         return replace(cloud, footprint=entry.footprint_m)
     if np.isnan(cloud.footprint):
@@ -308,7 +306,7 @@ def _read_terrain(
             found = "shift = false, a tilt, tracks or control = false in a terrain model after the first"
             expected = "a grid with an unknown horizontal place: tie points lie on the first model alone"
             raise InputError(f"{path}, terrain[{k}]", found, expected)
-        model, beneath = read_terrain_model(entry, path, images, terrain_shots(entry, path))
+        model, beneath = read_terrain_model(entry, path, images, terrain_shots(entry))
         if k == 0:
             radii, areoid = as_grid(model) if entry.control else None, beneath
         if entry.cells:
@@ -322,7 +320,6 @@ def model_name(entry: TerrainInput) -> str:
     return entry.name or Path(entry.grids[0]).stem
 
 
-def terrain_shots(entry: TerrainInput, path: Path) -> Callable[[Path], AltimeterShots]:
+def terrain_shots(entry: TerrainInput) -> Callable[[Path], AltimeterShots]:
     """How the tracks of a case's terrain model are read."""
-    leap_seconds = path.parent / entry.leap_seconds if entry.leap_seconds else None
-    return lambda file: read_shots(file, version=entry.version, leap_seconds=leap_seconds)
+    return lambda file: read_shots(file, version=entry.version)

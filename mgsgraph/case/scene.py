@@ -102,7 +102,7 @@ def _ground(
     body = images[0].body
     terrain: TerrainGrid | None = None
     for model in wanted.terrain_models[:1]:
-        terrain = as_grid(read_terrain_model(model, path, images, terrain_shots(model, path))[0])
+        terrain = as_grid(read_terrain_model(model, path, images, terrain_shots(model))[0])
     chart = _chart(images, height or 0.0)
     seen = _heights(wanted, images, path, terrain) if height is None else np.array([height])
     if seen.size == 0:

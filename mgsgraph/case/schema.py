@@ -168,8 +168,6 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Step of the grid that the tracks are laid out on."""
     version: str | None = None
     """PEDR version letter of the tracks, where their names don't say."""
-    leap_seconds: str | None = None
-    """Leap seconds kernel, for tracks as tables with UTC alone."""
 
     @property
     def grids(self) -> tuple[str, ...]:

@@ -43,10 +43,13 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
     Of a CASE without measures, the images and which of them overlap.
     """
     from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import word_of_compiling
     from mgsgraph.reports.inventory import images_inventory, inventory
 
-    said = images_inventory(case) if ties is None else None
-    click.echo(said or inventory(read_case(case, not no_laser, ties)))
+    with word_of_compiling():
+        said = images_inventory(case) if ties is None else None
+        said = said or inventory(read_case(case, not no_laser, ties))
+    click.echo(said)
 
 
 @click.command()

@@ -103,7 +103,7 @@ def _print_lost(lost: tuple[str, ...]) -> None:
 @click.option("--to", "target", type=click.Choice([one.value for one in Target]), required=True, help="Export target.")
 @click.option("--out", type=PATH, required=True, help="Folder for the files; made anew.")
 @click.option("--scaled", is_flag=True, help="Covariances times sigma0 squared, as jigsaw's; else for sigma0 = 1.")
-@click.option("--case", type=PATH, help="The case, for what its image support data say besides geometry (csm, asp).")
+@click.option("--case", type=PATH, help="The case: its images' files give names and more (csm, asp).")
 @click.option(
     "--network", "networks", type=PATH, multiple=True,
     help="Network that the points were read from, where it isn't where it was (isis); may be repeated."
@@ -121,16 +121,15 @@ def export(
     from mgsgraph.export.solution_export import ExportSettings, export_solution
     from mgsgraph.project.reading import results_of
 
-    support = None
+    support, files = None, dict[str, str]()
     if case is not None:
-        from mgsgraph.case.case_file import decode
-        from mgsgraph.errors import InputError
+        from mgsgraph.case.case_file import decode, image_file
 
-        support = {image.name: case.parent / image.isd for image in decode(case).images if image.isd is not None}
-        if not support:
-            raise InputError(str(case), "no image with support data (isd)", "some to take over", "leave --case out")
+        images = decode(case).images
+        support = {image.name: case.parent / image.isd for image in images if image.isd is not None}
+        files = {image.name: Path(image.pixels or image_file(image)).name for image in images}
     results = results_of(solution)
-    done = export_solution(results.folder, target, out, ExportSettings(scaled, support, networks, raster))
+    done = export_solution(results.folder, target, out, ExportSettings(scaled, support, files, networks, raster))
     print_sentences(filter(None, (results.warning, done.statement, *done.notes)))
     click.echo(f"The files are in {out}")
 

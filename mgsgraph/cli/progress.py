@@ -73,6 +73,22 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
             bar.close()
 
 
+@contextmanager
+def word_of_compiling() -> Iterator[None]:
+    """Say what takes long where nothing shows it: the first run after an installation."""
+    timer = threading.Timer(_EXPLAIN_AFTER, _explain)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _explain() -> None:
+    click.echo("the first run after an installation compiles the numeric kernel: about a minute, once", err=True)
+
+
 def passing_word(sentence: str) -> None:
     """A sentence while something is under way, above its bar; on standard error, where that is a terminal."""
     if sys.stderr.isatty():
@@ -111,7 +127,7 @@ class IterationBar:
     def explain(self) -> None:
         """Say why nothing has moved yet."""
         if not self._moved:
-            click.echo("compiling the numeric kernel: once per installation, about a minute", err=True)
+            _explain()
 
     def close(self) -> None:
         """Take the bar away."""

@@ -10,7 +10,8 @@ from mgsgraph.cli.options import PATH, print_sentences
 @click.command()
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES...")
 @click.option("--case", type=PATH, required=True, metavar="CASE|RESULT", help="Whose images; a project's, too.")
-@click.option("--image", "names", multiple=True, metavar="NAME", help="One image alone; may be repeated.")
+@click.option("--image", "names", multiple=True, metavar="NAME",
+    help="One image alone, by its name or a part of it that no other has; may be repeated.")
 @click.option(
     "--dates", type=(str, str), metavar="FROM TO", help="UTC, as 2010-05-10 or 2010-05-10T06:30; both days included."
 )
@@ -22,12 +23,10 @@ from mgsgraph.cli.options import PATH, print_sentences
 @click.option("--margin", type=click.FloatRange(0.0), default=0.0, help="Pixels a shot may lie beside an image.")
 @click.option("--along", is_flag=True, help="Shots alone that were fired while an image was taken in which they fall.")
 @click.option("--version", metavar="LETTER", help="Of a PEDR product, where its name doesn't say.")
-@click.option("--leap-seconds", type=PATH, metavar="KERNEL", help="For PEDR tables with UTC alone.")
 @click.option("--out", type=PATH, metavar="CSV", help="File for the selection, which a case takes as [[shots]] file.")
 def shots(
     files: tuple[Path, ...], case: Path, names: tuple[str, ...], dates: tuple[str, str] | None, quality: str,
-    off_nadir: float | None, margin: float, along: bool, version: str | None, leap_seconds: Path | None,
-    out: Path | None,
+    off_nadir: float | None, margin: float, along: bool, version: str | None, out: Path | None,
 ) -> None:
     """Find the laser shots of FILES that fall in images, profile by profile, and those taken along with an image.
 
@@ -42,7 +41,7 @@ def shots(
     from mgsgraph.project.shot_search import ShotChoice, search_shots
     from mgsgraph.registration.crossing_tables import crossing_sentences, crossings_table, selection_table
 
-    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version, leap_seconds)
+    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
     seen = oriented_images(case, names)
     over = search_shots(files, seen, choice)
     found = over.crossings()

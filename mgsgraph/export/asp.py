@@ -24,6 +24,7 @@ PREFIX, CONTROL, ADJUSTED = "matches/run", "control.gcp", "adjusted.gcp"
 """What matches begin with; control points as they were given; all points as adjusted."""
 IMAGE_LIST, CAMERA_LIST, README = "images.txt", "cameras.txt", "README.txt"
 _IMAGE = ".cub"
+_GEOMETRY = (".isd", ".json", ".pvl", ".lbl")
 """How the file of an image's pixels ends, unless it is named."""
 
 
@@ -39,7 +40,7 @@ def write_asp(
     folder : Path
         Where to.
     images : mapping, optional
-        File of an image's pixels by the image's name; IMAGE.cub for those that it lacks.
+        File of an image's pixels by the image's name, or one that is called like it; IMAGE.cub for those that it lacks.
     scaled : bool
         Whether sigmas of adjusted.gcp are times sigma0; else they are for sigma0 = 1.
 
@@ -67,7 +68,7 @@ def write_asp(
     if (adjusted := _as_control(network)).points:
         texts[ADJUSTED] = ground_control_text(adjusted, body)
     texts[IMAGE_LIST] = "".join(f"{name}\n" for name in files)
-    texts[CAMERA_LIST] = "".join(f"{stem}{STATE}\n" for stem in file_stems(solution))
+    texts[CAMERA_LIST] = "".join(f"{stem}{STATE}\n" for stem in file_stems(solution, images))
     texts[README] = _readme(solution, list(texts), scaled)
     return write_files(folder, texts)
 
@@ -82,10 +83,16 @@ def _files(solution: Solution, named: Mapping[str, str]) -> list[str]:
     for name, file in named.items():
         if not file or len(file.split()) != 1:
             raise InputError(f"image {name!r}", f"the file {file!r}", "a name without blanks, as the lists need it")
-    files = [named.get(name, stem + _IMAGE) for name, stem in zip(names, file_stems(solution), strict=True)]
+    stems = zip(names, file_stems(solution, named), strict=True)
+    files = [file if _has_pixels(file := named.get(name, "")) else stem + _IMAGE for name, stem in stems]
     for file in [file for k, file in enumerate(files) if file in files[:k]][:1]:
         raise InputError("images of the export", f"the file {file!r} of two images", "one for each")
     return files
+
+
+def _has_pixels(file: str) -> bool:
+    """Whether a file may hold an image's pixels, and not its geometry alone."""
+    return bool(file) and Path(file).suffix.lower() not in _GEOMETRY
 
 
 def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> ControlNetwork:

@@ -39,8 +39,9 @@ _TIMING_TOLERANCE = 1e-2
 
 
 def write_csm(
-    solution: Solution, folder: Path, originals: Mapping[str, Path] | None = None, support: bool = True
-) -> list[Path]:
+    solution: Solution, folder: Path, originals: Mapping[str, Path] | None = None, support: bool = True,
+    files: Mapping[str, str] | None = None,
+) -> list[Path]:  # fmt: skip
     """Write ``<image>.json`` and ``<image>.adjusted_state.json`` of every image into an existing folder.
 
     Parameters
@@ -54,6 +55,9 @@ def write_csm(
         there (names of platform and sensor, NAIF keywords and frame codes, the Sun, the body's J2000 rotation).
     support : bool
         Whether support data are written; False leaves the states alone, which can hold more.
+    files : mapping, optional
+        File of an image by the image's name: what belongs to it is called like it, as usgscsm's plugin looks for
+        support data beside the image; by the image's own name where there is none.
 
     Returns
     -------
@@ -67,9 +71,10 @@ def write_csm(
         has: which field is said.
     """
     originals = originals or {}
-    for name in originals.keys() - {image.name for image in solution.network.images}:
-        raise InputError(f"support data of {name}", "no image of the solution", "one that was adjusted")
-    stems = file_stems(solution)
+    known = {image.name for image in solution.network.images}
+    for name in sorted((originals.keys() | (files or {}).keys()) - known):
+        raise InputError(f"file of {name}", "no image of the solution", f"one that was adjusted ({min(known)}, ...)")
+    stems = file_stems(solution, files)
     texts = dict[str, str | bytes]()
     for j, stem in enumerate(stems):
         image = solution.image(j)
@@ -86,14 +91,15 @@ def write_csm(
     return write_files(folder, texts)
 
 
-def file_stems(solution: Solution) -> list[str]:
-    """A file name for each image, without its end."""
+def file_stems(solution: Solution, files: Mapping[str, str] | None = None) -> list[str]:
+    """A file name for each image, without its end: that of its file, or else its own name."""
     names = [image.name for image in solution.network.images]
-    stems = [file_stem(name).lstrip(".") or "_" for name in names]
+    own = {name: Path(file).stem for name, file in (files or {}).items()}
+    stems = [file_stem(own.get(name, name)).lstrip(".") or "_" for name in names]
     folded = [stem.casefold() for stem in stems]
     for j, stem in enumerate(folded):
         if stem in folded[:j]:
-            found = f"{names[folded.index(stem)]!r} and {names[j]!r}"
+            found = f"{names[folded.index(stem)]!r} and {names[j]!r}, whose files would be called {stems[j]}"
             raise InputError("image names", found, "names that differ as file names, too", "rename one of the images")
     return stems
 

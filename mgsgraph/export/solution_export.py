@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,8 @@ class ExportSettings:
     """Covariances and sigmas times sigma0^2 and sigma0, where a format has some."""
     support: Mapping[str, Path] | None = None
     """Image support data that images came from, by name: names, keywords and the Sun are taken over."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """File of each image, by name, for what is to be called like it."""
     networks: Sequence[Path] = ()
     """Networks that the points were read from, in place of those that the solution remembers."""
     raster: bool = False
@@ -163,7 +165,7 @@ def _require_heeded(target: Target, settings: ExportSettings) -> None:
         ("scaled", settings.scaled, (Target.ISIS, Target.ASP)),
         ("raster", settings.raster, (Target.GIS,)),
         ("network", bool(settings.networks), (Target.ISIS,)),
-        ("case or support", settings.support is not None, (Target.CSM, Target.ASP)),
+        ("case", settings.support is not None or bool(settings.files), (Target.CSM, Target.ASP)),
     ):
         if given and target not in heeding:
             expected = f"it with {' or '.join(one.value for one in heeding)} alone"
@@ -186,7 +188,7 @@ def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path,
     from mgsgraph.export.csm import write_csm
     from mgsgraph.export.csm_back import csm_differences
 
-    written = write_csm(solution, folder, settings.support, support)
+    written = write_csm(solution, folder, settings.support, support, settings.files)
     return written, lambda solution, folder: csm_differences(folder, reprojection(solution)), ()
 
 
@@ -213,7 +215,7 @@ def _asp(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
     from mgsgraph.export.asp import write_asp
 
     cameras, compare, _ = _csm(solution, folder, settings, path, support=False)
-    return [*cameras, *write_asp(solution, folder, scaled=settings.scaled)], compare, ()
+    return [*cameras, *write_asp(solution, folder, settings.files, scaled=settings.scaled)], compare, ()
 
 
 def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:

@@ -31,6 +31,8 @@ class Altimeter:
     """Which returns don't count as ground."""
     sources: str
     """Of these figures."""
+    height_sphere: float = _UNKNOWN
+    """m, radius of the sphere above which tables with heights alone have them."""
 
     def spot(self, ranges: Array) -> float:
         """m, diameter of its spots on the ground that lies at ranges (n,) in m; NaN where nothing tells."""
@@ -54,7 +56,7 @@ LALT = Altimeter(
     "LALT", Ellipsoid(1737.4 * KM, 1737.4 * KM), 0.4 * MRAD, 40.0, 5.0, 50.0,
     "none: its table has ground returns",
     "spots 40 m, 0.4 mrad from 100 km: Tazawa et al. (2009); 5 m: Araki et al. (2008); orbits to 50 m: table 1 of "
-    "doi:10.1155/2018/5363797",
+    "doi:10.1155/2018/5363797", 1737.4 * KM,
 )  # fmt: skip
 MLA = Altimeter(
     "MLA", Ellipsoid(2439.4 * KM, 2439.4 * KM), 0.08 * MRAD, _UNKNOWN, 1.0, _UNKNOWN,

@@ -18,8 +18,9 @@ from mgsgraph.geometry.records import (
     require_covariances,
     require_unique,
 )
+from mgsgraph.units import SPEED_OF_LIGHT
 
-_HALF_LIGHT = 0.5 * 299_792_458.0
+_HALF_LIGHT = 0.5 * SPEED_OF_LIGHT
 """m/s, by which a range is longer for an echo that comes a second later."""
 _FAR_OFF = 3.0
 """Times by which lengths may be longer or shorter than expected, before their unit is doubted."""

@@ -24,6 +24,8 @@ from mgsgraph.io.isis_cube import is_cube_json
 from mgsgraph.io.optics import distortion_of_support
 from mgsgraph.units import ISIS_OFFSET, KM, MM
 
+_FARTHEST = 400
+"""Radii of the body, from farther than which no line scanner looks; a low orbit in metres for kilometres is farther."""
 
 def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> PushbroomImage:
     """Read image support data.
@@ -71,13 +73,14 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
 
 
 def _require_outside(trajectory: Trajectory, body: Ellipsoid, source: str) -> None:
-    """A camera inside the body betrays metres that were called kilometres."""
+    """A camera inside the body, or hundreds of radii away, betrays metres that were called kilometres."""
     distance = np.linalg.norm(trajectory.position.positions, axis=1).min()
-    if distance <= body.polar:
+    if not body.polar < distance < _FARTHEST * body.equatorial:
         raise InputError(
             f"{source}, instrument_position", f"a camera {distance / KM:.3f} km from the body's centre",
-            f"more than its radius, {body.polar / KM:.3f} km", "check the units of positions and radii",
-        )
+            f"more than its radius, {body.polar / KM:.3f} km, and less than {_FARTHEST} of them",
+            "check the units of positions and radii: km, unless `unit` says m",
+        )  # fmt: skip
 
 
 def _timing(isd: SupportData, source: str) -> LineTiming:

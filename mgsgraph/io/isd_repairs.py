@@ -5,6 +5,9 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.cameras.keywords import NaifKeywords
+from mgsgraph.io.cameras.lroc import CORRECTIONS, corrected
+from mgsgraph.io.cameras.moc import ATTITUDE_BIAS, PITCH
 from mgsgraph.io.isd_layout import UNITS, SupportData
 from mgsgraph.units import ISIS_OFFSET, KM
 
@@ -12,10 +15,6 @@ _LONGEST = 1e5
 """s, longer than any image takes."""
 _FASTEST = 1e5
 """m/s, faster than anything that takes images."""
-_MOC_PITCH = 0.0131240578522949
-"""mm, of MOC's narrow angle (mocAddendum004.ti)."""
-_MOC_BIAS = 1.15
-"""s, by which ISIS looks MOC's attitude up earlier."""
 _SAME = 1e-3
 _MOC = "MGS_MOC_"
 _HRSC = ("MEX_HRSC", "HIGH RESOLUTION STEREO CAMERA")
@@ -69,27 +68,24 @@ def _line_times_past_epoch(isd: SupportData, _: str) -> tuple[SupportData, list[
     return _with_rates(isd, table), ["line times past J2000 counted from center_ephemeris_time"]
 
 
-def _line_times_of_lroc(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
+def _line_times_of_lroc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     """Line times with the corrections that ISIS's camera of LROC-NAC makes, where the file lacks them.
 
     ISIS's own support data have the times of the label, while its keywords state a preroll in lines and an error of
     the line period (ISIS LroNarrowAngleCamera). Its tables begin with the corrected first line, and so betray that the
     correction is still to be made; ALE's times hold it.
     """
-    stated = [
-        [value for key, value in isd.naif_keywords.items() if key.endswith(name) and isinstance(value, int | float)]
-        for name in ("_ADDITIONAL_PREROLL", "_MULTIPLI_LINE_ERROR", "_ADDITIVE_LINE_ERROR")
-    ]
-    if len(isd.line_scan_rate) != 1 or any(len(values) != 1 for values in stated):
+    codes = {key.partition("_")[0] for key in isd.naif_keywords if key.endswith(f"_{CORRECTIONS[1]}")}
+    if len(isd.line_scan_rate) != 1 or len(codes) != 1:
         return isd, []
-    (preroll,), (factor,), (addend,) = stated
-    line, start, period = isd.line_scan_rate[0]
-    period = period * (1.0 + factor) + addend
-    start += preroll * period
+    keywords, code = NaifKeywords(source, isd.naif_keywords), int(codes.pop().removeprefix("INS"))
+    line, label_start, label_period = isd.line_scan_rate[0]
+    start, period = corrected(keywords, code, label_start, label_period)
     first = isd.instrument_pointing.ephemeris_times[0] - isd.center_ephemeris_time
     if abs(first - start) >= period:
         return isd, []
-    words = f"line times of the label corrected as ISIS does: {preroll:g} lines of preroll, {100.0 * factor:g} %"
+    words = f"line times of the label corrected as ISIS does: first line {start - label_start:+.6f} s, period x " \
+        f"{period / label_period:g}"
     return _with_rates(isd, np.array([[line, start, period]])), [words]
 
 
@@ -132,7 +128,8 @@ def _moc_optics(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     coefficients = isd.optical_distortion.get("radial", {}).get("coefficients")
     if not isinstance(coefficients, list) or len(coefficients) != 3 or not any(coefficients):
         return isd, []
-    if isd.name_sensor != f"{_MOC}NA" or np.abs(np.array(coefficients[1:]) - _MOC_PITCH).max() > 1e-9:
+    pitches = all(isinstance(one, int | float) and abs(one - PITCH) <= 1e-9 for one in coefficients[1:])
+    if isd.name_sensor != f"{_MOC}NA" or not pitches:
         raise InputError(
             f"{source}, optical_distortion", f"a radial one of {coefficients} for {isd.name_sensor}",
             "that of ISIS's camera: these are pixel sizes, given for coefficients by ALE's mgs_drivers", _ANOTHER_ROAD,
@@ -152,12 +149,12 @@ def _require_moc_attitude(isd: SupportData, source: str) -> None:
     table, where = np.array(isd.instrument_pointing.ephemeris_times), f"{source}, instrument_pointing"
     first = isd.center_ephemeris_time + isd.line_scan_rate[0][1]
     after, dense = table[0] - first, table.size > 2 and (table[-1] - table[0]) / (table.size - 1) < 0.1
-    if dense and abs(after - _MOC_BIAS) < _SAME:
-        found = f"attitudes from {_MOC_BIAS} s after the first line on (labels moved by MOC's bias, not the window)"
+    if dense and abs(after + ATTITUDE_BIAS) < _SAME:
+        found = f"attitudes from {-ATTITUDE_BIAS} s after the first line on (labels moved by MOC's bias, not times)"
         raise InputError(where, found, "attitudes for every line", _ANOTHER_ROAD)
     if dense and abs(after) < _SAME:
         found = "attitudes of the C-kernel at the lines' own times"
-        raise InputError(where, found, f"those of {_MOC_BIAS} s before, as ISIS takes them for MOC", _ANOTHER_ROAD)
+        raise InputError(where, found, f"those of {-ATTITUDE_BIAS} s before, as ISIS takes them for MOC", _ANOTHER_ROAD)
 
 
 def _hrsc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:

@@ -6,6 +6,7 @@ label beside it. What tables hold, by ISIS's SpicePosition and SpiceRotation: po
 camera's time bias in them already; all against J2000. jigsaw puts polynomials in place of what it has adjusted.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,16 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid, may_be
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.aberration import Aberration, Observer, geometric
+from mgsgraph.io.aberration import Aberration, geometric
 from mgsgraph.io.cameras.camera import LineScanLabel
 from mgsgraph.io.cameras.keywords import NaifKeywords, number
 from mgsgraph.io.cameras.label import is_map_projected, label_of
+from mgsgraph.io.cameras.line_times import LineTimes
 from mgsgraph.io.cube_tables import CubeTable, attitude_table, position_table, tables_of_json, tables_of_label
 from mgsgraph.io.files import read_json
 from mgsgraph.io.image_label import read_label
 from mgsgraph.io.pvl import Block
+from mgsgraph.io.stated_aberration import aberration_of, remarks_on, spacecraft_of
 from mgsgraph.units import KM
 
 _TABLES = ("InstrumentPosition", "InstrumentPointing", "BodyRotation")
@@ -30,8 +33,10 @@ _SUN = "SunPosition"
 _JSON = (".isd", ".json")
 _LABELS = (".pvl", ".lbl", ".cub", ".LBL")
 _NO_TABLES = "run spiceinit on the cube (attach=yes), or name the label and its kernels"
-_TIME_SLACK = 1e-4
-"""s, a tenth of the shortest line, by which the table of positions may begin before or after the first line."""
+_LINE_SLACK, _ROUNDING = 0.1, 2e-5
+"""Lines, and s, by which the table of positions may begin and end off the image's own times; those of true cubes do so
+by less than 1e-6 s, but jigsaw's labels have five decimals of them.
+"""
 
 
 def read_isis_cube(
@@ -74,15 +79,16 @@ def read_isis_cube(
     label = label_of(label_path, root)
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)
-        stated = Aberration("NONE") if apparent else aberration or _stated_aberration(keywords, label)
-        return _image(label, keywords, tables, stated, name)
+        asked = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None
+        asked = asked or (aberration and (aberration, "as the case says")) or _stated_aberration(keywords, label)
+        return _image(label, keywords, tables, name, *asked)
 
 
 def _image(
-    label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeTable], stated: Aberration, name: str | None
+    label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeTable], name: str | None, stated: Aberration,
+    why: str,
 ) -> PushbroomImage:
-    stop = tables["InstrumentPosition"].stop
-    times = label.camera.line_times(keywords, label, _start(label, keywords, tables), stop)
+    times = _line_times(label, keywords, tables["InstrumentPosition"])
     epoch = 0.5 * (times.start + times.stop)
     interior, body = label.camera.interior(keywords, label), _body(keywords, label)
     return PushbroomImage(
@@ -93,6 +99,7 @@ def _image(
         timing=times.timing(epoch),
         trajectory=_trajectory(tables, epoch, stated, body),
         body=body,
+        remarks=remarks_on(stated, why),
     )
 
 
@@ -105,7 +112,15 @@ def _files(path: Path) -> tuple[Path, Path | None]:
         return label, path
     if path.suffix.lower() == ".cub":
         return path, None
-    return path, next((path.with_suffix(end) for end in _JSON if path.with_suffix(end).is_file()), None)
+    return path, next((path.with_suffix(end) for end in _JSON if _holds_tables(path.with_suffix(end))), None)
+
+
+def _holds_tables(path: Path) -> bool:
+    """Whether there is JSON with a cube's tables, and not anything else that is called like the label."""
+    try:
+        return path.is_file() and {"instrument_position", "instrument_pointing"} <= read_json(path).keys()
+    except InputError:
+        return False
 
 
 def has_tables(path: Path, root: Block) -> bool:
@@ -141,7 +156,10 @@ def serial_number(path: Path) -> str:
 def _keywords(content: dict[str, Any] | None, source: str, label: LineScanLabel) -> NaifKeywords:
     """Those of the cube; the addendum's, as the camera's record has them, for cubes of before there were any."""
     if content is not None:
-        return NaifKeywords(source, content.get("naif_keywords", {}))
+        values = content.get("naif_keywords", {})
+        if not isinstance(values, dict):
+            raise InputError(f"{source}, naif_keywords", repr(values)[:60], "constants by name")
+        return NaifKeywords(source, values)
     if label.keywords is not None:
         return label.keywords
     if not label.camera.constants or label.target != label.camera.constants_target:
@@ -149,21 +167,35 @@ def _keywords(content: dict[str, Any] | None, source: str, label: LineScanLabel)
     return NaifKeywords(source, label.camera.constants)
 
 
-def _start(label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeTable]) -> float:
-    """Time in s TDB past J2000 of the label's start: what ISIS computed when spiceinit was run; in older cubes, the
-    position table's first time, from which on it is sampled.
+def _line_times(label: LineScanLabel, keywords: NaifKeywords, position: CubeTable) -> LineTimes:
+    """From what ISIS computed of the label's start when spiceinit was run, or, in older cubes, from the first time of
+    the position table, which begins with the whole image's first line and ends with its last.
     """
     camera, key = label.camera, f"CLOCK_ET_{label.camera.clock or label.camera.spacecraft}_{label.start}_COMPUTED"
-    if not camera.start_is_utc and key in keywords:
-        return keywords.time(key)
-    position = tables["InstrumentPosition"]
-    duration, covered = label.lines * label.period, position.stop - position.start
-    if label.period > 0.0 and label.first_line == 0.0 and abs(covered - duration) > _TIME_SLACK:
-        raise InputError(
-            position.where, f"{covered:.6f} s from first to last", f"the image's {duration:.6f} s",
-            "the table is not of this image, or of a part: run spiceinit again",
-        )  # fmt: skip
-    return position.start
+    known = not camera.start_is_utc and key in keywords
+    first, last = position.start + label.padding[0], position.stop - label.padding[1]
+    start = keywords.time(key) if known else first
+    times = camera.line_times(keywords, label, start, last)
+    if label.period == 0.0:  # lines have times of their own, which are held against both
+        return times
+    whole = camera.line_times(keywords, replace(label, lines=label.whole or label.lines, first_line=0.0), start, last)
+    if not known and whole.start != start:
+        found, remedy = f"no {key}", "run spiceinit again"
+        raise InputError(f"{keywords.source}, NaifKeywords", found, "the time of the label's start", remedy)
+    partial = known and label.whole > 0  # spiceinit may have been run before or after the cut
+    wanted = times if partial or camera.tables_of_bands else whole
+    _require_coverage(position.where, (first, last), wanted, longer=wanted is not whole)
+    return times
+
+
+def _require_coverage(where: str, covered: tuple[float, float], image: LineTimes, longer: bool) -> None:
+    """Raise InputError unless a table is of the image's own times (s TDB past J2000), or of longer where it may be."""
+    slack = max(_LINE_SLACK * float(image.periods.min()), _ROUNDING)
+    late, early = covered[0] - image.start, image.stop - covered[1]
+    if max(late, early) > slack or (not longer and min(late, early) < -slack):
+        found = f"a beginning {late:+.6f} s past the first line's, {covered[1] - covered[0]:.6f} s from first to last"
+        remedy = "the table is not of this image, or of a part: run spiceinit again"
+        raise InputError(where, found, f"the image's {image.stop - image.start:.6f} s", remedy)
 
 
 def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration, body: Ellipsoid) -> Trajectory:
@@ -176,20 +208,14 @@ def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration, 
     )  # fmt: skip
 
 
-def _stated_aberration(keywords: NaifKeywords, label: LineScanLabel) -> Aberration:
-    """By the addendum's keywords, or else as ISIS does it for this camera. ISIS asks for the spacecraft as the body
-    sees it, unless told to swap observer and target (SpicePosition, m_swapObserverTarget).
-    """
-    name = f"INS{label.camera.instrument}"
-    correction = str(keywords.values.get(f"{name}_LIGHTTIME_CORRECTION", label.camera.aberration)).upper()
-    if correction not in ("NONE", "LT+S"):
-        raise InputError(f"{keywords.source}, {name}_LIGHTTIME_CORRECTION", repr(correction), "'NONE' or 'LT+S'")
-    swapped, to_surface = (
-        str(keywords.values.get(f"{name}_{key}", False)).upper() == "TRUE"
-        for key in ("SWAP_OBSERVER_TARGET", "LT_SURFACE_CORRECT")
-    )
-    observer: Observer = "spacecraft" if swapped else "body"
-    return Aberration("NONE") if correction == "NONE" else Aberration("LT+S", observer, to_surface)
+def _stated_aberration(keywords: NaifKeywords, label: LineScanLabel) -> tuple[Aberration, str]:
+    """By the addendum's keywords, or else as ISIS does it for this spacecraft; why, where it was not the keywords."""
+    stated = aberration_of(keywords.values, keywords.source, label.camera.instrument)
+    spacecraft = spacecraft_of(label.camera.spacecraft)
+    if stated is not None:
+        return stated, ""
+    assert spacecraft is not None, f"{label.camera.name} is of no spacecraft in stated_aberration"
+    return spacecraft.stated, spacecraft.source
 
 
 def _body_velocity(tables: dict[str, CubeTable]) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -38,6 +38,10 @@ from mgsgraph.io.kernels import (
 
 _CLOCK_SLACK = 1.0
 """s by which the label's UTC and its clock count may differ; true labels agree within 0.01 s."""
+_STOP_SLACK = 0.1
+"""s by which the last line may end after the label's STOP_TIME says, both counted from its start; true labels need
+0.007 s (Kaguya, which give the last line's beginning).
+"""
 
 
 def read_labelled_image(
@@ -243,4 +247,11 @@ def _line_times(label: LineScanLabel, keywords: Keywords) -> LineTimes:
                 f"the two within {_CLOCK_SLACK:g} s", "check the label, and that the SCLK kernel is the spacecraft's",
             )  # fmt: skip
     stop = utc_time(label.stop, f"{label.path}, stop time {label.stop}") if label.stop else np.nan
-    return camera.line_times(keywords, label, start, stop)
+    times = camera.line_times(keywords, label, start, stop)
+    over = (times.stop - start) - (stop - stated)  # NaN where the label doesn't say both
+    if label.period > 0.0 and over > _STOP_SLACK:
+        raise InputError(
+            str(label.path), f"{label.lines} lines of {times.periods[0]:.6g} s, {over:.3f} s past the stop time",
+            f"an end by {label.stop}", "check the number of lines, the line period and the summing",
+        )  # fmt: skip
+    return times

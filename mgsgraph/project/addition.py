@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.altimetry.shots import read_shots
+from mgsgraph.case.assembly import laser_profile, shots_in_images
 from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.groups import in_images
 from mgsgraph.case.images import read_image, read_images
@@ -14,7 +15,7 @@ from mgsgraph.case.laser import ShotsInput
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import LaserProfile
+from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.geometry.twins import require_distinct
@@ -28,7 +29,6 @@ from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_
 from mgsgraph.network.terrain_control import over_terrain
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.ties import PointKind, TiePoints
 
 _CASES = (".toml",)
@@ -105,7 +105,7 @@ def read_addition(
         Support data (.json, .isd), MOC labels (.img, .lbl, .cub) or case files (.toml), which bring everything that
         they name.
     ties, shots : sequence of Path
-        Control networks; ISIS lidar files (.json) and PEDR tables or binaries.
+        Control networks; ISIS lidar files (.json) and files of an altimeter's archive.
 
     Raises
     ------
@@ -265,23 +265,27 @@ def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:
 def _profile(
     path: Path, settings: ProjectSettings, images: Sequence[PushbroomImage] | None, store: ProjectStore
 ) -> LaserProfile:
-    """Shots of an ISIS lidar file; or, of a MOLA profile, those in the image taken along with it."""
-    if path.suffix.lower() == ".json":
-        return read_lidar(path)
-    shots, sigmas = read_shots(path), settings.measures
+    """Shots of an ISIS lidar file; or, of an altimeter's profile, those in the image taken along with it."""
     pictures = images or [store.image(name).image for name in store.image_names()]
-    seen = footprints_in_images(tuple(pictures), shots)
-    usable = shots.ground & np.isfinite(shots.ranges)
+    if not pictures:
+        raise InputError(str(path), "laser shots without an image", "an image that they belong to", "add it too")
+    if path.suffix.lower() == ".json":
+        lidar = read_lidar(path)
+        require_on_body(lidar.footprints, pictures[0].body.equatorial, lidar.source)
+        return lidar
+    shots, sigmas = read_shots(path), settings.measures
+    seen, usable = shots_in_images(pictures, shots)
     remedy = "use [[shots]] of a case file"
     owner = seen.simultaneous_image(seen.inside & seen.simultaneous & usable, remedy)
     if owner is None:
         found = "no shot that was taken along with one of the images and falls in it"
         raise InputError(str(path), found, "one image that the profile crosses", remedy)
     taken = shots.chosen(seen.shots_with(owner) & usable)
-    return taken.profile(
-        sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[owner].name, path.stem,
-        sigmas.shot_height_sigma_m, pulse_share=ShotsInput(path.name).pulse_share,
+    wanted = ShotsInput(
+        str(path), range_sigma_m=sigmas.shot_range_sigma_m, ground_sigma_m=sigmas.shot_ground_sigma_m,
+        height_sigma_m=sigmas.shot_height_sigma_m,
     )  # fmt: skip
+    return laser_profile(taken, path.stem, wanted, pictures[owner])
 
 
 # --- points that are there already

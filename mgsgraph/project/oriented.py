@@ -1,10 +1,14 @@
 """Images as a command names them: of a case with their nominal orientation, of results or a project as adjusted."""
 
+from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
+from mgsgraph.analysis.places import View
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.images import read_images
+from mgsgraph.case.images import read_image, read_images
+from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.strips import members
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
@@ -15,44 +19,65 @@ from mgsgraph.reports.archive import ARCHIVE, read_solution
 
 
 class OrientedImages(NamedTuple):
-    """Images with corrections of their orientation."""
+    """Images with the orientation that is believed."""
 
-    images: tuple[PushbroomImage, ...]
+    views: tuple[View, ...]
     """(m)."""
-    corrections: Corrections
-    """(m), None for the nominal orientation."""
     warning: str = ""
     """What is to be said of them."""
+    case: CaseInput | None = None
+    """The case that they are of; None of results."""
+
+    @property
+    def images(self) -> tuple[PushbroomImage, ...]:
+        """(m) their geometry."""
+        return tuple(view.image for view in self.views)
+
+    @property
+    def corrections(self) -> Corrections:
+        """(m) of their nominal orientation."""
+        return [view.correction for view in self.views]
 
 
-def oriented_images(path: Path, names: tuple[str, ...] = ()) -> OrientedImages:
-    """Images of a case file, a folder of results (or their archive) or a project; some by their names, or all.
+def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
+    """Images of a case file, a folder of results (or their archive) or a project; all, or some by their names or parts
+    of names that no other has: of a case only these are read then.
 
     Raises
     ------
     InputError
-        A name that no image has, or several times; what `decode` and `read_solution` refuse.
+        A name that no image has, or several; what `decode` and `read_solution` refuse.
     """
     if (path / FILE).is_file() or (path / ARCHIVE).is_file() or path.suffix == ".npz":
         results = results_of(path)
         solution = read_solution(results.folder)
-        found = OrientedImages(
-            tuple(solution.image(j) for j in range(len(solution.network.images))),
-            [solution.correction(j) for j in range(len(solution.network.images))],
-            results.warning if solution.converged else f"The adjustment has NOT converged: {solution.message}",
-        )
+        chosen = _chosen([image.name for image in solution.network.images], names, path)
+        warning = results.warning if solution.converged else f"The adjustment has NOT converged: {solution.message}"
+        return OrientedImages(tuple(View.adjusted(solution, j) for j in chosen), warning)
+    wanted = decode(path)
+    known = [image.name for image in wanted.images]
+    if names:
+        images = [_alone(wanted, j, path) for j in _chosen(known, names, path)]
     else:
-        wanted = decode(path)
-        known = [image.name for image in wanted.images]
-        images, _ = read_images(wanted, wanted.orientations, members(wanted.strips, known, str(path)), path)
-        found = OrientedImages(images, [None] * len(images))
-    if not names:
-        return found
-    known = [image.name for image in found.images]
-    for name in names:
-        if name not in known:
-            raise InputError(str(path), f"no image {name!r}", f"one of its images: {', '.join(known[:4])}")
-    rows = [known.index(name) for name in dict.fromkeys(names)]
-    return OrientedImages(
-        tuple(found.images[j] for j in rows), [found.corrections[j] for j in rows], found.warning
-    )
+        images = [*read_images(wanted, wanted.orientations, members(wanted.strips, known, str(path)), path)[0]]
+    return OrientedImages(tuple(map(View, images)), case=wanted)
+
+
+def _alone(wanted: CaseInput, number: int, path: Path) -> PushbroomImage:
+    image = read_image(wanted.images[number], wanted.spice, path.parent, f"{path}, images[{number}]")
+    return wanted.orientations[number].nominal_of(image)[0]
+
+
+def _chosen(known: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
+    """Numbers of the images of these names, each once; of all where there are none."""
+    return list(dict.fromkeys(_number(known, name, path) for name in names)) if names else list(range(len(known)))
+
+
+def _number(names: Sequence[str], image: str, path: Path) -> int:
+    """The image of this name, or the only one that has it as a part of its name."""
+    found = [k for k, name in enumerate(names) if name == image] or [k for k, name in enumerate(names) if image in name]
+    if len(found) == 1:
+        return found[0]
+    near = [names[k] for k in found] or get_close_matches(image, names, n=3, cutoff=0.3) or names
+    what = f"{len(found)} images that {image!r} may be" if found else f"no image {image!r}"
+    raise InputError(str(path), what, f"one of its images: {', '.join(near[:4])}")

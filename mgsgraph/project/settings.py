@@ -20,10 +20,10 @@ class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Of a tie point's line and sample."""
     shot_image_sigma_px: Sigma = 30.0
     """Of a laser shot's line and sample."""
-    shot_range_sigma_m: Sigma = 10.0
-    """Of a MOLA range."""
-    shot_ground_sigma_m: Sigma = 10.0
-    """Of a MOLA footprint in each direction."""
+    shot_range_sigma_m: Sigma | None = None
+    """Of an altimeter's range; that of the altimeter when absent, as in [[shots]]."""
+    shot_ground_sigma_m: Sigma | None = None
+    """Of an altimeter's footprint in each direction; that of the altimeter when absent."""
     shot_height_sigma_m: Sigma | None = None
     """Of its height, where it is another one."""
 
@@ -68,8 +68,8 @@ def settings_of_case(path: Path) -> ProjectSettings:
     measures = MeasuresInput(
         next((group.sigma_px for group in case.tie_groups), usual.tie_sigma_px),
         next((group.image_sigma_px for group in case.laser_groups), usual.shot_image_sigma_px),
-        next((one for profile in case.shots if (one := profile.range_sigma_m) is not None), usual.shot_range_sigma_m),
-        next((one for profile in case.shots if (one := profile.ground_sigma_m) is not None), usual.shot_ground_sigma_m),
+        next((one for profile in case.shots if (one := profile.range_sigma_m) is not None), None),
+        next((one for profile in case.shots if (one := profile.ground_sigma_m) is not None), None),
         next((profile.height_sigma_m for profile in case.shots), usual.shot_height_sigma_m),
     )
     return ProjectSettings(case.orientation, _absolute(case.spice, path.parent), measures, case.solver)

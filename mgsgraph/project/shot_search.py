@@ -36,8 +36,6 @@ class ShotChoice:
     """Those alone that were fired while an image was taken in which they fall."""
     version: str | None = None
     """Letter of PEDR products whose names don't say it."""
-    leap_seconds: Path | None = None
-    """Kernel for PEDR tables with UTC alone."""
 
     def of(self, shots: AltimeterShots) -> Mask:
         """(n,) True for shots that may be chosen."""
@@ -68,7 +66,7 @@ def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice
     InputError
         What `read_shots` refuses; files of several altimeters; shots on another body than the images'.
     """
-    parts = [read_shots(path, version=choice.version, leap_seconds=choice.leap_seconds) for path in files]
+    parts = [read_shots(path, version=choice.version) for path in files]
     for part in parts:
         require_on_body(part.footprints, seen.images[0].body.equatorial, part.source)
     shots = joined_shots(parts)

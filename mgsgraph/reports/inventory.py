@@ -1,5 +1,6 @@
 """What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +9,11 @@ import numpy as np
 from mgsgraph.adjustment.adjust import Prediction, predict
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
-from mgsgraph.case.reading import Case, picture_of
+from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
+from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.strips import members as members_of_strips
 from mgsgraph.errors import WeakNetwork
+from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.footprint import footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
@@ -26,6 +29,8 @@ from mgsgraph.network.connectivity_words import (
     weakest_joints,
 )
 from mgsgraph.network.terrain_control import coverage
+from mgsgraph.registration.crossing_tables import crossing_sentences
+from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.reports.readings import reading_statements
 from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
@@ -78,7 +83,9 @@ def inventory(case: Case) -> str:
 
 
 def images_inventory(path: Path) -> str | None:
-    """The images of a case without measures, and which of them overlap; None of a case that has measures."""
+    """The images of a case without measures, which of them overlap, and the laser shots in them; None of a case that
+    has measures. InputError where a file of shots can't be used.
+    """
     wanted = decode(path)
     if wanted.measured:
         return None
@@ -96,8 +103,25 @@ def images_inventory(path: Path) -> str | None:
         f"{wanted.name}: {many(len(images), 'image')}, no measures in them\n", "Images",
         *(line for image in images for line in _image(image)),
         *(f"  {sentence}" for sentence in reading_statements(images)), "", "Overlaps", *(pairs or ["  none"]), "",
+        *_laser_files(wanted, images, path.parent),
         f"To be adjusted it needs tie points, ground control, or laser shots measured in images; next: {what}",
     ])
+
+
+def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Path) -> list[str]:
+    """What files of laser shots hold and how much of it falls in images."""
+    said, body = list[str](), images[0].body
+    for entry in wanted.shots:
+        shots = read_profile(entry, folder)
+        require_on_body(shots.footprints, body.equatorial, shots.source)
+        over = shots_over_images(images, shots.chosen(shots.ground))
+        said.append(f"  {entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
+        said += [f"    {sentence}" for sentence in crossing_sentences(over, over.crossings())]
+    for cloud in wanted.altimetry:
+        found = read_altimetry(cloud, folder, body)
+        count = f"{many(len(found.ids), 'ground return')} in {many(len(found.profiles), 'profile')}"
+        said.append(f"  {cloud.file}: {count}, for control by relief")
+    return ["Laser", *said, ""] if said else []
 
 
 def _with_priors(network: Network) -> Network:
@@ -296,7 +320,8 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
             "expect their sigma along the line of sight to be large"
         )
     found += _doubtful_observations(network, prediction)
-    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
+    controlled = network.surface is not None or network.stereo is not None
+    held_down = controlled or np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
     if not held_down:
         found.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"

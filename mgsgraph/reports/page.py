@@ -118,7 +118,7 @@ def _registered(solution: Solution, case: Case | None, registration: CaseRegistr
 
 def _without_scenes(solution: Solution, case: Case | None) -> str:
     if case is not None:
-        return f"{case.path.name} has no laser profile of MOLA, whose footprints could be shown on the images."
+        return f"{case.path.name} names no laser profile in [[shots]], whose footprints could be shown here."
     if np.any(solution.network.points.classes == PointClass.LASER):
         return (
             "A solution holds no pixels and no footprints as they were archived: with the case file (--case) this "

@@ -26,7 +26,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
-from mgsgraph.units import DEG
+from mgsgraph.units import DEG, SPEED_OF_LIGHT
 
 _CM, _MICRODEG = 1e-2, 1e-6 * DEG
 _TICK = 0.1
@@ -43,7 +43,7 @@ _EQUIPMENT = {
 """Fields about the instrument, in the file's units: ordinary values (channel 1 of 4, 45 mJ, two o'clock)."""
 _LEVEL_PULSE, _LEVEL_WIDTH = 8.0, 30.0
 """ns, of a pulse from level ground: its standard deviation, and its width at the receiver's threshold."""
-_LIGHT = 0.299792458
+_LIGHT = SPEED_OF_LIGHT * 1e-9
 """m/ns."""
 
 

@@ -251,26 +251,11 @@ def test_a_pause_of_half_an_hour_ends_a_profile(tmp_path: Path) -> None:
     assert cloud.profile.tolist() == [0, 0, 1, 1, 2]
 
 
-def test_times_in_utc_need_leap_seconds(tmp_path: Path) -> None:
-    path = written(tmp_path, f"{HEAD},utc", f"{SHOT},2009-09-06T07:50:38.77335829")
-    assert "leap_seconds" in refusal(path, MARS)
-    kernel = tmp_path / "leap.tls"
-    kernel.write_text(LEAP_SECONDS)
-    cloud = read_altimetry_cloud(path, MARS, leap_seconds=kernel)
+def test_times_in_utc(tmp_path: Path) -> None:
+    cloud = read_altimetry_cloud(written(tmp_path, f"{HEAD},utc", f"{SHOT},2009-09-06T07:50:38.77335829"), MARS)
 
     np.testing.assert_allclose(cloud.times, 305495504.957358, rtol=0, atol=2e-3)
     assert cloud.profiles == ("2009-09-06T07:50",)
-
-
-LEAP_SECONDS = """KPL/LSK
-\\begindata
-DELTET/DELTA_T_A = 32.184
-DELTET/K = 1.657D-3
-DELTET/EB = 1.671D-2
-DELTET/M = ( 6.239996D0 1.99096871D-7 )
-DELTET/DELTA_AT = ( 32, @1999-JAN-1, 33, @2006-JAN-1, 34, @2009-JAN-1 )
-\\begintext
-"""
 
 
 @pytest.mark.parametrize(

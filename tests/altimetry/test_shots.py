@@ -1,7 +1,9 @@
 """Laser shots of all altimeters: units and frames by outside authority, by the geometry of the shots themselves."""
 
 import gzip
+import re
 import struct
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +187,10 @@ def test_text_by_its_label(tmp_path: Path) -> None:
     label.write_text(text.replace('"SATELLITE_ALTITUDE"', '"TOPOGRAPHY"').replace('"KM"', '"FURLONG"'))
     with pytest.raises(InputError, match="furlong"):
         read_shots(label)
+    for other in ("MOLA", "LOLA", "MLA", "CLEMENTINE LIDAR"):  # nothing says what their heights would be above
+        label.write_text(text.replace('"SATELLITE_ALTITUDE"', '"TOPOGRAPHY"').replace('"LALT"', f'"{other}"'))
+        with pytest.raises(InputError, match="without radii, above no one knows what"):
+            read_shots(label)
 
 
 def test_bytes_by_label_and_structure(tmp_path: Path) -> None:
@@ -206,6 +212,10 @@ def test_bytes_by_label_and_structure(tmp_path: Path) -> None:
         [longitude / DEG, latitude / DEG, radius], [(2215000000 - 2**31) * 1e-7, 63.25, 1737000.001], rtol=1e-12
     )
     assert shots.times.tolist() == [354699676.5, 354699677.5]
+    structure = tmp_path / "TABLE.FMT"
+    structure.write_text(structure.read_text().replace("BYTES = 8", "BYTES = 10"))
+    with pytest.raises(InputError, match="pc_real of 10 bytes; expected 4 or 8"):
+        read_shots(label)
 
 
 # --- times, and what is refused
@@ -226,7 +236,53 @@ def test_time_scales_are_those_of_spice(shared_data: Path) -> None:
     np.testing.assert_allclose(tdb_of_utc(texts, "here")[:known], expected[:known], atol=1e-7, rtol=0.0)
     np.testing.assert_allclose(tdb_of_tt(terrestrial), expected, atol=1e-7, rtol=0.0)
     for text, time in zip(texts, tdb_of_utc(texts, "here"), strict=True):
-        assert f"{utc_of_tdb(time + 2e-3):%Y-%m-%dT%H:%M:%S}" == text[:19]
+        assert abs((utc_of_tdb(time) - datetime.fromisoformat(f"{text[:26]}Z")).total_seconds()) < 2e-6
+
+
+def test_leap_seconds_are_those_of_naif(shared_data: Path) -> None:
+    """Every step of the kernel's table, just before it and on it, and the leap second of 2008 itself; to and fro."""
+    spiceypy = pytest.importorskip("spiceypy")
+    kernel = require(shared_data / "kaguya_tc" / "naif0012.tls", "a leap seconds kernel")
+    months = re.findall(r"(\d+),\s+@(\d{4})-(JAN|JUL)-1", kernel.read_text())
+    days = [datetime.strptime(f"{year}-{month}-01Z", "%Y-%b-%d%z") for _, year, month in months]
+    before = [day - timedelta(seconds=0.5) for day in days[1:]]
+    texts = [f"{when:%Y-%m-%dT%H:%M:%S.%f}" for when in [*days, *before]]
+    texts += ["2008-12-31T23:59:60.25", "2009-249T07:50:38.75"]
+    spiceypy.furnsh(str(kernel))
+    try:
+        expected = np.asarray(spiceypy.str2et(texts))
+    finally:
+        spiceypy.kclear()
+    found = tdb_of_utc(texts, "here")
+
+    assert len(months) == 28
+    np.testing.assert_allclose(found, expected, atol=1e-7, rtol=0.0)
+    for text, time in zip(texts[:-2], found, strict=False):
+        assert abs((utc_of_tdb(time) - datetime.fromisoformat(f"{text}Z")).total_seconds()) < 2e-6
+    for wrong in ("1971-12-31T23:59:59", "2009-09-06", "2009-13-06T00:00:00", "2009-400T00:00", "2009-09-06T00:00:61"):
+        with pytest.raises(InputError, match="here: a time that can't be read"):
+            tdb_of_utc([wrong], "here")
+
+
+LOLA_HEADER = "Pt_Longitude,Pt_Latitude,Pt_Radius,Pt_Range,Flg,S,Frm,Mission_ET,Terrestrial_Dyn_Time"
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("3,26,1736,50,1e30,1,2,209501234,305495504.25", "line 2, flg: 1e+30; expected a whole number"),
+        ("3,26,1736,50,-1,1,2,209501234,305495504.25", "line 2, flg: -1; expected a whole number"),
+        ("3,26,1736,50,0.5,1,2,209501234,305495504.25", "line 2, flg: 0.5; expected a whole number"),
+        ("3,26,1736,50,0,1e40,2,209501234,305495504.25", "line 2, s: 1e+40; expected a whole number"),
+        ("3,26,1736,50,0,1,2,209501234,3.05495504e11", "a time of 3.05496e+11 s past J2000; expected"),
+        ("3,26,1736,50,0,1,2,209501234,1e300", "a time of 1e+300 s past J2000; expected"),
+    ],
+)
+def test_numbers_that_can_not_be(tmp_path: Path, row: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_shots(written(tmp_path, LOLA_HEADER, row))
+    assert said in str(caught.value)
+    read_shots(written(tmp_path, LOLA_HEADER, "3,26,1736,50,4294967295,1,2,209501234,305495504.25"))
 
 
 @pytest.mark.parametrize(

@@ -110,8 +110,8 @@ META = "KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( 'inner.tls' )\n\\begintext\n"
 def everything(tmp_path: Path) -> Path:
     case = tmp_path / "case.toml"
     case.write_text(EVERYTHING, encoding="utf-8")
-    for name in ("a.json", "b.lbl", "B.IMG", "net.pvl", "points.gcp", "lidar.json", "ap.csv", "naif.tls", "megr.img",
-                 "megr.lbl", "megt.lbl", "megt.img", "cloud.csv", "leap.tls"):  # fmt: skip
+    for name in ("a.json", "b.lbl", "B.IMG", "net.pvl", "points.gcp", "lidar.json", "ap.csv", "megr.img",
+                 "megr.lbl", "megt.lbl", "megt.img", "cloud.csv"):  # fmt: skip
         (tmp_path / name).write_text(name, encoding="utf-8")
     for name in ("own.tm", "common.tm"):
         (tmp_path / name).write_text(META, encoding="utf-8")

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import profiles
 import pytest
 from commands import refused, run
 
@@ -76,6 +77,22 @@ def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> 
     assert said is not None
     assert "overlap by" in said
     assert f"mgsgraph match {out}" in said
+
+
+def test_check_opens_the_shots_of_a_case_without_measures(case_file: Path, tmp_path: Path) -> None:
+    profiles.write_profile(tmp_path / "p.csv")
+    out = tmp_path / "case.toml"
+    draft_case(sorted(case_file.parent.glob("*.isd")), out)
+    text = out.read_text(encoding="utf-8")
+    out.write_text(f'{text}\n[[shots]]\nfile = "p.csv"\n[[altimetry]]\nfile = "p.csv"\n', encoding="utf-8")
+    said = images_inventory(out)
+    assert said is not None
+    assert f"p.csv: {profiles.SHOTS} shots of MOLA" in said
+    assert f"SIM/A: {profiles.SHOTS} shots of 1 profile fall in it, 18933 taken along" in said
+    assert f"p.csv: {profiles.SHOTS} ground returns in 1 profile" in said
+    (tmp_path / "p.csv").write_text("no,shots\n1,2\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"p\.csv"):
+        images_inventory(out)
 
 
 def test_an_isis_list_stands_for_its_files(case_file: Path, tmp_path: Path) -> None:

@@ -2,10 +2,21 @@
 
 from pathlib import Path
 
+import numpy as np
 import profiles
+import pytest
 from commands import refused, run
 
 import mgsgraph
+from mgsgraph.altimetry.shots import read_shots
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.project.oriented import oriented_images
+
+
+def call(*arguments: object) -> None:
+    """A command in this process."""
+    assert not group([str(one) for one in arguments], standalone_mode=False)
 
 
 def test_a_selection_takes_the_archives_place_in_a_case(case_file: Path, tmp_path: Path) -> None:
@@ -34,3 +45,34 @@ def test_bad_input_writes_nothing(case_file: Path, tmp_path: Path) -> None:
     refused(run("shots", shots, "--case", case, "--image", "SIM/Z", "--out", out), "no image 'SIM/Z'")
     refused(run("shots", shots, "--case", case, "--dates", "1999-13-01", "1999-02-01", "--out", out), "dates")
     assert not out.exists()
+
+
+@pytest.mark.parametrize("kind", ["result", "project"])
+def test_results_and_projects_show_their_shots_as_adjusted(
+    kind: str, case_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The profile was simulated along sample 500 of the true image A: as adjusted it falls nearer there than by the
+    nominal orientation. An image is called by a part of its name that no other has.
+    """
+    profile, source = tmp_path / "profile.csv", tmp_path / kind
+    profiles.write_profile(profile)
+    if kind == "result":
+        call("adjust", case_file, "--out", source, "--no-figures")
+    else:
+        call("init", source, "--case", case_file)
+        with pytest.raises(InputError, match="without a batch solution"):
+            call("shots", profile, "--case", source)
+        call("solve", source, "--no-figures")
+    capsys.readouterr()
+    call("shots", profile, "--case", source, "--image", "/A", "--along", "--out", tmp_path / "found.csv")
+    assert f"SIM/A: {profiles.SHOTS} shots of 1 profile fall in it, 18933 taken along" in capsys.readouterr().out
+    with pytest.raises(InputError, match="2 images that 'SIM' may be"):
+        call("shots", profile, "--case", source, "--image", "SIM")
+
+    shots = read_shots(tmp_path / "found.csv")
+    off = []
+    for path in (source, case_file):
+        (view,) = oriented_images(path, ("SIM/A",)).views
+        samples = view.image.ground_to_image(shots.footprints, view.correction)[0][:, 1]
+        off.append(float(np.abs(samples - 500.0).mean()))
+    assert off[0] < 0.5 * off[1]

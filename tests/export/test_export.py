@@ -109,7 +109,7 @@ def test_a_solution_that_cannot_be_noted_in_is_exported(
         ("gis", ExportSettings(scaled=True), "scaled"),
         ("csm", ExportSettings(raster=True), "raster.*gis"),
         ("isis", ExportSettings(support={}), "case.*csm or asp"),
-        ("asp", ExportSettings(support={"OTHER": Path("other.isd")}), "support data of OTHER: no image"),
+        ("asp", ExportSettings(support={"OTHER": Path("other.isd")}), "file of OTHER: no image"),
     ],
 )
 def test_settings_that_would_do_nothing_are_refused(
@@ -178,7 +178,7 @@ def test_the_command(solution: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     labels = '[[images]]\nname = "A"\nlabel = "a.img"\n[[images]]\nname = "B"\nlabel = "b.img"\n'
     case.write_text(f'format = 1\nname = "labels"\n{labels}[ties]\nnetwork = "network.pvl"\n')
     command = ["export", str(solution), "--to", "csm", "--out", str(tmp_path / "x"), "--case", str(case)]
-    with pytest.raises(InputError, match="no image with support data"):
+    with pytest.raises(InputError, match="no image of the solution"):
         group(command, standalone_mode=False)
     with pytest.raises(InputError, match="no such file"):
         group(["export", str(tmp_path / "none"), "--to", "isis", "--out", str(tmp_path / "x")], standalone_mode=False)

@@ -13,6 +13,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export.asp import write_asp
+from mgsgraph.export.csm import write_csm
 from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.network import PointClass
 from mgsgraph.ties import PointKind
@@ -96,6 +97,17 @@ def test_lists_go_together_and_commands_name_files_that_are_there(solution: Solu
     assert "cubes/other.cub" in (tmp_path / "adjusted.gcp").read_text(encoding="utf-8")
 
 
+def test_cameras_are_called_like_the_files_of_their_images(solution: Solution, tmp_path: Path) -> None:
+    """Support data are no pixels: the cube of that name is meant."""
+    names = [image.name for image in solution.network.images]
+    write_asp(solution, tmp_path, {names[0]: "first.isd", names[1]: "cubes/second.tif"})
+    images, cameras = ((tmp_path / f"{name}.txt").read_text().split() for name in ("images", "cameras"))
+    assert images[:2] == ["first.cub", "cubes/second.tif"]
+    assert cameras[:2] == ["first.adjusted_state.json", "second.adjusted_state.json"]
+    csm = write_csm(solution, tmp_path, files={names[0]: "first.cub"})
+    assert {path.name for path in csm} >= {"first.json", "first.adjusted_state.json"}
+
+
 def test_without_free_or_control_points(solution: Solution, tmp_path: Path) -> None:
     ties = adjust_network(network(pair(), laser=False), SolverSettings(), "ties")
     names = {path.name for path in write_asp(ties, tmp_path / "ties")}
@@ -113,8 +125,8 @@ def test_without_free_or_control_points(solution: Solution, tmp_path: Path) -> N
     [
         ({"nobody": "a.cub"}, "the image 'nobody'"),
         ({0: "a b.cub"}, "a name without blanks"),
-        ({0: "same.cub", 1: "same.cub"}, "of two images"),
-        ({0: "a/same.cub", 1: "b/same.cub"}, "same"),
+        ({0: "same.cub", 1: "same.cub"}, "called same"),
+        ({0: "a/same.cub", 1: "b/same.cub"}, "called same"),
     ],
 )
 def test_files_that_cant_be_told_apart(solution: Solution, tmp_path: Path, images: dict, said: str) -> None:

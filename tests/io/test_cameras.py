@@ -141,6 +141,60 @@ def test_hirise_begins_when_isis_says(tmp_path: Path, shared_data: Path) -> None
     np.testing.assert_allclose(mount, published, rtol=0, atol=1e-12)
 
 
+# --- CTX
+
+CTX = """PDS_VERSION_ID = PDS3
+INSTRUMENT_ID = CTX
+PRODUCT_ID = X
+TARGET_NAME = MARS
+START_TIME = 2009-06-01T00:38:16.057
+STOP_TIME = N/A
+SPACECRAFT_CLOCK_START_COUNT = "0928283918:060"
+LINE_EXPOSURE_DURATION = 1.877 <MSEC>
+SAMPLING_FACTOR = {}
+SAMPLE_FIRST_PIXEL = {}
+OBJECT = IMAGE
+  LINES = 400
+  LINE_SAMPLES = {}
+END_OBJECT = IMAGE
+END
+"""
+
+
+def ctx(folder: Path, summing: int, first: int, samples: int) -> LineScanLabel:
+    path = folder / "X.IMG"
+    path.write_text(CTX.format(summing, first, samples))
+    return read_line_scan_label(path)
+
+
+@pytest.mark.parametrize(
+    ("summing", "first", "samples", "seeing"),
+    [(1, 0, 5056, 5000), (2, 0, 2528, 2500), (1, 1000, 1016, 1000), (2, 1000, 1008, 1000)],
+)
+def test_ctx_without_its_masked_pixels(tmp_path: Path, summing: int, first: int, samples: int, seeing: int) -> None:
+    """ISIS mroctx2isis; lines take `summing` of the label's line times (mro_ctx_pds_sis.pdf, ISIS CTXCamera), so that
+    pixels stay square: 6 m and 12 m.
+    """
+    said = ctx(tmp_path, summing, first, samples)
+    assert (said.samples, said.stop) == (seeing, "")
+    assert said.period == pytest.approx(1.877e-3 * summing, rel=1e-12)
+
+
+@pytest.mark.parametrize(("summing", "first", "samples"), [(1, 0, 2528), (2, 0, 5056), (1, 1000, 16), (4, 0, 1264)])
+def test_ctx_of_no_such_width(tmp_path: Path, summing: int, first: int, samples: int) -> None:
+    with pytest.raises(InputError, match=r"samples|summing 4"):
+        ctx(tmp_path, summing, first, samples)
+
+
+def test_cubes_of_ctx_and_lroc_that_are_summed(tmp_path: Path) -> None:
+    """LROC sums across track alone: its label has the period as it is (ISIS LroNarrowAngleCamera)."""
+    text = "InstrumentId = CTX; SpacecraftClockCount = 1:0; LineExposureDuration = 1.877; SampleFirstPixel = 0; "
+    assert label(tmp_path, f"{text}SpatialSumming = 2").period == pytest.approx(3.754e-3, rel=1e-12)
+    text = "InstrumentId = NACL; SpacecraftClockPrerollCount = 1; LineExposureDuration = 0.986133; "
+    text += "SampleFirstPixel = 0; "
+    assert label(tmp_path, f"{text}SpatialSumming = 2", target="MOON").period == pytest.approx(0.986133e-3, rel=1e-12)
+
+
 # --- LROC
 
 NAC_RIGHT = """PDS_VERSION_ID = PDS3

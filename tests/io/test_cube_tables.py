@@ -12,6 +12,7 @@ from cubes import LINES, PERIOD, START, tables, written
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.isd import read_isd
@@ -138,6 +139,8 @@ def test_json_beside_a_label_is_the_cube(tmp_path: Path) -> None:
         ("instrument_position", {"ephemeris_times": []}, "0 of ET; expected as many of each"),
         ("body_rotation", {"quaternions": "x"}, "what is not a table of numbers"),
         ("naif_keywords", {}, "no INS-94031_"),
+        ("naif_keywords", None, "naif_keywords: None; expected constants by name"),
+        ("naif_keywords", ["BODY499_RADII"], "expected constants by name"),
     ],
 )
 def test_json_that_is_no_table(tmp_path: Path, key: str, value: object, said: str) -> None:
@@ -151,17 +154,92 @@ def test_json_that_is_no_table(tmp_path: Path, key: str, value: object, said: st
 
 def test_the_clock_is_eight_bytes(tmp_path: Path) -> None:
     """Time of the label's start as ISIS keeps it: it goes before the table's first time."""
-    later = struct.pack("<d", START + 0.0005).hex()
+    later = struct.pack("<d", START + 0.00005).hex()
     content = as_json()
     content["naif_keywords"]["CLOCK_ET_-94_100:0_COMPUTED"] = later
     (tmp_path / "image.pvl").write_bytes(written(tmp_path).read_bytes().split(b"Object = Table")[0] + b"End\n")
     (tmp_path / "image.isd").write_text(json.dumps(content))
     image = read_isis_cube(tmp_path / "image.isd")
-    assert image.trajectory.epoch + image.timing.start_times[0] == pytest.approx(START + 0.0005, abs=1e-9)
+    assert image.trajectory.epoch + image.timing.start_times[0] == pytest.approx(START + 0.00005, abs=1e-9)
     content["naif_keywords"]["CLOCK_ET_-94_100:0_COMPUTED"] = "1db0"
     (tmp_path / "image.isd").write_text(json.dumps(content))
     with pytest.raises(InputError, match="expected 16 hexadecimal digits"):
         read_isis_cube(tmp_path / "image.isd")
+
+
+def clocked(folder: Path, start: float, *changes: tuple[str, str], **more: object) -> Path:
+    """A cube's tables as JSON whose label's clock count ISIS has read as `start`, s TDB past J2000."""
+    content = as_json() | more
+    content["naif_keywords"]["CLOCK_ET_-94_100:0_COMPUTED"] = struct.pack("<d", start).hex()
+    text = (written(folder, *changes).read_bytes().split(b"Object = Table")[0] + b"End\n").decode()
+    (folder / "image.pvl").write_text(text)
+    (folder / "image.isd").write_text(json.dumps(content))
+    return folder / "image.isd"
+
+
+PERIOD_OF_LABEL = "LineExposureDuration = 0.482100"
+
+
+@pytest.mark.parametrize(
+    ("start", "period"), [(START + 0.0002, PERIOD), (START - 0.0002, PERIOD), (START + 5.0, PERIOD),
+                          (START, 2 * PERIOD), (START, 0.5 * PERIOD)],
+)  # fmt: skip
+def test_tables_of_another_image_are_refused_whatever_the_clock(tmp_path: Path, start: float, period: float) -> None:
+    stated = (PERIOD_OF_LABEL, f"LineExposureDuration = {500.0 * period!r}")
+    with pytest.raises(InputError, match="the table is not of this image"):
+        read_isis_cube(clocked(tmp_path, start, stated))
+
+
+def test_tables_agree_within_a_part_of_a_line(tmp_path: Path) -> None:
+    """HiRISE's lines take 74 microseconds; 50 off the end of 7.4 ms are two thirds of a line."""
+    fields, rows = tables()["InstrumentPosition"]
+    label = (PERIOD_OF_LABEL, "LineExposureDuration = 0.037")
+    for late, refused in ((0.0, False), (5e-5, True)):
+        times = START + np.array([0.0, 0.5, 1.0])[:, None] * (LINES * 74e-6 + late)
+        cube = written(tmp_path, label, other={"InstrumentPosition": (fields, np.hstack([rows[:, :6], times]))})
+        if refused:
+            with pytest.raises(InputError, match="the table is not of this image"):
+                read_isis_cube(cube)
+        else:
+            assert read_isis_cube(cube).timing.periods == pytest.approx([74e-6])
+
+
+def test_tables_that_spiceinit_was_told_to_pad(tmp_path: Path) -> None:
+    """ISIS Spice: the group Kernels says by how much (StartPadding, EndPadding)."""
+    archive = "  Group = Archive"
+    said = f"    StartPadding = 0.0 <seconds>\n    EndPadding = {20 * PERIOD!r} <seconds>\n"
+    padded = (archive, f"  Group = Kernels\n{said}  End_Group\n{archive}")
+    fewer = ("      Lines = 100", "      Lines = 80")
+    assert read_isis_cube(written(tmp_path, padded, fewer)).lines == 80
+    with pytest.raises(InputError, match="the table is not of this image"):
+        read_isis_cube(written(tmp_path, fewer))
+
+
+def test_where_the_clock_is_missing_a_preroll_is_not_counted_twice(tmp_path: Path, shared_data: Path) -> None:
+    """ISIS's tables begin with the first line of LROC, 1,024 lines after the label's clock count."""
+    place = shared_data / "lro_nac_hadley" / "observationImageL"
+    (tmp_path / "x.pvl").write_bytes(place.with_suffix(".pvl").read_bytes())
+    content = json.loads(place.with_suffix(".isd").read_text())
+    for key in [key for key in content["naif_keywords"] if key.startswith("CLOCK_ET")]:
+        del content["naif_keywords"][key]
+    (tmp_path / "x.isd").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"no CLOCK_ET_-85_1/269181999:50462_COMPUTED; .* run spiceinit again"):
+        read_isis_cube(tmp_path / "x.pvl")
+
+
+def test_cubes_say_what_was_done_with_positions(tmp_path: Path) -> None:
+    """In the words of support data; geometric ones by a keyword go without."""
+    assert "MGS" in read_isis_cube(written(tmp_path)).remarks[0]
+    assert "as the case says" in read_isis_cube(written(tmp_path), None, Aberration("NONE")).remarks[0]
+    path = clocked(tmp_path, START)
+    content = json.loads(path.read_text())
+    content["naif_keywords"]["INS-94031_LIGHTTIME_CORRECTION"] = "NONE"
+    path.write_text(json.dumps(content))
+    assert read_isis_cube(path).remarks == ()
+    content["naif_keywords"] |= {"INS-94031_LIGHTTIME_CORRECTION": "LT+S", "INS-94031_SWAP_OBSERVER_TARGET": "YES"}
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="'YES'; expected true or false"):
+        read_isis_cube(path)
 
 
 # --- real ones

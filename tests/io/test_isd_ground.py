@@ -33,21 +33,19 @@ FILES = (
     )),
 )  # fmt: skip
 DENSE = 4001
+HADLEY = {2548: {"line": 0.0, "sample": 2547.5}, 2496: {"line": 0.0, "sample": 2495.5}}
 
 
 def as_isis_takes_it(isd: dict[str, Any]) -> dict[str, Any]:
-    """What ISIS's LROC makes of its own file (LroNarrowAngleCamera): the label's line times after 1,024 lines of
-    preroll, 0.45 % longer; BORESIGHT_SAMPLE counts the first pixel's centre as 1.
+    """LROC's own files of ISIS: its tables begin with the first line and end with the last, whatever the label's times
+    in line_scan_rate are; the middle of the principal point's pixel is at 2547.5 and 2495.5, counted from 0 at the edge
+    of the first one (lro_instrumentAddendum: pixels 2548 and 2496, the first one's middle at 1).
     """
-    keywords, ((line, start, period),) = isd["naif_keywords"], isd["line_scan_rate"]
-    code = next(key.partition("_")[0] for key in keywords if key.endswith("_BORESIGHT_SAMPLE"))
-    centre = isd["detector_center"]
-    if centre["sample"] != keywords[f"{code}_BORESIGHT_SAMPLE"]:
+    if isd["detector_center"]["sample"] not in HADLEY:
         return isd
-    period *= 1.0 + keywords[f"{code}_MULTIPLI_LINE_ERROR"]
-    start += keywords[f"{code}_ADDITIONAL_PREROLL"] * period
-    moved = centre | {"sample": centre["sample"] - 0.5}
-    return isd | {"line_scan_rate": [[line, start, period]], "detector_center": moved}
+    first, *_, last = isd["instrument_position"]["ephemeris_times"]
+    rate = [[0.5, first - isd["center_ephemeris_time"], (last - first) / isd["image_lines"]]]
+    return isd | {"line_scan_rate": rate, "detector_center": HADLEY[isd["detector_center"]["sample"]]}
 
 
 def laid_out(isd: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from support_data import ISD, edited, read
 from mgsgraph.errors import InputError
 from mgsgraph.io.aberration import Aberration, geometric
 from mgsgraph.io.cameras.table import CAMERAS
-from mgsgraph.io.isd_positions import _SENSORS
+from mgsgraph.io.stated_aberration import SPACECRAFT, spacecraft_of
 
 SILENT = edited(("naif_keywords",), {})
 
@@ -20,7 +20,7 @@ def positions(folder: Path, isd: dict[str, Any], given: Aberration | None = None
     return read(folder, isd, given).trajectory.position.positions
 
 
-@pytest.mark.parametrize("sensors", _SENSORS, ids=lambda sensors: sensors.names[-1])
+@pytest.mark.parametrize("sensors", SPACECRAFT, ids=lambda sensors: sensors.names[-1])
 def test_the_platform_decides_and_is_said(tmp_path: Path, sensors: Any) -> None:
     for name in (sensors.names[0], sensors.names[0].lower().replace(" ", "_")):
         image = read(tmp_path, SILENT | {"name_platform": name})
@@ -28,7 +28,7 @@ def test_the_platform_decides_and_is_said(tmp_path: Path, sensors: Any) -> None:
             image.trajectory.position.positions, positions(tmp_path, SILENT, sensors.stated)
         )
         assert any(sensors.source in remark for remark in image.remarks)
-    by_code = SILENT | {"naif_keywords": {f"INS{1000 * sensors.spacecraft - 31}_FOCAL_LENGTH": 3500.0}}
+    by_code = SILENT | {"naif_keywords": {f"INS{1000 * sensors.code - 31}_FOCAL_LENGTH": 3500.0}}
     np.testing.assert_array_equal(positions(tmp_path, by_code), image.trajectory.position.positions)
 
 
@@ -106,12 +106,28 @@ def dense(first: float) -> dict[str, Any]:
             {"name_sensor": "MGS_MOC_WA_RED", "optical_distortion": {"radial": {"coefficients": [0, -0.007, 0.007]}}},
             "pixel sizes",
         ),
+        ({"optical_distortion": {"radial": {"coefficients": [0, "0.013", "0.013"]}}}, "pixel sizes"),
     ],
 )
 def test_what_ale_leaves_unknown_of_moc_is_refused(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
         read(tmp_path, moc(**changes))
     assert "kernels" in str(caught.value)
+
+
+def test_times_of_lroc_are_corrected_as_its_labels_are(tmp_path: Path) -> None:
+    """ISIS LroNarrowAngleCamera: 1,024 lines and an offset after the label's time, each line 0.45 % longer."""
+    names = {
+        "CONSTANT_TIME_OFFSET": 0.01, "ADDITIONAL_PREROLL": 1024, "ADDITIVE_LINE_ERROR": 0,
+        "MULTIPLI_LINE_ERROR": 0.0045, "LIGHTTIME_CORRECTION": "NONE",
+    }  # fmt: skip
+    period = 0.001 * 1.0045
+    isd = edited(("naif_keywords",), {f"INS-85600_{name}": value for name, value in names.items()})
+    isd["line_scan_rate"] = [[0.5, -1.0 - 0.01 - 1024 * period, 0.001]]
+    isd["image_lines"] = 900
+    image = read(tmp_path, isd)
+    np.testing.assert_allclose([*image.timing.start_times, *image.timing.periods], [-1.0, period], rtol=0, atol=1e-12)
+    assert len(image.remarks) == 1
 
 
 METRES = {"positions": [[3796e3, 0.0, 3e3], [3796e3, 0.0, 0.0], [3796e3, 0.0, -3e3]], "velocities": [[0, 0, -3e3]] * 3}
@@ -138,7 +154,5 @@ def test_what_nobody_doubts_goes_unremarked(tmp_path: Path) -> None:
     assert read(tmp_path, geometric_ones).remarks == ()
 
 
-def test_cubes_and_support_data_know_the_same() -> None:
-    for camera in CAMERAS:
-        mine = [one for one in _SENSORS if one.spacecraft == camera.spacecraft]
-        assert [one.stated.correction for one in mine] == [camera.aberration], camera.name
+def test_each_camera_of_cubes_is_of_a_spacecraft_that_is_known() -> None:
+    assert all(spacecraft_of(camera.spacecraft) is not None for camera in CAMERAS)

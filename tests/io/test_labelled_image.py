@@ -1,6 +1,7 @@
 """Labels and kernels of all cameras whose real kernels are at hand: against ISIS's tables, ALE's and SPICE itself."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mex
@@ -13,6 +14,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.io import labelled_image
+from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.cube_tables import attitude_table, position_table, tables_of_label
 from mgsgraph.io.image_label import read_label
 from mgsgraph.io.isis_cube import read_isis_cube
@@ -49,6 +52,26 @@ def turned(one: np.ndarray, other: np.ndarray) -> float:
 def tables(image: PushbroomImage) -> Trajectory:
     assert isinstance(image.trajectory, Trajectory)
     return image.trajectory
+
+
+# --- stop times
+
+MOC = "mgs_moc_m0402852/m0402852"
+TRUE_LINES = {f"{LROC}_pds3": 52224, f"{CTX}_pds3": 24576, f"{KAGUYA}_pds3": 4656, f"{MOC}_isis": 1536}
+"""Of the whole images: their files here have the label's stop time, but 400 lines but for MOC's."""
+
+
+@pytest.mark.parametrize("image", TRUE_LINES)
+def test_lines_end_by_the_stop_time_of_the_label(shared_data: Path, image: str) -> None:
+    """True ones do so by 0.01 s; a tenth more, such as a wrong line period would make, are refused."""
+    label = read_line_scan_label(shared_data / f"{image}.lbl")
+    names = mgs.kernels(shared_data) if image.startswith(MOC) else kernels(shared_data, image)
+    with loaded(names):
+        words = labelled_image._Constants.of(label, "iak")
+        whole = labelled_image._line_times(replace(label, lines=TRUE_LINES[image]), words)
+        assert whole.lines == TRUE_LINES[image]
+        with pytest.raises(InputError, match="past the stop time"):
+            labelled_image._line_times(replace(label, lines=TRUE_LINES[image] * 11 // 10), words)
 
 
 # --- LROC

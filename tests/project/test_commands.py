@@ -7,10 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import profiles
 import pytest
 from msgspec import structs
 from projects import digest
 
+import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.io.control.network_file import read_network
@@ -139,6 +142,38 @@ def in_third(network: ControlNetwork, path: Path) -> Path:
     )  # fmt: skip
     write_pvl_network(structs.replace(network, points=points), path)
     return path
+
+
+def test_shots_get_the_sigmas_and_checks_that_they_get_in_a_case(project: Path, case_file: Path) -> None:
+    """A profile of LOLA, as its selection says, has LOLA's sigmas; ranges in other units, shots on another body and an
+    altimeter of which nothing is known are refused.
+    """
+    profiles.write_profile(case_file.with_name("profile.csv"))
+    _, *rows = case_file.with_name("profile.csv").read_text(encoding="utf-8").splitlines()
+
+    def selection(altimeter: str, column: int = 0, factor: float = 1.0) -> Path:
+        values = [row.split(",") for row in rows]
+        for one in values:
+            one[column] = repr(float(one[column]) * factor)
+        path = case_file.with_name(f"{altimeter}.csv")
+        head = "longitude_deg,latitude_deg,radius_m,range_m,time_s,orbit,altimeter"
+        path.write_text("\n".join([head, *(",".join([*one, altimeter]) for one in values)]), encoding="utf-8")
+        return path
+
+    refused(project, "metres stand where", "add", project, "--shots", selection("LOLA", 3, 1000.0))
+    refused(project, "radii of .* km", "add", project, "--shots", selection("LOLA", 2, 0.5))
+    refused(project, "shot_ground_sigma_m in a project", "add", project, "--shots", selection("MLA"))
+    assert call("add", project, "--shots", selection("LOLA")) == 0
+    with open_project(project) as opened:
+        found = opened.store.network()
+    case = profiles.with_profile(case_file)
+    case.write_text(case.read_text(encoding="utf-8").replace('"profile.csv"', '"LOLA.csv"'), encoding="utf-8")
+    expected = mgsgraph.read_case(case).network
+    for net in (found, expected):
+        mine = [k for k, name in enumerate(net.points.ids) if name.startswith("LOLA:")]
+        assert len(mine) == profiles.SHOTS
+        assert net.points.covariances[mine] == pytest.approx(np.tile(400.0 * np.eye(3), (len(mine), 1, 1)))
+        assert set(net.ranges.sigmas[np.isin(net.ranges.point, mine)].tolist()) == {1.0}
 
 
 def test_check_changes_nothing(project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:

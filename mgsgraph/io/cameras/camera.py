@@ -18,7 +18,6 @@ from mgsgraph.io.cameras.line_times import LineTimes, LineTimesPlace, uniform
 from mgsgraph.io.pvl import Block
 from mgsgraph.units import ISIS_OFFSET, MM
 
-Correction = Literal["NONE", "LT+S"]
 LabelKind = Literal["isis", "pds3"]
 
 
@@ -52,7 +51,7 @@ class LabelKeys:
     serial_end: str = ""
     """The serial number's last part, where no keyword of the label has it."""
     stop: str = ""
-    """UTC of the last line, for cameras whose line times are held against it."""
+    """UTC of the last line, of cameras whose line times are known to end with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +84,10 @@ class LineScanLabel:
     """Detector pixels before the image's first one."""
     first_line: float = 0.0
     """Lines that were cut off before the image's first one (ISIS crop)."""
+    whole: int = 0
+    """Number of lines before any were cut off; 0 where none were."""
+    padding: tuple[float, float] = (0.0, 0.0)
+    """s by which spiceinit was told to begin a cube's tables earlier and to end them later."""
     line_offset: float = 0.0
     """Detector lines by which the place of the exposure is off the detector's origin (time delay integration)."""
     late: float = 0.0
@@ -94,7 +97,7 @@ class LineScanLabel:
     band: int = 1
     """Filter, from 1 on, of cameras whose geometry hangs on it."""
     stop: str = ""
-    """UTC of the last line; empty where nothing hangs on it."""
+    """UTC of the last line; empty where the label has none."""
     times: LineTimesPlace = None
     """Where the times of single lines are, for cameras that change their line period."""
     keywords: NaifKeywords | None = None
@@ -144,10 +147,10 @@ class Camera:
     """Whether `LabelKeys.start` is UTC, not a clock count."""
     clock: int = 0
     """NAIF id of the clock; the spacecraft's when 0."""
+    tables_of_bands: bool = False
+    """Whether tables of cubes reach over all bands, which see a line at other times."""
     attitude_bias: float = 0.0
     """s; attitude(t) := CK(t + bias). Tables of cubes have it in them."""
-    aberration: Correction = "LT+S"
-    """Of the positions in ISIS's tables, where the keywords do not say: ISIS's own default, the body as observer."""
     constants: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """Of the addendum, for cubes of older versions of ISIS, which hold no keywords."""
     constants_target: str = ""

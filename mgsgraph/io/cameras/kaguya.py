@@ -93,13 +93,13 @@ def _tc(name: str, instrument: int) -> Camera:
         frame=instrument + 1,  # LISM_TC1_HEAD -131350, LISM_TC2_HEAD -131370
         isis=LabelKeys(
             identity={"InstrumentId": name}, start="SpacecraftClockStartCount", utc="StartTime",
-            period="LineSamplingInterval", product="ProductId", target="TargetName",
+            stop="StopTime", period="LineSamplingInterval", product="ProductId", target="TargetName",
             serial=("InstrumentId", "StartTime"),
         ),
         pds3=LabelKeys(
             identity={"INSTRUMENT_ID": name}, start="CORRECTED_SC_CLOCK_START_COUNT",
-            utc="CORRECTED_START_TIME", period="CORRECTED_SAMPLING_INTERVAL", product="PRODUCT_ID",
-            target="TARGET_NAME",
+            utc="CORRECTED_START_TIME", stop="CORRECTED_STOP_TIME", period="CORRECTED_SAMPLING_INTERVAL",
+            product="PRODUCT_ID", target="TARGET_NAME",
             serial=("INSTRUMENT_ID", "CORRECTED_START_TIME"),
         ),
         interior=_terrain,

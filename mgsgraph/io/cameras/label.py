@@ -37,7 +37,7 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
     """The same of a label that was read already; `path` is its file."""
     block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
     camera, keys = _recognised(path, block)
-    lines, samples, first_line, first_sample = _extent(block)
+    lines, samples, first_line, first_sample, whole = _extent(block)
     summing = block.number(keys.sample_summing) if keys.sample_summing else 1.0
     first = block.number(keys.first_sample) - keys.first_pixel if keys.first_sample else 0.0
     periods = block.number(keys.line_summing) if keys.line_summing else 1.0
@@ -58,7 +58,9 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
         sample_summing=summing,
         first_sample=first + first_sample * summing,
         first_line=first_line,
-        stop=block.text(keys.stop) if keys.stop else "",
+        whole=whole if whole != lines else 0,
+        padding=(_padding(block, "StartPadding"), _padding(block, "EndPadding")),
+        stop=_stop(keys, block),
         keywords=next((keywords_of(one) for one in root.blocks if one.name == "naifkeywords"), None),
     )
     return camera.label_facts(block, said) if camera.label_facts else said
@@ -100,23 +102,37 @@ def _serial_number(camera: Camera, keys: LabelKeys, block: LabelBlock) -> str:
     return "/".join([camera.mission, *parts, *filter(None, [keys.serial_end])])
 
 
-def _extent(block: LabelBlock) -> tuple[int, int, float, float]:
-    """Lines and samples of the image in camera geometry, and how many were cut off before its first ones.
+def _stop(keys: LabelKeys, block: LabelBlock) -> str:
+    """Line times that the label doesn't have hang on it; others are held against it, where it is known."""
+    if not keys.stop or (keys.period and (keys.stop not in block or not block.text(keys.stop)[:1].isdigit())):
+        return ""
+    return block.text(keys.stop)
+
+
+def _padding(block: LabelBlock, key: str) -> float:
+    """Of a cube's tables, s; see `LineScanLabel.padding`."""
+    return block.number(key, {"seconds": 1.0, "s": 1.0, "": 1.0}) if block.kind == "isis" and key in block else 0.0
+
+
+def _extent(block: LabelBlock) -> tuple[int, int, float, float, int]:
+    """Lines and samples of the image in camera geometry, how many were cut off before its first ones, and the lines
+    before that.
 
     A map-projected cube gives the image that it was made of (its AlphaCube), whole.
     """
     if block.kind == "pds3":
         image = block.root.inner("IMAGE")
-        return image.count("LINES"), image.count("LINE_SAMPLES"), 0.0, 0.0
+        return image.count("LINES"), image.count("LINE_SAMPLES"), 0.0, 0.0, image.count("LINES")
     cube = block.root.inner("IsisCube")
     size = cube.inner("Core").inner("Dimensions")
     lines, samples = size.count("Lines"), size.count("Samples")
     alpha = next((one for one in cube.blocks if one.name == "alphacube"), None)
     if alpha is None:
-        return lines, samples, 0.0, 0.0
+        return lines, samples, 0.0, 0.0, lines
     if is_map_projected(block.root):
-        return alpha.count("AlphaLines"), alpha.count("AlphaSamples"), 0.0, 0.0
-    return lines, samples, _cut(alpha, "Line", lines), _cut(alpha, "Sample", samples)
+        return alpha.count("AlphaLines"), alpha.count("AlphaSamples"), 0.0, 0.0, alpha.count("AlphaLines")
+    cut = _cut(alpha, "Line", lines), _cut(alpha, "Sample", samples)
+    return lines, samples, *cut, alpha.count("AlphaLines")
 
 
 def _cut(alpha: Block, axis: str, count: int) -> float:

@@ -23,6 +23,8 @@ from mgsgraph.units import MM
 _LEFT, _RIGHT = -85600, -85610
 _STRAIGHT = 1.3
 _PIXELS, _HIGHEST_SUMMING = 5064, 2
+CORRECTIONS = ("CONSTANT_TIME_OFFSET", "ADDITIONAL_PREROLL", "ADDITIVE_LINE_ERROR", "MULTIPLI_LINE_ERROR")
+"""Names of the addendum."""
 
 
 def _interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
@@ -31,15 +33,18 @@ def _interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
     return interior_by_addendum(keywords, label, LrocNacDistortion(k / MM**2))
 
 
-def corrected_line_times(keywords: Keywords, label: LineScanLabel, start: float, stop: float) -> LineTimes:
-    """From 1,024 lines after the preroll's clock count on, each 0.45 % longer than the label says."""
-    code = label.camera.instrument
-    offset, preroll, addend, factor = (
-        number(keywords, f"INS{code}_{name}")
-        for name in ("CONSTANT_TIME_OFFSET", "ADDITIONAL_PREROLL", "ADDITIVE_LINE_ERROR", "MULTIPLI_LINE_ERROR")
-    )
-    period = label.period * (1.0 + factor) + addend
-    return uniform(start + preroll * period + offset, period, label.lines, label.first_line)
+def corrected(keywords: Keywords, code: int, start: float, period: float) -> tuple[float, float]:
+    """Time of the first line and its period (s) by those of the label: the line comes 1,024 lines after the preroll's
+    clock count, and each takes 0.45 % longer than the label says.
+    """
+    offset, preroll, addend, factor = (number(keywords, f"INS{code}_{name}") for name in CORRECTIONS)
+    period = period * (1.0 + factor) + addend
+    return start + preroll * period + offset, period
+
+
+def _line_times(keywords: Keywords, label: LineScanLabel, start: float, stop: float) -> LineTimes:
+    first, period = corrected(keywords, label.camera.instrument, start, label.period)
+    return uniform(first, period, label.lines, label.first_line)
 
 
 def _not_turned(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
@@ -61,21 +66,21 @@ def _camera(name: str, instrument: int, identity: str, side: str) -> Camera:
         instrument=instrument,
         isis=LabelKeys(
             identity={"InstrumentId": identity}, start="SpacecraftClockPrerollCount", utc="PrerollTime",
-            period="LineExposureDuration", product="ProductId", target="TargetName",
+            stop="StopTime", period="LineExposureDuration", product="ProductId", target="TargetName",
             serial=("SpacecraftClockStartCount", "InstrumentId"),
             sample_summing="SpatialSumming", first_sample="SampleFirstPixel",
         ),
         pds3=LabelKeys(
             identity={"INSTRUMENT_ID": "LROC", "FRAME_ID": side}, start="LRO:SPACECRAFT_CLOCK_PREROLL_COUNT",
-            utc="LRO:PREROLL_TIME", period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
+            utc="LRO:PREROLL_TIME", stop="STOP_TIME", period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID",
+            target="TARGET_NAME",
             serial=("SPACECRAFT_CLOCK_START_COUNT",), serial_end=identity, sample_summing="CROSSTRACK_SUMMING",
         ),
         interior=_interior,
         addendum="lro_instrumentAddendum_v04.ti",
         source="ISIS LroNarrowAngleCamera",
-        line_times=corrected_line_times,
+        line_times=_line_times,
         label_facts=_not_turned,
-        aberration="NONE",
     )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ _MARS = (3396.19, 3396.19, 3376.2)
 _METRES_BELOW, _METRES_BELOW_WIDE = 100.0, 1.0
 """INS-94031_FOCAL_LENGTH is 3.5 (m) in the instrument kernel and 3500 (mm) in the addendum, and the later one wins; of
 the wide angles not the unit alone is another."""
-_PITCH = 0.0131240578522949
+PITCH = 0.0131240578522949
 """mm, the narrow angle's."""
 
 
@@ -111,7 +111,7 @@ def _camera(
         spacecraft=-94,
         instrument=instrument,
         isis=LabelKeys(
-            identity=identity, start="SpacecraftClockCount", utc="StartTime",
+            identity=identity, start="SpacecraftClockCount", utc="StartTime", stop="StopTime",
             period="LineExposureDuration", product="ProductId",
             target="TargetName", serial=("SpacecraftClockCount", "InstrumentId", "FilterName"),
             line_summing="DowntrackSumming", sample_summing="CrosstrackSumming", first_sample="FirstLineSample",
@@ -119,7 +119,8 @@ def _camera(
         ),
         pds3=LabelKeys(
             identity={pds[key]: value for key, value in identity.items()}, start="SPACECRAFT_CLOCK_START_COUNT",
-            utc="START_TIME", period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
+            utc="START_TIME", stop="STOP_TIME", period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID",
+            target="TARGET_NAME",
             serial=("SPACECRAFT_CLOCK_START_COUNT", "INSTRUMENT_ID", "FILTER_NAME"),
             line_summing="DOWNTRACK_SUMMING", sample_summing="CROSSTRACK_SUMMING", first_sample="EDIT_MODE_ID",
         ),
@@ -136,7 +137,7 @@ def _camera(
 
 MOC_NARROW = _camera(
     "MOC-NA", _NARROW, {"InstrumentId": "MOC-NA"}, _narrow,
-    {"FOCAL_LENGTH": (3500.0,), "ITRANSS": (0.0, 0.0, 1.0 / _PITCH), "ITRANSL": (0.0, 1.0 / _PITCH, 0.0)},
+    {"FOCAL_LENGTH": (3500.0,), "ITRANSS": (0.0, 0.0, 1.0 / PITCH), "ITRANSL": (0.0, 1.0 / PITCH, 0.0)},
 )  # fmt: skip
 MOC_RED = _camera(
     "MOC-WA red", _RED, {"InstrumentId": "MOC-WA", "FilterName": "RED"},

@@ -76,6 +76,7 @@ THEMIS = Camera(
     pds3=None,
     interior=_interior,
     label_facts=_of_band,
+    tables_of_bands=True,
     addendum="ISIS's addendum of THEMIS",
     source="ISIS ThemisIrCamera",
 )  # fmt: skip
