@@ -102,23 +102,15 @@ def test_nodes_at_given_times(folder: Path) -> None:
     np.testing.assert_allclose(nodes.times + nodes.epoch, wanted, atol=1e-6)
 
 
-def test_times_in_utc(folder: Path, shared_data: Path) -> None:
+def test_times_in_utc(folder: Path) -> None:
     """START_TIME of h5270 and the time of its first line, within its milliseconds; the block flew at another time."""
-    leap_seconds = shared_data / FOLDER / "naif0012.tls"
     said = ", ".join(f'"2008-02-08T12:08:{second}.843"' for second in (53, 54, 55, 56))
     path = case_with(folder, f'[[strips]]\nname = "one"\nimages = ["HRSC/00/ND"]\nnodes = {{ times_utc = [{said}] }}\n')
-    text = path.read_text(encoding="utf-8").replace("[ties]", f'[spice]\nkernels = ["{leap_seconds}"]\n[ties]', 1)
-    path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="expected lines within its nodes'") as caught:
         mgsgraph.read_case(path)
     time = float(str(caught.value).split("nodes' ")[1].split(" to")[0])
     epoch = float(str(caught.value).split("s past ")[1].split(" s TDB")[0])
     assert epoch + time == pytest.approx(CHANGES[0][0], abs=2e-3)
-
-
-def test_times_in_utc_need_leap_seconds(folder: Path) -> None:
-    with pytest.raises(InputError, match=r"times_utc: times in UTC without kernels; expected a leap seconds kernel"):
-        strip_of(folder, 'nodes = { times_utc = ["2008-02-08T12:08:53"] }')
 
 
 # --- what is known beforehand
@@ -272,4 +264,4 @@ def test_projects_refuse_them_and_leave_nothing_behind(folder: Path, tmp_path: P
 
 def test_times_and_spacings_are_one_choice() -> None:
     with pytest.raises(InputError, match="here: spacing_lines and times_et_s; expected one of them"):
-        NodesInput(spacing_lines=10.0, times_et_s=(1.0,)).images((), lambda texts, where: np.zeros(0), "here")
+        NodesInput(spacing_lines=10.0, times_et_s=(1.0,)).images((), "here")

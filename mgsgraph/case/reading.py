@@ -29,7 +29,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
-from mgsgraph.geometry.records import Array, require_unique
+from mgsgraph.geometry.records import require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
@@ -146,15 +146,7 @@ def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]]
     """The network with the orientation images of its strips."""
     if not wanted.strips:
         return network
-
-    def to_et(strip: int, texts: Sequence[str], where: str) -> Array:
-        from mgsgraph.io.kernels import times_of_utc
-
-        named = [wanted.images[j].kernels for j in of_strips[strip] if wanted.images[j].kernels]
-        kernels = named[0] if named else wanted.spice.kernels if wanted.spice else ()
-        return times_of_utc(texts, [path.parent / kernel for kernel in kernels], where)
-
-    strips = strips_of(wanted.strips, of_strips, network.images, to_et, str(path))
+    strips = strips_of(wanted.strips, of_strips, network.images, str(path))
     with errors_from(str(path)):
         return replace(network, strips=strips)
 

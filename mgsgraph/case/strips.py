@@ -1,12 +1,12 @@
 """[[strips]] of a case file: images on one trajectory, adjusted through common orientation images."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Annotated
 
 import msgspec
 import numpy as np
 
+from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.case.numbers import Positive
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
@@ -42,19 +42,17 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     times_et_s: tuple[float, ...] = ()
     """Times, s TDB past J2000."""
     times_utc: tuple[str, ...] = ()
-    """Times, UTC as in 2008-02-08T12:08:53.843; by the leap seconds of the case's kernels."""
+    """Times, UTC as in 2008-02-08T12:08:53.843."""
 
-    def images(
-        self, pictures: Sequence[PushbroomImage], to_et: Callable[[Sequence[str], str], Array], where: str
-    ) -> OrientationImages:
-        """The nodes of a strip of these images; `to_et` turns UTC into s TDB past J2000, `where` names this table."""
+    def images(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
+        """The nodes of a strip of these images; `where` names this table."""
         said = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
         if len(said) > 1:
             raise InputError(where, listed(said), "one of them")
         edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
         start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
         if self.times_et_s or self.times_utc:
-            times = to_et(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
+            times = tdb_of_utc(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
             return OrientationImages(self.basis, epoch, times - epoch)
         spacing = self.spacing_s or _SPACING
         if self.spacing_lines is not None:
@@ -174,7 +172,6 @@ def strips_of(
     entries: Sequence[StripInput],
     of_strips: Sequence[Sequence[int]],
     images: Sequence[PushbroomImage],
-    to_et: Callable[[int, Sequence[str], str], Array],
     path: str,
 ) -> tuple[Strip, ...]:
     """The strips of a network.
@@ -186,8 +183,6 @@ def strips_of(
         Images of each, as `members` gives them.
     images : sequence of PushbroomImage
         All of the network.
-    to_et : callable
-        Turns times in UTC into s TDB past J2000: of a strip (its number), the texts, and their place for errors.
     path : str
         Case file, for errors.
     """
@@ -196,6 +191,6 @@ def strips_of(
         where, pictures = f"{path}, strips[{k}]", [images[j] for j in mine]
         require_one_pass(pictures, where)
         with errors_from(f"{where}.nodes", path):
-            nodes = entry.nodes.images(pictures, partial(to_et, k), f"{where}.nodes")
+            nodes = entry.nodes.images(pictures, f"{where}.nodes")
         found.append(Strip(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior")))
     return tuple(found)

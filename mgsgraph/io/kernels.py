@@ -162,15 +162,6 @@ def utc_time(text: str, where: str) -> float:
         return float(spiceypy.str2et(text.strip().removesuffix("Z")))
 
 
-def times_of_utc(texts: Sequence[str], kernels: Sequence[Path], where: str) -> Array:
-    """(n,) s TDB past J2000 of times in UTC, by the leap seconds among the kernels; `where` names them in errors."""
-    if not kernels:
-        raise InputError(where, "times in UTC without kernels", "a leap seconds kernel among kernels = [...]")
-    with loaded(kernels), spice_words(where, "UTC is written as in 2008-02-08T12:08:53.843; load a leapseconds kernel"):
-        times = spiceypy.str2et([text.strip().removesuffix("Z") for text in texts])
-    return np.asarray(times, dtype=np.float64)
-
-
 def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
     """Constant rotation (3, 3) from one frame to another that is fixed to it; InputError when it is not.
 

@@ -15,6 +15,7 @@ import pytest
 from flaky_archive import Flaky, cut, status, web_page
 
 import mgsgraph
+from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
@@ -23,7 +24,6 @@ from mgsgraph.fetch.download import RetryPolicy
 from mgsgraph.fetch.folder import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
 from mgsgraph.io.files import claimed
-from mgsgraph.io.kernels import times_of_utc
 from mgsgraph.io.labelled_image import read_labelled_image
 
 QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
@@ -403,5 +403,5 @@ def test_real_kernels_give_the_geometry_that_isis_has(archive: Flaky, shared_dat
     assert [name for name in files(folder) if name.endswith("hb.lbl") and "megr" in name] == [
         f"megdr/{Path(case.terrain.grids[0]).name}"
     ]
-    assert times_of_utc([fetched.images[0].start], kernels, "x")[0] == pytest.approx(mgs.START, abs=0.01)
+    assert tdb_of_utc([fetched.images[0].start], "x")[0] == pytest.approx(mgs.START, abs=0.01)
     assert camera_focal_length(folder) == pytest.approx(3.466916, abs=1e-6)
