@@ -55,7 +55,8 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
         return ground_places_table(found, body, places.columns), said
     if len(places.directions):
         sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
-        points = on_surface(*places.directions.T, sphere, surface.height, surface.terrain)
+        longitude, latitude = places.directions.T
+        points = on_surface(longitude, latitude, sphere, surface.height, surface.terrain)
         found = view.seen(points, surface.terrain)
     else:
         found = _beside_relief(view, places.points, surface.terrain)

@@ -115,7 +115,8 @@ def test_sigmas_by_numeric_derivatives(solution: Solution, on_relief: bool) -> N
 def test_relief_hides_places_with_heights_of_their_own_but_not_those_beneath_it(solution: Solution) -> None:
     view = View.adjusted(solution, 1)
     terrain = relief(view, 3000.0)
-    ground = on_surface(*planetocentric(view.on_ground(places(view)).points)[:, :2].T, view.image.body, 0.0, terrain)
+    longitude, latitude, _ = planetocentric(view.on_ground(places(view)).points).T
+    ground = on_surface(longitude, latitude, view.image.body, terrain=terrain)
     hidden = [str(one) for one in view.seen(ground, terrain).states]
     assert {"seen", "behind relief"} <= set(hidden)
 

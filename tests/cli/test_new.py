@@ -17,6 +17,8 @@ from mgsgraph.case import draft, draft_images
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.draft import draft_case
 from mgsgraph.case.draft_images import DraftImage, named_as
+from mgsgraph.case.images import read_image
+from mgsgraph.case.reading import case_of
 from mgsgraph.errors import InputError
 from mgsgraph.io.kinds import Kind
 from mgsgraph.reports.inventory import images_inventory
@@ -246,8 +248,8 @@ def test_images_are_read_once_however_many_tables_fail(
 
         return call
 
-    monkeypatch.setattr(draft, "case_of", counted("cases", draft.case_of))
-    monkeypatch.setattr(draft_images, "read_image", counted("images", draft_images.read_image))
+    monkeypatch.setattr(draft, "case_of", counted("cases", case_of))
+    monkeypatch.setattr(draft_images, "read_image", counted("images", read_image))
     made = draft_case([case_file.parent, *tmp_path.glob("n*.pvl")], tmp_path / "case.toml")
     assert made.text.count("# Left out: n") == 5
     assert calls["images"] == 2
