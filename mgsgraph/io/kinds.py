@@ -143,7 +143,7 @@ def _label(text: str, path: Path, size: int) -> Kind:
             letter = _MEG.match(pointer[1] if pointer else path.name) or _MEG.match(path.name)
             return _MEGDR_KINDS[letter[1].lower()] if letter else Kind.RASTER
         of_table = re.search(r"^\s*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
-        return Kind.SHOTS if of_table and not re.search(r"^\s*\^IMAGE\s*=", text, re.MULTILINE) else Kind.PDS3
+        return Kind.SHOTS if of_table and not re.search(r"^\s*\^(IMAGE|\w*QUBE)\s*=", text, re.MULTILINE) else Kind.PDS3
     start = re.search(r"^\s*StartByte\s*=\s*(\d+)", text, re.MULTILINE | re.IGNORECASE)
     if re.search(r"^\s*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
         return Kind.CUBE_LABEL
