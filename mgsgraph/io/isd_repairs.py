@@ -18,6 +18,8 @@ _FASTEST = 1e5
 _SAME = 1e-3
 _MOC = "MGS_MOC_"
 _HRSC = ("MEX_HRSC", "HIGH RESOLUTION STEREO CAMERA")
+_CTX, _CTX_LONGEST = "CONTEXT CAMERA", 2.8e-3
+"""s, longer than one line time of CTX (1.877 ms) and shorter than two."""
 _HRSC_PITCH = 142.857
 """Pixels of 7 micrometres per mm."""
 _HRSC_SIZES = {2584: 2, 1288: 4, 640: 8}
@@ -35,7 +37,7 @@ def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     """
     _require_units(isd, source)
     said = list[str]()
-    for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc, _hrsc):
+    for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc, _hrsc, _ctx):
         isd, words = repair(isd, source)
         said += words
     return isd, said
@@ -171,6 +173,22 @@ def _hrsc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
         return isd, []
     words = f"macropixels of {summing}, as {isd.image_samples} samples of HRSC are (ALE says 1)"
     return structs.replace(isd, detector_sample_summing=float(summing)), [words]
+
+
+def _ctx(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+    """Lines of CTX summed 2 x 2 take two line times (ISIS CTXCamera), of which ALE's mro_drivers write one; by labels,
+    its tables end with these, in the image's middle.
+    """
+    line, start, period = isd.line_scan_rate[0]
+    summing = isd.detector_sample_summing
+    if isd.name_sensor != _CTX or summing == 1.0 or period > _CTX_LONGEST or len(isd.line_scan_rate) > 1:
+        return isd, []
+    end = isd.center_ephemeris_time + start + isd.image_lines * period * summing
+    if isd.instrument_position.ephemeris_times[-1] < end - _SAME:
+        found, expected = f"lines of {period:g} s, summed {summing:g}", f"{period * summing:g} s, and tables as long"
+        raise InputError(f"{source}, line_scan_rate", found, f"{expected} (ALE leaves the summing out)", _ANOTHER_ROAD)
+    words = f"line period multiplied by the summing of {summing:g} (ALE leaves it out)"
+    return _with_rates(isd, np.array([[line, start, period * summing]])), [words]
 
 
 def _with_rates(isd: SupportData, table: Array) -> SupportData:

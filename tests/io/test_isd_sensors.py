@@ -130,6 +130,17 @@ def test_times_of_lroc_are_corrected_as_its_labels_are(tmp_path: Path) -> None:
     assert len(image.remarks) == 1
 
 
+def test_summed_lines_of_ctx_take_two_line_times(tmp_path: Path) -> None:
+    """As ISIS CTXCamera has it; tables that end with the single ones are those of half the image."""
+    isd = edited(("naif_keywords",), {"INS-74021_LIGHTTIME_CORRECTION": "NONE"})
+    isd |= {"name_sensor": "CONTEXT CAMERA", "detector_sample_summing": 2, "image_lines": 500}
+    image = read(tmp_path, isd | {"line_scan_rate": [[0.5, -0.9, 1.877e-3]]})
+    assert (image.timing.periods.tolist(), len(image.remarks)) == ([3.754e-3], 1)
+    assert read(tmp_path, isd | {"line_scan_rate": [[0.5, -0.9, 3.754e-3]]}).remarks == ()
+    with pytest.raises(InputError, match=r"lines of 0.001877 s, summed 2; expected 0.003754 s"):
+        read(tmp_path, isd | {"line_scan_rate": [[0.5, -0.9, 1.877e-3]], "image_lines": 800})
+
+
 METRES = {"positions": [[3796e3, 0.0, 3e3], [3796e3, 0.0, 0.0], [3796e3, 0.0, -3e3]], "velocities": [[0, 0, -3e3]] * 3}
 
 
