@@ -65,6 +65,10 @@ class EphemerisGap(InputError):
         self.time, self.start, self.stop = time, start, stop
 
 
+class Unmeasured(InputError):
+    """A case, or an image of it, in which no point is measured."""
+
+
 class PointBehindCamera(InputError):
     """A ground point that lies behind the camera which is said to have seen it."""
 

@@ -12,6 +12,7 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.io.files import read_text
 from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
+from mgsgraph.io.kinds import Kind, kind_of
 
 _MOLA = re.compile(r"^(\s*\[\[\s*)mola(\s*\]\])", re.MULTILINE)
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
@@ -31,10 +32,7 @@ def decode(path: Path) -> CaseInput:
         With the place of what is wrong: an unknown key, a value out of range; an image given in two ways or none, a
         list without files, files that are no images, or one name for two.
     """
-    toml = read_toml(path, CASE_FILE)
-    text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
-    toml = toml._replace(tables=of_today(toml.tables), text=text)
-    wanted = validated(toml, CaseInput, path, "all keys: mgsgraph help case")
+    wanted = stated(path)
     images = list[ImageInput]()
     for k, entry in enumerate(wanted.images):
         where = f"{path}, images[{k}]"
@@ -46,6 +44,25 @@ def decode(path: Path) -> CaseInput:
             found = f"the name {image.name!r} for {image_file(twin)} and for {image_file(image)}"
             raise InputError(f"{path}, images", found, "each image once", "rename one of the two, or take it out")
     return msgspec.structs.replace(wanted, images=tuple(images))
+
+
+def stated(path: Path) -> CaseInput:
+    """A case file's tables, validated, its images as it has them; InputError with the place of what is wrong."""
+    try:
+        toml = read_toml(path, CASE_FILE)
+    except InputError:
+        _refuse_other_kinds(path)
+        raise
+    text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
+    toml = toml._replace(tables=of_today(toml.tables), text=text)
+    return validated(toml, CaseInput, path, "all keys: mgsgraph help case")
+
+
+def _refuse_other_kinds(path: Path) -> None:
+    """Raise InputError for data, or a folder of them, in the place of a case file, and say how to come by one."""
+    kind = "a folder" if path.is_dir() else kind_of(path)
+    if kind not in (None, Kind.CASE):
+        raise InputError(str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {path}")
 
 
 def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:

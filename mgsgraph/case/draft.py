@@ -1,22 +1,28 @@
 """A case file for the files that somebody has: what each is says its content, what is missing is said in comments."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from mgsgraph.case.case_file import decode, stated
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
-from mgsgraph.case.draft_tables import Part, draft_tables, place, quoted, said
-from mgsgraph.case.reading import read_case
-from mgsgraph.errors import InputError, require
+from mgsgraph.case.draft_tables import Part, draft_tables, in_line, place, quoted, said
+from mgsgraph.case.reading import case_of
+from mgsgraph.errors import InputError, Unmeasured, require
 from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.io.control.table import read_tie_points
-from mgsgraph.io.files import beside, write_file
+from mgsgraph.io.files import beside, fresh_file, write_file
 from mgsgraph.io.kinds import Kind, kind_of, listed_files
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.wording import many, some
 
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""
+_PLAIN = "case"
+"""Name of most case files."""
+_STUB = "one pixel alone, cut down (slimcube?): name the whole image"
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
 _HEAD = """\
 # Written by `mgsgraph new`, and yours to change. All keys: mgsgraph help case.
@@ -63,7 +69,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     kinds, unknown = _kinds(given)
     kernels = _kernels(kinds)
     found = draft_images(kinds, kernels)
-    where = ", ".join(map(str, given))
+    where = str(given[0]) + (f" and {len(given) - 1} more" if len(given) > 1 else "")
     if not found.images:
         raise _no_image(where, kinds, found.left_out, unknown)
     bodies = {target_name(one.image.body): one for one in found.images}
@@ -72,9 +78,9 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
         raise InputError(where, f"images of {len(bodies)} bodies: {each}", "one body", "give their files apart")
     images, missing = named_as(found.images, _names_in_networks(kinds))
     parts, refused = draft_tables(kinds, images, out)
-    name = name or next(one.resolve().name for one in [*given, Path.cwd()] if one.is_dir())
+    name = name or _name(given, out)
     head = _HEAD.format(name=quoted(name)) + _ORIENTATION + _spice(images, kernels, out) + _images(images, out)
-    parts, failed = _accepted(head, parts, out)
+    parts, failed = _accepted(head, parts, images, out)
     left_out = [*found.left_out, *refused, *failed, *(f"{path.name}: of no kind known here" for path in unknown)]
     left_out += [
         f"{path.name}: {kind}; unpack it with NAIF's tobin" for path, kind in kinds.items()
@@ -82,17 +88,23 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     ]
     measured = any(part.measured for part in parts)
     text = head + "".join(part.text for part in parts) + ("" if measured else _NO_MEASURES)
-    text += "".join(f"\n# Left out: {line}" for line in left_out) + ("\n" if left_out else "")
-    write_file(out, text)
+    text += "".join(f"\n# Left out: {in_line(line)}" for line in left_out) + ("\n" if left_out else "")
+    with fresh_file(out) as aside:
+        aside.write_text(text, encoding="utf-8")
+        try:
+            decode(aside)
+        except InputError as error:  # never a case file under its name that can't be read
+            raise InputError(str(out), str(error).replace(str(aside), out.name)) from None
     called = some([one.name for one in images], len(images))
     told = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
     told += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
     told += [f"- {one.name}: {one.note}" for one in images if one.note]
+    told += [f"- {one.path.name}: {_STUB}" for one in images if _is_stub(one)]
     told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
     told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
     told += [f"- Left out: {line}" for line in left_out]
     told += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
-    return Draft(text, tuple(told), f"mgsgraph check {out}")
+    return Draft(text, tuple(map(in_line, told)), f"mgsgraph check {out}")
 
 
 def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], list[Path]]:
@@ -125,7 +137,7 @@ def _no_image(
     if left_out:  # labels come last: where there are kernels, it is they that say what is missing
         file, _, reason = left_out[-1].partition(": ")
         tried = [line.partition(": ")[0] for line in left_out]
-        return InputError(where, f"no image that can be read ({some(tried, len(tried))}); {file}: {reason}")
+        return InputError(file, reason, remedy=f"so there is no image: {some(tried, len(tried))} can't be read")
     counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
     each = [f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items()]
     holds = ", ".join([*each, *(f"{path.name} of no kind known here" for path in unknown[:1])])
@@ -178,44 +190,70 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
     for one in images:
         text += "\n[[images]]\n"
         text += said(f"name = {quoted(one.name)}", one.note) if one.note else f"name = {quoted(one.name)}\n"
-        text += said(f"image = {place(one.path, out)}", f"{one.kind}, {one.image.lines} x {one.image.samples}")
+        size = f"{one.kind}, {one.image.lines} x {one.image.samples}"
+        text += said(f"image = {place(one.path, out)}", f"{size}: {_STUB}" if _is_stub(one) else size)
         text += f"pixels = {place(one.pixels, out)}\n" if one.pixels is not None else ""
         text += said(f"line_times = {quoted(one.line_times)}", _ROUGH) if one.line_times is not None else ""
     return text
 
 
-def _accepted(head: str, parts: list[Part], out: Path) -> tuple[list[Part], list[str]]:
+def _is_stub(one: DraftImage) -> bool:
+    return one.image.lines == one.image.samples == 1
+
+
+def _name(given: Sequence[Path], out: Path) -> str:
+    """What to call a case: as its file, or, if that is called as every case is, the folder of the data."""
+    if out.stem.lower() != _PLAIN:
+        return out.stem
+    first = given[0].resolve()
+    return first.name if first.is_dir() else first.parent.name
+
+
+def _accepted(
+    head: str, parts: list[Part], images: Sequence[DraftImage], out: Path
+) -> tuple[list[Part], list[str]]:
     """The tables with which the case can be read, and those without, with the reason."""
-    failed = list[str]()
-    while any(part.measured for part in parts):
-        error = _refusal(head + "".join(part.text for part in parts), out)
+    if not any(part.measured for part in parts):
+        return parts, []
+    failed, pictures = list[str](), tuple(replace(one.image, name=one.name) for one in images)
+
+    def refusal(those: Sequence[Part], whole: bool = False) -> str:
+        return _refusal(head + "".join(part.text for part in those), pictures, out, whole)
+
+    def taken(before: list[Part], more: list[Part]) -> list[Part]:
+        """Those before, and which of more go with them: all, or half by half, down to the one that does not."""
+        error = refusal([*before, *more])
         if not error:
-            break
-        named = [part for part in parts if part.path.name in error]
-        culprit = next((
-            part for part in [*named, *reversed(parts)]
-            if not _refusal(head + "".join(one.text for one in parts if one is not part), out, least=True)
-        ), next(iter(named), parts[-1]))  # fmt: skip
-        parts = [part for part in parts if part is not culprit]
-        failed.append(f"{culprit.path.name}: {without_place(error, culprit.path)}")
-    return parts, failed
+            return [*before, *more]
+        if len(more) == 1:
+            failed.append(f"{more[0].path.name}: {without_place(error, more[0].path)}")
+            return before
+        half = len(more) // 2
+        return taken(taken(before, more[:half]), more[half:])
+
+    good = taken([], parts)
+    if error := refusal(good, whole=True):
+        failed += [f"{part.path.name}: {without_place(error, part.path)}" for part in good if part.measured]
+        good = [part for part in good if not part.measured]
+    return good, failed
 
 
-def _refusal(text: str, out: Path, least: bool = False) -> str:
-    """What is wrong with a case, in its reader's words; empty for nothing. `least`: a case without measures passes."""
+def _refusal(text: str, images: tuple[PushbroomImage, ...], out: Path, whole: bool) -> str:
+    """What is wrong with a case of images that have been read, in its reader's words; empty for nothing. Not `whole`:
+    images without measures pass.
+    """
     aside = beside(out)
     try:
         write_file(aside, text)
     except InputError as error:
         raise InputError(str(out), error.found) from None
     try:
-        read_case(aside)
+        wanted = stated(aside)
+        case_of(wanted, aside, images)
     except InputError as error:
-        if least and "at least one of them" in str(error):
+        if isinstance(error, Unmeasured) and not whole:
             return ""
         return str(error).replace(str(aside), out.name)
     finally:
         aside.unlink(missing_ok=True)
     return ""
-
-

@@ -1,6 +1,8 @@
 """Tables of a case file for files that are no images, each looked at by itself: networks, shots, terrain models."""
 
+import json
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -27,6 +29,7 @@ from mgsgraph.io.lidar import read_lidar
 
 _ALTIMETRY = "[[altimetry]]"
 _RELIEF = "control by relief for `mgsgraph coregister`"
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 _SAME_SHOT = 1e-3
 """s between the times of one shot in two files."""
 _MEGDR_STEPS: dict[str, Terrain] = {"c": "4", "e": "16", "h": "128"}
@@ -45,8 +48,12 @@ class Part(NamedTuple):
 
 
 def quoted(text: str) -> str:
-    """A text as TOML has it."""
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    """A text as a basic string of TOML, whose escapes are those of JSON, and one more."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"the name {text!r}", "no Unicode text, as a case file is", remedy="rename it") from None
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def place(path: Path, out: Path) -> str:
@@ -56,7 +63,12 @@ def place(path: Path, out: Path) -> str:
 
 def said(line: str, comment: str) -> str:
     """A line with a comment behind it."""
-    return f"{line:39} # {comment}\n"
+    return f"{line:39} # {in_line(comment)}\n"
+
+
+def in_line(text: str) -> str:
+    """A text that no line break or control character of it ends or alters."""
+    return _CONTROL.sub(" ", text.encode(errors="backslashreplace").decode())
 
 
 def draft_tables(

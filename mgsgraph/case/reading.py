@@ -24,7 +24,7 @@ from mgsgraph.case.laser import AltimetryInput, ShotsInput
 from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import as_grid, read_terrain_model
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
@@ -99,10 +99,18 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     wanted = decode(path)
     if ties is not None:
         wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
-    folder = path.parent
-    orientations = wanted.orientations
     of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
-    images, fits = read_images(wanted, orientations, of_strips, path)
+    images, fits = read_images(wanted, wanted.orientations, of_strips, path)
+    return case_of(wanted, path, images, fits, laser)
+
+
+def case_of(
+    wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], fits: tuple[PolynomialFit, ...] = (),
+    laser: bool = True,
+) -> Case:  # fmt: skip
+    """The case of a file's tables and the images that they name, which have been read; see `read_case`."""
+    folder = path.parent
+    of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
     priors = wanted.priors(str(path))
     parts = Parts(images)
     names = [image.name for image in images]
@@ -116,7 +124,7 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
         parts.add_points(control, PointClass.CONTROL, 1.0)
     profiles = _add_laser(parts, wanted, path) if laser else ()
     if not parts.ids:
-        raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
+        raise Unmeasured(str(path), "neither ties nor ground control nor laser", "at least one of them")
     settings = wanted.solver.settings
     held = np.array([image.held for image in wanted.images])
     radii, areoid, models = _read_terrain(wanted, path, images)
@@ -198,7 +206,7 @@ def _with_shared(
 
 def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
     for j in np.flatnonzero(np.bincount(network.rays.image, minlength=len(network.images)) == 0)[:1]:
-        raise InputError(
+        raise Unmeasured(
             f"image {network.images[j].name}",
             " ".join(["no point is measured in it.", *notes]) if notes else "no point is measured in it",
             "at least one tie, laser or control point",

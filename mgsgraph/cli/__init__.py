@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from difflib import get_close_matches
 from importlib import import_module
 from types import FrameType
 from typing import NoReturn
@@ -65,7 +66,9 @@ class _Verbs(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and args[0] not in _VERBS:
-            raise click.UsageError(f"no command {args[0]!r}; there are {', '.join(_VERBS)}", ctx)
+            near = get_close_matches(args[0], _VERBS, n=1)
+            others = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(_VERBS)}"
+            raise click.UsageError(f"no command {args[0]!r}; {others}", ctx)
         return super().resolve_command(ctx, args)
 
 

@@ -37,7 +37,7 @@ def help(ctx: click.Context, words: tuple[str, ...]) -> None:
 @click.command()
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE|FOLDER...")
 @click.option("--out", type=PATH, default=Path("case.toml"), show_default=True, help="Case file; an earlier one stays.")
-@click.option("--name", default="", help="What to call the case; the first folder's name when absent.")
+@click.option("--name", default="", help="What to call it; OUT's name, or the data's folder's, when absent.")
 @click.option("--replace", is_flag=True, help="Overwrite a case file that is there.")
 def new(files: tuple[Path, ...], out: Path, name: str, replace: bool) -> None:
     """Look at FILEs (those directly in a FOLDER, those of an ISIS list) and write a case file of them, with comments.

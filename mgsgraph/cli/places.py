@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 @click.argument("source", type=PATH, metavar="CASE|RESULT|PROJECT")
 @click.argument("image")
 @click.option("--points", type=PATH, metavar="CSV", help="Places to project; see below for its columns.")
-@click.option("--ground", "sort", flag_value="image", help="Of a CSV with both: onto the ground, from image places.")
-@click.option("--image", "sort", flag_value="ground", help="Of a CSV with both: into the image, from ground places.")
+@click.option("--into", type=click.Choice(["image", "ground"]), help="Where to, of a CSV with places of both sorts.")
 @click.option(
     "--pixel", "pixels", type=(float, float), multiple=True, metavar="LINE SAMPLE",
     help="An image place to project onto the ground; may be repeated. The first pixel's centre is at 0.5 (--isis: 1).",
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     "--place", "places", type=(float, float), multiple=True, metavar="LONGITUDE LATITUDE",
     help="A ground place to project into the image, planetocentric degrees, east; may be repeated.",
 )  # fmt: skip
-@click.option("--isis", is_flag=True, help="Count lines and samples from 1: the first pixel's centre is at (1, 1).")
+@click.option("--isis", is_flag=True, help="Count lines and samples from 1, at the first pixel's centre.")
 @click.option("--height", type=float, metavar="M", help="Of the ground above the ellipsoid.  [default: 0]")
 @click.option("--radius", type=float, metavar="M", help="Of the ground from the body's centre.")
 @click.option("--terrain", type=PATH, metavar="FILE", help="Terrain model; that of CASE or RESULT when absent.")
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 @click.option("--ellipsoid", is_flag=True, help="The ellipsoid, also where CASE or RESULT has a terrain model.")
 @click.option("--out", type=PATH, help="CSV file for the result; the screen when absent.")
 def project(
-    source: Path, image: str, points: Path | None, sort: "Sort | None", pixels: tuple[tuple[float, float], ...],
+    source: Path, image: str, points: Path | None, into: "Sort | None", pixels: tuple[tuple[float, float], ...],
     places: tuple[tuple[float, float], ...], isis: bool, height: float | None, radius: float | None,
     terrain: Path | None, reference_radius: float | None, ellipsoid: bool, out: Path | None,
 ) -> None:
@@ -45,12 +44,14 @@ def project(
     Columns of the CSV: isis_line and isis_sample (the first pixel's centre is (1, 1)) or line and sample (it is (0.5,
     0.5)), perhaps with height_m or radius_m of their ground; or x_m, y_m, z_m; longitude_deg, latitude_deg, radius_m;
     longitude_deg, geodetic_latitude_deg, height_m; longitude_deg, latitude_deg. The result has all columns of the CSV,
-    and places that IMAGE doesn't show are marked in its column `state`, not left out.
+    and places that IMAGE doesn't show are marked in its column `state`, not left out. Where there is a terrain model,
+    its relief may hide ground places, too, that have a height of their own; those beneath it are taken to lie on it.
 
     Exit status: 0, wherever the places are; 2 bad input.
     """
     import numpy as np
 
+    from mgsgraph.errors import InputError
     from mgsgraph.io.files import fresh_file
     from mgsgraph.io.place_table import PlaceTable, read_places
     from mgsgraph.project.views import open_view
@@ -62,10 +63,17 @@ def project(
         raise click.UsageError("one of --height, --radius, --terrain and --ellipsoid")
     if reference_radius is not None and terrain is None:
         raise click.UsageError("--reference-radius is of --terrain FILE")
+    if into is not None and points is None:
+        raise click.UsageError("--into is of --points CSV")
     surface = terrain if terrain is not None else not (ellipsoid or height is not None or radius is not None)
     view, grid, warning = open_view(source, image, surface, reference_radius)
     if points is not None:
-        given = read_places(points, view.image.body, sort)
+        given = read_places(points, view.image.body, into and ("ground" if into == "image" else "image"))
+        if isis and given.sort == "image" and not given.isis:
+            raise InputError(
+                str(points), "the columns line and sample, which count from 0.5, beside --isis", "one count",
+                "leave --isis out, or name them isis_line and isis_sample",
+            )  # fmt: skip
     else:
         given = PlaceTable.of_pixels(np.array(pixels), isis) if pixels else PlaceTable.of_surface(np.array(places))
     table, said = project_places(view, given, Surface(grid, radius, height or 0.0), isis or bool(given.isis))

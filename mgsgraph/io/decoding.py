@@ -55,25 +55,13 @@ def read_toml(path: Path, what: str) -> Toml:
     try:
         text = read_text(path)
         table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, InputError) as error:
-        _refuse_other_kinds(path, what)
-        if isinstance(error, InputError):
-            raise
+    except tomllib.TOMLDecodeError as error:
         raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
     version = table.get("format")
     if version != FORMAT:
         found = "no key 'format'" if version is None else f"format {version!r}"
         raise InputError(str(path), found, f"format = {FORMAT}", f"write it at the head of the {what}")
     return Toml(path, text, table)
-
-
-def _refuse_other_kinds(path: Path, what: str) -> None:
-    """Raise InputError for data, or a folder of them, in the place of a case file, and say how to come by one."""
-    from mgsgraph.io.kinds import Kind, kind_of
-
-    kind = "a folder" if path.is_dir() else kind_of(path)
-    if what == CASE_FILE and kind not in (None, Kind.CASE):
-        raise InputError(str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {path}")
 
 
 def validated(

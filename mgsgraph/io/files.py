@@ -111,6 +111,15 @@ def is_aside(name: str) -> bool:
     return name.startswith(".") and name.endswith(".unfinished")
 
 
+def require_folder_above(path: Path, shown: str, remedy: str = "") -> None:
+    """Raise InputError where a file stands in the place of a folder that `path` would be in; OSError where it can't be
+    seen.
+    """
+    first = next(parent for parent in path.parents if parent.exists())
+    if not first.is_dir():
+        raise InputError(shown, f"can't be written ({first} is a file)", "a folder to make it in", remedy)
+
+
 @contextmanager
 def fresh_file(path: Path, expected: str = "", remedy: str = "") -> Iterator[Path]:
     """A path to write a file to; what is there takes its place at `path` when all went well.
@@ -122,6 +131,7 @@ def fresh_file(path: Path, expected: str = "", remedy: str = "") -> Iterator[Pat
         raise InputError(str(path), "can't be written (what is there is no file)", expected, remedy)
     aside = beside(path)
     try:
+        require_folder_above(path, str(path), remedy)
         path.parent.mkdir(parents=True, exist_ok=True)
         yield aside
         aside.replace(path)

@@ -5,15 +5,19 @@ from typing import Literal
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.cameras.label import label_of
-from mgsgraph.io.files import read_json
 from mgsgraph.io.image_label import read_label
-from mgsgraph.io.isd_layout import MODEL
-from mgsgraph.io.isis_cube import has_tables, is_cube_json, serial_number
-from mgsgraph.io.model_state import is_model_state, read_state_json
+from mgsgraph.io.isis_cube import has_tables, serial_number
+from mgsgraph.io.kinds import Kind, kind_of
+from mgsgraph.io.model_state import read_state_json
 
 ImageKind = Literal["isd", "state", "label", "cube"]
 
 _HEAD = 512
+_KEYS: dict[Kind | None, ImageKind] = {
+    Kind.SUPPORT_DATA: "isd", Kind.MODEL_STATE: "state", Kind.CUBE_TABLES: "cube",
+}  # fmt: skip
+_OF_LABELS = (Kind.PDS3, Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL, Kind.RASTER)
+"""A raster may be a map-projected cube, which its reader refuses."""
 
 
 def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = False) -> ImageKind:
@@ -33,16 +37,14 @@ def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = Fal
     InputError
         Missing file, or none of these.
     """
-    head = _head(path)
-    if head.startswith(MODEL.encode()):
-        return "state"
-    if head.startswith(b"{"):
-        if is_model_state(read_json(path)):
-            return "state"
-        return "cube" if is_cube_json(read_json(path)) else "isd"
-    if not head.lower().startswith((b"pds_version_id", b"object = isiscube", b"object=isiscube", b"ccsd")):
+    kind = kind_of(path)
+    if kind in _KEYS:
+        return _KEYS[kind]
+    if kind is None and _head(path).startswith(b"{"):  # what is missing or wrong in it, its reader says
+        return "isd"
+    if kind not in _OF_LABELS:
         raise InputError(
-            str(path), "no image, label or support data",
+            str(path), str(kind) if kind else "no image, label or support data",
             "an ISIS cube, a PDS3 label, JSON of ALE or ISIS, or a model state of usgscsm",
         )  # fmt: skip
     root = read_label(path)

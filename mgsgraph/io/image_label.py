@@ -1,5 +1,6 @@
 """Labels of images, PDS3 (attached or detached) or of ISIS cubes: found, told apart, and where they say data lie."""
 
+import re
 from pathlib import Path
 
 from mgsgraph.errors import InputError
@@ -7,6 +8,8 @@ from mgsgraph.io.pvl import Block, Document, whole_label
 
 _HEAD = 1 << 20
 """bytes; no label of a planetary image comes near."""
+_BEGIN = re.compile(rb"(?:\s*(?:CCSD|#)[^\r\n]*[\r\n])*\s*(PDS_VERSION_ID|Object\s*=\s*IsisCube\b)", re.IGNORECASE)
+"""Behind the label of a standard formatted data unit (CCSD...) and comments."""
 
 
 def read_label(path: Path) -> Block:
@@ -38,10 +41,14 @@ def _head(path: Path) -> str | None:
         raise InputError(str(path), "no such file", "an image or its label") from None
     except OSError as error:
         raise InputError(str(path), f"can't be read ({error.strerror})", "a file") from None
-    if not head.lstrip()[:20].lower().startswith((b"pds_version_id", b"object = isiscube", b"object=isiscube")):
-        return None
+    return label_text(head)
+
+
+def label_text(head: bytes) -> str | None:
+    """The label of an image at the head of a file, from its first key on; None where there is none."""
+    begin = _BEGIN.match(head)
     # pixels that follow are never parsed: PVL ends at its END; a cube fills up with NUL
-    return head.split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n")
+    return head[begin.start(1) :].split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n") if begin else None
 
 
 def cube_of(root: Block) -> Block | None:

@@ -17,6 +17,10 @@ from mgsgraph.altimetry.pedr import FRAME
 from mgsgraph.altimetry.shots import is_archive_table
 from mgsgraph.altimetry.tables import table_of
 from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
+from mgsgraph.io.image_label import label_text
+from mgsgraph.io.isd_layout import MODEL
+from mgsgraph.io.isis_cube import is_cube_json
+from mgsgraph.io.model_state import is_model_state
 
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
@@ -80,8 +84,10 @@ def _told(head: bytes, path: Path) -> Iterator[Kind | None]:
     yield _tiff(head)
     yield _kernel(head)
     text = head.split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n").lstrip("\ufeffï»¿ \n\t")
-    yield _label(text, path, path.stat().st_size)
-    yield Kind.MODEL_STATE if text.startswith("USGS_ASTRO_") else None
+    yield _label(label, path, path.stat().st_size) if (label := label_text(head)) else None
+    begin = re.match(r"object\s*=\s*(controlnetwork|protobuffer)\b", text, re.IGNORECASE)
+    yield Kind.NETWORK if begin else None
+    yield Kind.MODEL_STATE if text.startswith(MODEL) else None
     yield _json(path) if text.startswith("{") else None
     if b"\0" in head:
         yield _shots(path)
@@ -130,21 +136,14 @@ def _kernel(head: bytes) -> Kind | None:
     return Kind.KERNEL if text else None
 
 
-def _label(text: str, path: Path, size: int) -> Kind | None:
-    begin = re.match(r"object\s*=\s*(\w+)", text, re.IGNORECASE)
-    if begin is None:
-        if not text[:20].upper().startswith("PDS_VERSION_ID"):
-            return None
+def _label(text: str, path: Path, size: int) -> Kind:
+    if text.upper().startswith("PDS_VERSION_ID"):
         if re.search(r"^\s*OBJECT\s*=\s*IMAGE_MAP_PROJECTION", text, re.MULTILINE):
             pointer = re.search(r"^\s*\^IMAGE\s*=\s*\(?\s*\"?([^\",\s]+)", text, re.MULTILINE)
             letter = _MEG.match(pointer[1] if pointer else path.name) or _MEG.match(path.name)
             return _MEGDR_KINDS[letter[1].lower()] if letter else Kind.RASTER
         of_table = re.search(r"^\s*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
         return Kind.SHOTS if of_table and not re.search(r"^\s*\^IMAGE\s*=", text, re.MULTILINE) else Kind.PDS3
-    if begin[1].lower() in ("controlnetwork", "protobuffer"):
-        return Kind.NETWORK
-    if begin[1].lower() != "isiscube":
-        return None
     start = re.search(r"^\s*StartByte\s*=\s*(\d+)", text, re.MULTILINE | re.IGNORECASE)
     if re.search(r"^\s*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
         return Kind.CUBE_LABEL
@@ -163,12 +162,11 @@ def _json(path: Path) -> Kind | None:
         return Kind.SUPPORT_DATA if b'"instrument_po' in text or b'"name_model"' in text else None
     if "points" in content and isinstance(content["points"], list):
         return Kind.LIDAR
-    if "m_modelName" in content:
+    if is_model_state(content):
         return Kind.MODEL_STATE
-    if "name_model" in content or "sensor_position" in content:
-        return Kind.SUPPORT_DATA
-    tables = {"instrument_pointing", "InstrumentPointing"}
-    return Kind.CUBE_TABLES if tables & set(content) else None
+    if is_cube_json(content):
+        return Kind.CUBE_TABLES
+    return Kind.SUPPORT_DATA if "name_model" in content or "sensor_position" in content else None
 
 
 def _shots(path: Path) -> Kind | None:

@@ -7,23 +7,26 @@ geodetic_latitude_deg, height_m; or longitude_deg, latitude_deg alone, of the su
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid, require_near
+from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, require_near
 from mgsgraph.geometry.records import Array, frozen
-from mgsgraph.io.control.table import Row, cartesian, csv_rows
-from mgsgraph.io.control.table_columns import GEODETIC, ISIS, OURS, PLACES, PLANETOCENTRIC
+from mgsgraph.io.control.table import Row, csv_rows
+from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, ISIS, OURS, PLACES, PLANETOCENTRIC
+from mgsgraph.io.files import finite_number
 from mgsgraph.units import DEG, ISIS_OFFSET
 
 Sort = Literal["image", "ground"]
 """Whether places are image places or ground places."""
 _SURFACE = PLANETOCENTRIC[:2]
+_MOST = 360.0, 90.0
+"""Degrees of a longitude and a latitude."""
 _WANTED = "isis_line, isis_sample or line, sample; or x_m, y_m, z_m, longitude_deg, latitude_deg[, radius_m], ..."
 
 
@@ -61,7 +64,7 @@ class PlaceTable:
     @classmethod
     def of_surface(cls, places: Array) -> "PlaceTable":
         """Planetocentric longitudes and latitudes (n, 2) in degrees that stand in no file."""
-        _require_latitudes(frozen(places, "--place", (None, 2))[:, 1], lambda _: "--place")
+        _require_degrees(frozen(places, "--place", (None, 2)), _SURFACE, lambda _: "--place")
         none = np.zeros((0, 2)), None, None, np.zeros((0, 3))
         return cls("--place", dict(zip(_SURFACE, _texts(places), strict=True)), "ground", None, *none, places * DEG)
 
@@ -82,7 +85,7 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
     ------
     InputError
         With file, line and column: a header without places, or with both and nothing said; a row of another length
-        than the header; what is no number; a latitude beyond a pole.
+        than the header; what is no number; a longitude beyond a whole turn; a latitude beyond a pole.
     """
     rows = csv_rows(path)
     number, header = next(rows, (1, []))
@@ -94,72 +97,93 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
     pixel = next((pair for pair in (ISIS, OURS) if set(pair) <= set(known)), ())
     ground = next((group for group in (*PLACES, _SURFACE) if set(group) <= set(known)), ())
     if pixel and ground and sort is None:
-        remedy = "--ground to project image places, --image to project ground places"
+        remedy = "--into image takes its ground places, --into ground its image places"
         raise InputError(f"{path}, line {number}", "image places and ground places", "one of them", remedy)
     if not (pixel if sort == "image" else ground if sort == "ground" else pixel or ground):
         found = f"the columns {', '.join(names)[:80]}" if names else "an empty table"
         raise InputError(f"{path}, line {number}", found, _WANTED)
-    records, texts = list[Row](), list[list[str]]()
+    lines, texts = list[int](), list[list[str]]()
     for number, fields in rows:
         if len(fields) != len(names):
             raise InputError(f"{path}, line {number}", f"{len(fields)} fields", f"{len(names)}, as in the header")
+        lines.append(number)
         texts.append(fields)
-        values = {name: text for name, raw in zip(known, fields, strict=True) if (text := raw.strip())}
-        records.append(Row(f"{path}, line {number}", number, values))
-    if not records:
+    if not lines:
         raise InputError(str(path), "a header alone", "places below it")
     columns = dict(zip(names, map(list, zip(*texts, strict=True)), strict=True))
+    read = _Rows(path, lines, dict(zip(known, columns.values(), strict=True)))
     if sort == "image" or (sort is None and pixel):
-        return _image_places(str(path), columns, records, pixel, known, body)
-    return _ground_places(str(path), columns, records, ground, body, pixel == ISIS if pixel else None)
+        return _image_places(read, columns, pixel, body)
+    return _ground_places(read, columns, ground, body, pixel == ISIS if pixel else None)
 
 
-def _numbers(records: list[Row], columns: tuple[str, ...]) -> Array:
-    """(n, k) numbers; NaN in a row that has none of them, as places have that were projected and not found."""
-    none = [math.nan] * len(columns)
-    return np.array([
-        [row.number(column) for column in columns] if any(column in row.values for column in columns) else none
-        for row in records
-    ])  # fmt: skip
+class _Rows(NamedTuple):
+    """Rows below a header, column by column."""
+
+    path: Path
+    lines: list[int]
+    """Of each row."""
+    columns: dict[str, list[str]]
+    """By their names in small letters."""
+
+    def where(self, row: int) -> str:
+        """File and line."""
+        return f"{self.path}, line {self.lines[row]}"
+
+    def numbers(self, names: Sequence[str]) -> Array:
+        """(n, k) numbers; NaN in a row that has none of them, as places have that were projected and not found."""
+        texts = list(zip(*([text.strip() for text in self.columns[name]] for name in names), strict=True))
+        none = [math.nan] * len(names)
+        try:
+            return np.array([[*map(finite_number, row)] if any(row) else none for row in texts])
+        except ValueError:
+            for k, row in enumerate(texts):
+                record = Row(self.where(k), self.lines[k], dict(zip(names, row, strict=True)))
+                for name in names if any(row) else ():
+                    record.number(name)
+            raise
 
 
-def _image_places(
-    source: str, columns: dict[str, list[str]], records: list[Row], pixel: tuple[str, ...], known: dict[str, str],
-    body: Ellipsoid,
-) -> PlaceTable:  # fmt: skip
+def _image_places(rows: _Rows, columns: dict[str, list[str]], pixel: tuple[str, ...], body: Ellipsoid) -> PlaceTable:
     isis = pixel == ISIS
-    pixels = _numbers(records, pixel) - (ISIS_OFFSET if isis else 0.0)
+    pixels = rows.numbers(pixel) - (ISIS_OFFSET if isis else 0.0)
     heights, radii = (
-        _numbers(records, (name,))[:, 0] if name in known else None for name in (GEODETIC[2], PLANETOCENTRIC[2])
+        rows.numbers((name,))[:, 0] if name in rows.columns else None for name in (GEODETIC[2], PLANETOCENTRIC[2])
     )
     none, plane = np.zeros((0, 3)), np.zeros((0, 2))
     if radii is not None:
         heights = None
-        require_near(radii, body, lambda k: f"{records[k].where}, {PLANETOCENTRIC[2]}")
-    return PlaceTable(source, columns, "image", isis, pixels, heights, radii, none, plane)
+        require_near(radii, body, lambda k: f"{rows.where(k)}, {PLANETOCENTRIC[2]}")
+    return PlaceTable(str(rows.path), columns, "image", isis, pixels, heights, radii, none, plane)
 
 
 def _ground_places(
-    source: str, columns: dict[str, list[str]], records: list[Row], ground: tuple[str, ...], body: Ellipsoid,
-    isis: bool | None,
-) -> PlaceTable:  # fmt: skip
-    none, plane = np.zeros((0, 2)), np.zeros((0, 2))
+    rows: _Rows, columns: dict[str, list[str]], ground: tuple[str, ...], body: Ellipsoid, isis: bool | None
+) -> PlaceTable:
+    none, points, plane = np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 2))
+    given = rows.numbers(ground)
+    if ground != CARTESIAN:
+        _require_degrees(given[:, :2], ground, rows.where)
     if ground == _SURFACE:
-        plane = _numbers(records, ground) * DEG
-        _require_latitudes(plane[:, 1] / DEG, lambda k: records[k].where)
-        return PlaceTable(source, columns, "ground", isis, none, None, None, np.zeros((0, 3)), plane)
-    none_given = np.full(3, np.nan)
-    points = np.array([
-        cartesian(row, ground, body) if any(column in row.values for column in ground) else none_given
-        for row in records
-    ])  # fmt: skip
-    require_near(np.linalg.norm(points, axis=1), body, lambda k: f"{records[k].where}, {ground[-1]}")
-    return PlaceTable(source, columns, "ground", isis, none, None, None, points, plane)
+        plane = given * DEG
+    else:
+        turned = given * [DEG, DEG, 1.0]
+        points = (
+            given if ground == CARTESIAN
+            else from_planetocentric(turned) if ground == PLANETOCENTRIC else from_geodetic(turned, body)
+        )  # fmt: skip
+        radii = given[:, 2] if ground == PLANETOCENTRIC else np.linalg.norm(points, axis=1)  # with its sign
+        require_near(radii, body, lambda k: f"{rows.where(k)}, {ground[-1]}")
+    return PlaceTable(str(rows.path), columns, "ground", isis, none, None, None, points, plane)
 
 
-def _require_latitudes(latitudes: Array, where: Callable[[int], str]) -> None:
-    for k in np.flatnonzero(np.abs(latitudes) > 90.0 + 1e-9)[:1].tolist():
-        raise InputError(f"{where(k)}, {_SURFACE[1]}", f"{latitudes[k]:g}", "-90 .. 90 degrees")
+def _require_degrees(directions: Array, names: Sequence[str], where: Callable[[int], str]) -> None:
+    """Raise InputError for a longitude beyond a whole turn, or a latitude (n, 2) beyond a pole."""
+    for column, most in enumerate(_MOST):
+        for k in np.flatnonzero(np.abs(directions[:, column]) > most + 1e-9)[:1].tolist():
+            raise InputError(
+                f"{where(k)}, {names[column]}", f"{directions[k, column]:g}", f"-{most:g} .. {most:g} degrees"
+            )
 
 
 def _texts(places: Array) -> list[list[str]]:

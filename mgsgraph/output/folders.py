@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import beside, is_aside
+from mgsgraph.io.files import beside, is_aside, require_folder_above
 
 PROGRAM = "mgsgraph"
 """What `program` in solution.json says; by it a folder is known as ours."""
@@ -118,11 +118,8 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
     shown, target = str(path), Path(path).resolve()
     try:
         if not target.exists():
-            first = next(parent for parent in target.parents if parent.exists())
-            if not first.is_dir():
-                found = f"can't be written ({first} is a file)"
-                raise InputError(shown, found, "a folder to make it in", "choose another --out")
-            _require_writable(first)
+            require_folder_above(target, shown, "choose another --out")
+            _require_writable(next(parent for parent in target.parents if parent.exists()))
             return
         if not target.is_dir():
             raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")

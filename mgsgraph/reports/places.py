@@ -10,6 +10,7 @@ from mgsgraph.analysis.places import Places, State, View, on_surface
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.errors import require
 from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
+from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.io.control.table_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
 from mgsgraph.io.place_table import PlaceTable
@@ -52,13 +53,27 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
         )  # fmt: skip
         said = _statement(found, "image place", f"of {image} on the ground")
         return ground_places_table(found, body, places.columns), said
-    points, terrain = places.points, None
     if len(places.directions):
         sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
-        terrain = surface.terrain
-        points = on_surface(places.directions[:, 0], places.directions[:, 1], sphere, surface.height, terrain)
-    found = view.seen(points, terrain)
+        longitude, latitude = places.directions.T
+        points = on_surface(longitude, latitude, sphere, surface.height, surface.terrain)
+        found = view.seen(points, surface.terrain)
+    else:
+        found = _beside_relief(view, places.points, surface.terrain)
     return image_places_table(found, isis, places.columns), _statement(found, "ground place", f"in {image}")
+
+
+def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Places:
+    """Ground points (n, 3) in m in the image; a terrain model may hide them, but none because it lies beneath that."""
+    found = view.seen(points)
+    if terrain is None:
+        return found
+    raised = np.fmax(1.0, terrain.at(points) / np.linalg.norm(points, axis=1))[:, None]
+    behind = view.seen(points * raised, terrain).states
+    hidden = State.BEHIND_RELIEF
+    return found._replace(states=tuple(
+        hidden if other is hidden else state for state, other in zip(found.states, behind, strict=True)
+    ))  # fmt: skip
 
 
 def image_places_table(found: Places, isis: bool, given: Mapping[str, list[str]]) -> Table:

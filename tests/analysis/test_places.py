@@ -12,6 +12,8 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.io.place_table import PlaceTable
+from mgsgraph.reports.places import Surface, project_places
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 PIXEL = 1e-6
@@ -32,14 +34,14 @@ def places(view: View) -> Array:
     return np.column_stack([lines.ravel(), samples.ravel()])
 
 
-def relief(view: View) -> TerrainGrid:
-    """Hills of 300 m under the whole image."""
+def relief(view: View, height: float = 300.0) -> TerrainGrid:
+    """Hills under the whole image."""
     ground = view.on_ground(places(view)).points
     longitude, latitude, radius = planetocentric(ground).T
     step = 1e-4
     first, last = (longitude.min() - 20 * step, latitude.max() + 20 * step), latitude.min() - 20 * step
     shape = int((first[1] - last) / step), int((longitude.max() - first[0]) / step) + 20
-    hills = 300.0 * np.random.default_rng(2).standard_normal(shape)
+    hills = height * np.random.default_rng(2).standard_normal(shape)
     return TerrainGrid("hills", radius.mean() + hills, *first, step, step)
 
 
@@ -108,3 +110,22 @@ def test_sigmas_by_numeric_derivatives(solution: Solution, on_relief: bool) -> N
         wanted = design @ covariance @ np.swapaxes(design, 1, 2)
         assert found is not None
         np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3 * np.abs(wanted).max())
+
+
+def test_relief_hides_places_with_heights_of_their_own_but_not_those_beneath_it(solution: Solution) -> None:
+    view = View.adjusted(solution, 1)
+    terrain = relief(view, 3000.0)
+    longitude, latitude, _ = planetocentric(view.on_ground(places(view)).points).T
+    ground = on_surface(longitude, latitude, view.image.body, terrain=terrain)
+    hidden = [str(one) for one in view.seen(ground, terrain).states]
+    assert {"seen", "behind relief"} <= set(hidden)
+
+    def states(points: Array, surface: TerrainGrid | None) -> list[str]:
+        plane = np.zeros((0, 2))
+        given = PlaceTable("", {}, "ground", None, plane, None, None, points, plane)
+        return [str(row["state"]) for row in project_places(view, given, Surface(surface), isis=False)[0].records()]
+
+    assert states(ground, terrain) == hidden
+    assert "behind relief" not in states(ground, None)
+    beneath = np.array(states(ground * (1.0 - 50.0 / 3.39e6), terrain)) == "behind relief"
+    np.testing.assert_array_equal(beneath, np.array(hidden) == "behind relief")

@@ -26,7 +26,8 @@ def test_help(arguments: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("adjst",), "adjust, analyze, check"),
+        (("qqq",), "adjust, analyze, check"),
+        (("adjsut",), "mean 'adjust'?"),
         (("adjust",), "CASE"),
         (("adjust", "x.toml"), "--out"),
         (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"),

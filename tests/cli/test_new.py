@@ -1,7 +1,10 @@
 """`mgsgraph new`: the case that it writes is one that `check` accepts, or it says why there can be none."""
 
+import json
 import re
 import tomllib
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +13,12 @@ import pytest
 from commands import refused, run
 
 import mgsgraph
+from mgsgraph.case import draft, draft_images
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.draft import draft_case
 from mgsgraph.case.draft_images import DraftImage, named_as
+from mgsgraph.case.images import read_image
+from mgsgraph.case.reading import case_of
 from mgsgraph.errors import InputError
 from mgsgraph.io.kinds import Kind
 from mgsgraph.reports.inventory import images_inventory
@@ -203,3 +209,73 @@ def test_a_label_without_line_times_gets_rough_ones_and_a_word(shared_data: Path
     made = draft_case([shared_data / "mex_hrsc_h5270"], tmp_path / "case.toml")
     assert re.search('^line_times = "mean" +# a rough guess', made.text, re.MULTILINE)
     assert any("rough" in line for line in made.said)
+
+
+def test_names_that_toml_would_not_take_as_they_are(case_file: Path, tmp_path: Path) -> None:
+    isd, out = case_file.with_name("image_A.isd"), tmp_path / "case.toml"
+    content = json.loads(isd.read_text(encoding="utf-8"))
+    for name in ('a"\n[solver]\nloss="x" #', "a\x7f\t\\u0041\x00", "a\u2028\r\n# b"):
+        isd.write_text(json.dumps(content | {"image_identifier": name}), encoding="utf-8")
+        made = draft_case([isd, case_file.with_name("image_B.isd")], out, replace=True)
+        assert name in {image.name for image in decode(out).images}
+        assert not re.search("[\x00-\x1f\x7f]", "".join(made.said))
+    isd.write_text(json.dumps(content | {"image_identifier": "\ud800"}), encoding="utf-8")
+    with pytest.raises(InputError, match="Unicode"):
+        draft_case([isd], tmp_path / "other.toml")
+    assert not (tmp_path / "other.toml").exists()
+
+
+def test_what_can_t_be_read_gets_no_name(case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(draft, "_HEAD", "format = 1\nname = {name}\nunknown = 1\n")
+    with pytest.raises(InputError, match="'unknown'"):
+        draft_case([case_file.with_name("image_A.isd")], tmp_path / "case.toml")
+    assert not (tmp_path / "case.toml").exists()
+
+
+def test_images_are_read_once_however_many_tables_fail(
+    case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = case_file.with_name("network.pvl").read_text(encoding="utf-8")
+    for k in range(5):
+        text = network.replace("SIM/A", f"NOT/{k}").replace("SIM/B", f"HERE/{k}")
+        (tmp_path / f"n{k}.pvl").write_text(text, encoding="utf-8")
+    calls = Counter[str]()
+
+    def counted(name: str, function: Callable[..., object]) -> Callable[..., object]:
+        def call(*given: object, **more: object) -> object:
+            calls[name] += 1
+            return function(*given, **more)
+
+        return call
+
+    monkeypatch.setattr(draft, "case_of", counted("cases", case_of))
+    monkeypatch.setattr(draft_images, "read_image", counted("images", read_image))
+    made = draft_case([case_file.parent, *tmp_path.glob("n*.pvl")], tmp_path / "case.toml")
+    assert made.text.count("# Left out: n") == 5
+    assert calls["images"] == 2
+    assert calls["cases"] < 20  # two for each that fails, and its halves
+
+
+def test_a_case_is_called_as_its_file_or_as_the_folder_of_its_data(case_file: Path, tmp_path: Path) -> None:
+    isd = case_file.with_name("image_A.isd")
+    for given, out, name in (
+        (isd, "case.toml", isd.parent.name), (isd.parent, "case.toml", isd.parent.name), (isd, "hadley.toml", "hadley")
+    ):
+        draft_case([given], tmp_path / out, replace=True)
+        assert decode(tmp_path / out).name == name
+
+
+def test_the_cause_comes_first(case_file: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.isd"
+    cut.write_bytes(case_file.with_name("image_A.isd").read_bytes()[:-100])
+    with pytest.raises(InputError, match=r"^cut\.isd: .*malformed"):
+        draft_case([case_file.with_name("network.pvl"), cut], tmp_path / "case.toml")
+    with pytest.raises(InputError, match=r"^\S*lidar\.json and 1 more: no image"):
+        draft_case([case_file.with_name("lidar.json"), case_file.with_name("network.pvl")], tmp_path / "case.toml")
+
+
+def test_a_cube_of_one_pixel_is_said(shared_data: Path, tmp_path: Path) -> None:
+    (cube,) = (shared_data / "mro_ctx_b10").glob("*.cub")
+    made = draft_case([cube], tmp_path / "case.toml")
+    assert any("one pixel" in line for line in made.said)
+    assert re.search("^image = .*one pixel", made.text, re.MULTILINE)

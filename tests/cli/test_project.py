@@ -42,14 +42,14 @@ def test_a_table_there_and_back_and_nothing_is_left_out(case_file: Path) -> None
     assert [row["note"] for row in there] == ["a, b", "", "far"]
     assert [row["state"] for row in there] == ["seen", "seen", "far outside the image"]
     assert there[2]["x_m"] == ""
-    call("project", case_file, SIM, "--points", ground, "--image", "--out", back)
+    call("project", case_file, SIM, "--points", ground, "--into", "image", "--out", back)
     again = rows(back)
     for name in ("isis_line", "isis_sample"):  # the header says how pixels are counted, and so does the result's
         np.testing.assert_allclose(
             [float(row[name]) for row in again[:2]], [float(row[f"given_{name}"]) for row in again[:2]], atol=1e-6
         )
     assert [row["state"] for row in again] == ["seen", "seen", "no ground"]
-    refused("--ground", "project", case_file, SIM, "--points", ground)
+    refused("--into ground", "project", case_file, SIM, "--points", ground)
 
 
 def test_single_places_and_conventions(case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -95,6 +95,9 @@ WRONG = {
     "two grounds": (("--pixel", 1, 2, "--height", 1, "--ellipsoid"), "one of"),
     "a reference of nothing": (("--pixel", 1, 2, "--reference-radius", 1), "--terrain"),
     "a latitude": (("--place", 1, 91), "91"),
+    "a longitude": (("--place", 5000, -2), "5000"),
+    "a latitude that is none": (("--place", 0.1, "nan"), "nan"),
+    "a way for one pixel": (("--pixel", 1, 2, "--into", "ground"), "--points"),
     "a pixel that is none": (("--pixel", "nan", 2), "nan"),
     "kilometres": (("--pixel", 1, 2, "--radius", 3390), "not in km"),
     "no height": (("--pixel", 1, 2, "--height", "nan"), "finite"),
@@ -112,3 +115,17 @@ def test_images_by_their_names(case_file: Path) -> None:
     refused("2 images", "project", case_file, "SIM", "--pixel", 1, 2)
     refused("no image", "project", case_file, "nothing", "--pixel", 1, 2)
     call("project", case_file, "/B", "--pixel", 1, 2)
+
+
+def test_a_table_that_counts_otherwise_than_the_flag_is_refused(case_file: Path) -> None:
+    given = case_file.with_name("given.csv")
+    given.write_text("line,sample\n101,201\n", encoding="utf-8")
+    refused("beside --isis", "project", case_file, SIM, "--points", given, "--isis")
+    given.write_text("isis_line,isis_sample\n101,201\n", encoding="utf-8")
+    call("project", case_file, SIM, "--points", given, "--isis")
+
+
+def test_a_file_in_the_place_of_a_folder_is_named(case_file: Path) -> None:
+    out = case_file / "x.csv"
+    refused(f"({case_file} is a file)", "project", case_file, SIM, "--pixel", 1, 2, "--out", out)
+    refused(f"({case_file} is a file)", "convert", case_file.with_name("network.pvl"), case_file / "n.net")

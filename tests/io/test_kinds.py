@@ -1,12 +1,14 @@
 """What files are, by their content: all that a simulation writes, all real data, and what is nothing of it."""
 
 import gzip
+import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mgsgraph.io.image_kinds import image_kind
 from mgsgraph.io.kinds import Kind, kind_of
 
 REAL = {
@@ -58,6 +60,8 @@ TEXTS = {
     'PDS_VERSION_ID = PDS3\n^IMAGE = "DTM.IMG"\nOBJECT = IMAGE_MAP_PROJECTION\n': Kind.RASTER,
     'PDS_VERSION_ID = PDS3\n^TABLE = "A.TAB"\nOBJECT = TABLE\n': Kind.SHOTS,
     "PDS_VERSION_ID = PDS3\nINSTRUMENT_ID = MOC-NA\n": Kind.PDS3,
+    "CCSD3ZF0000100000001NJPL3IF0PDS200000001\r\nPDS_VERSION_ID = PDS3\r\nINSTRUMENT_ID = MOC-NA\r\n": Kind.PDS3,
+    "# a comment\nObject  = IsisCube\n": Kind.CUBE,
     "words and words\n": None,
     "": None,
     '{"a": 1}': None,
@@ -72,6 +76,28 @@ def test_texts(tmp_path: Path, text: str) -> None:
     assert kind_of(tmp_path / "a") == TEXTS[text]
     if not text.startswith("{"):
         assert kind_of(tmp_path / "b") == TEXTS[text]
+
+
+HEADS = {
+    "Object  = IsisCube\nEnd_Object": "cube", "# by hand\nObject = IsisCube\nEnd_Object": "cube",
+    "CCSD3ZF00001\nPDS_VERSION_ID = PDS3": "label",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_what_a_case_reads_is_what_new_finds(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "a.cub"
+    path.write_text(f"{head}\nEnd\n", encoding="utf-8")
+    assert kind_of(path) is not None
+    assert image_kind(path) == HEADS[head]
+
+
+def test_json_is_parsed_once(case_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed = list[object]()
+    loads = json.loads
+    monkeypatch.setattr(json, "loads", lambda *given, **more: parsed.append(0) or loads(*given, **more))
+    assert image_kind(case_file.with_name("image_A.isd")) == "isd"
+    assert len(parsed) == 1
 
 
 def test_what_can_t_be_read_is_nothing(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_ground_places_of_every_kind(tmp_path: Path) -> None:
 
 def test_of_both_it_has_to_be_said(tmp_path: Path) -> None:
     text = "line,sample,longitude_deg,latitude_deg\n1,2,3,4\n"
-    with pytest.raises(InputError, match="--ground"):
+    with pytest.raises(InputError, match="--into image"):
         table(tmp_path, text)
     assert table(tmp_path, text, "image").pixels.tolist() == [[1.0, 2.0]]
     assert table(tmp_path, text, "ground").pixels.shape == (0, 2)
@@ -58,6 +58,10 @@ TABLES = {
     "too many": ("line,sample\n1,2,3\n", "3 fields"),
     "twice": ("line,line,sample\n1,2,3\n", "twice"),
     "a latitude": ("longitude_deg,latitude_deg\n1,91\n", "line 2"),
+    "a longitude": ("longitude_deg,latitude_deg\n1,2\n5000,2\n", "line 3, longitude_deg: 5000"),
+    "a longitude beside a radius": ("longitude_deg,latitude_deg,radius_m\n-361,1,3396000\n", "longitude_deg: -361"),
+    "one of three": ("longitude_deg,latitude_deg,radius_m\n1,,3396000\n", "line 2, latitude_deg: nothing"),
+    "an underscore": ("line,sample\n1,1_0\n", "line 2, sample"),
     "twice but for capitals": ("line,Line,sample\n1,2,3\n", "twice"),
     "no radius": ("longitude_deg,latitude_deg,radius_m\n1,2,-3396\n", "radius_m"),
     "kilometres": ("longitude_deg,latitude_deg,radius_m\n1,2,3396\n", "line 2, radius_m: .* not in km"),

@@ -255,13 +255,13 @@ def _point(
 
 def _place(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
     """(3,) m, body-fixed; near the ellipsoid, where there is one."""
-    place = cartesian(row, columns, ellipsoid)
+    place = _cartesian(row, columns, ellipsoid)
     if ellipsoid is not None:
         require_near(np.linalg.norm(place[None], axis=1), ellipsoid, lambda _: f"{row.where}, {columns[-1]}")
     return place
 
 
-def cartesian(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
+def _cartesian(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
     """(3,) m, body-fixed."""
     values = np.array([row.number(column) for column in columns])
     if tuple(columns) == CARTESIAN:
