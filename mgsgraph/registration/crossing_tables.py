@@ -6,7 +6,7 @@ from mgsgraph.altimetry.time_scales import utc_of_tdb
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.registration.crossings import Crossing, ShotsOverImages
-from mgsgraph.units import DEG
+from mgsgraph.units import DEG, MILLISECOND
 from mgsgraph.wording import many
 
 _DAY = 86400.0
@@ -47,7 +47,7 @@ def selection_table(over: ShotsOverImages) -> Table:
     return Table("shots", "Laser shots over images", (
         Column("altimeter", [shots.altimeter.name] * rows.size),
         Column("profile", list(shots.profile_names()), meaning="orbit, or the minute (UTC) in which a crossing began"),
-        Column("utc", [f"{utc_of_tdb(time):{_SECONDS}}"[:-3] for time in shots.times.tolist()]),
+        Column("utc", [f"{utc_of_tdb(time + 0.5 * MILLISECOND):{_SECONDS}}"[:-3] for time in shots.times.tolist()]),
         Column("images", names(over.inside), meaning="in which the footprint falls"),
         Column("simultaneous", names(over.inside & (over.seconds == 0.0)), meaning="those taken while it was fired"),
         Column("orbit", shots.orbits), Column("frame", shots.frames), Column("shot", shots.shots),

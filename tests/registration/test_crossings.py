@@ -68,6 +68,19 @@ def test_a_selection_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.footprints, chosen.footprints, atol=1e-8)
 
 
+def test_utc_of_a_selection_is_the_archives(shared_data: Path) -> None:
+    """ODE's own UTC, to the millisecond; TDB - TT, 1.7 ms at the most, is not in it."""
+    path = shared_data / "lro_nac_lola" / "lidarPoints.csv"
+    shots = read_shots(path)
+    image, n = along_and_later()[0].images[0], shots.times.size
+    over = ShotsOverImages((image,), shots, np.ones((1, n), dtype=bool), np.ones((1, n)))
+    rows = [row.split(",", 1)[0].strip() for row in path.read_text(encoding="utf-8").splitlines()]
+    utc = next(one.values for one in selection_table(over).columns if one.key == "utc")
+    assert len(utc) == len(rows)
+    off = np.array(utc, dtype="datetime64[us]") - np.array([row[:26] for row in rows], dtype="datetime64[us]")
+    assert np.abs(off).max() <= np.timedelta64(501, "us")
+
+
 def test_lola_over_a_pair_of_lroc_nac(shared_data: Path, tmp_path: Path) -> None:
     """7,329 shots on 8 dates in NAC-L (its README; half a pixel at its edges is 5 of them), none in NAC-R, whose ground
     the box of the query ends before.
