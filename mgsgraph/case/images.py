@@ -5,9 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+from mgsgraph.case.case_file import image_file
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import require_plausible
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
 from mgsgraph.geometry.twins import require_distinct
 from mgsgraph.io.aberration import Aberration
@@ -110,7 +112,13 @@ def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path,
 
 
 def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
-    """By an image's plain entry (`case_file.plain_image`); `where` names the table in errors."""
+    """By an image's plain entry (`case_file.plain_image`), if it can be; `where` names the table in errors."""
+    image = _read(entry, spice, folder, where)
+    require_plausible(image, str(folder / image_file(entry)))
+    return image
+
+
+def _read(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
     stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
     if entry.cube is not None:
         from mgsgraph.io.isis_cube import read_isis_cube

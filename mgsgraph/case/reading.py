@@ -77,6 +77,13 @@ class Case:
     def __repr__(self) -> str:
         return f"Case({self.name!r}: {self.network!r})"
 
+    def require_images_of(self, solution: Solution) -> None:
+        """Raise InputError where it has none of a solution's images: then it is another one's case."""
+        own, others = (sorted(image.name for image in net.images) for net in (self.network, solution.network))
+        if not set(own) & set(others):
+            found = f"images such as {own[0]}"
+            raise InputError(str(self.path), found, f"those of the solution, such as {others[0]}", "name its case")
+
 
 def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) -> Case:
     """Read a case file and everything that it names.

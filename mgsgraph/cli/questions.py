@@ -211,6 +211,8 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     if ties is not None and case is None:
         raise click.UsageError("--ties is for a case: give --case, too")
     read = None if case is None else read_case(case, ties=ties)
+    if read is not None:
+        read.require_images_of(adjusted)
     inputs = _inputs([solution, compare], case, ties)
     write_report(adjusted, out, read, earlier, inputs, comparison_with_truth(solution))
     if warning:

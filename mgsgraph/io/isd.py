@@ -22,10 +22,8 @@ from mgsgraph.io.isd_positions import positions, require_j2000
 from mgsgraph.io.isd_repairs import repaired
 from mgsgraph.io.isis_cube import is_cube_json
 from mgsgraph.io.optics import distortion_of_support
-from mgsgraph.units import ISIS_OFFSET, KM, MM
+from mgsgraph.units import ISIS_OFFSET, MM
 
-_FARTHEST = 400
-"""Radii of the body, from farther than which no line scanner looks; a low orbit in metres for kilometres is farther."""
 
 def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> PushbroomImage:
     """Read image support data.
@@ -64,22 +62,9 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
     with errors_from(source):
         trajectory, words = _trajectory(isd, body, aberration, source)
-        image = PushbroomImage(
+        return PushbroomImage(
             name=name, lines=isd.image_lines, samples=isd.image_samples, interior=_interior(isd, source),
             timing=_timing(isd, source), trajectory=trajectory, body=body, remarks=(*remarks, *words),
-        )  # fmt: skip
-    _require_outside(trajectory, body, source)
-    return image
-
-
-def _require_outside(trajectory: Trajectory, body: Ellipsoid, source: str) -> None:
-    """A camera inside the body, or hundreds of radii away, betrays metres that were called kilometres."""
-    distance = np.linalg.norm(trajectory.position.positions, axis=1).min()
-    if not body.polar < distance < _FARTHEST * body.equatorial:
-        raise InputError(
-            f"{source}, instrument_position", f"a camera {distance / KM:.3f} km from the body's centre",
-            f"more than its radius, {body.polar / KM:.3f} km, and less than {_FARTHEST} of them",
-            "check the units of positions and radii: km, unless `unit` says m",
         )  # fmt: skip
 
 

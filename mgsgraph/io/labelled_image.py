@@ -212,7 +212,8 @@ class _Constants:
         """See `Keywords.numbers`."""
         if self.of_label is not None:
             return self.of_label.numbers(name, count)
-        kernel = f"the camera's addendum, {self.camera.addendum}" if self.which == "iak" else "the instrument kernel"
+        kernel = "the camera's instrument kernel"
+        kernel += f" and addendum ({self.camera.addendum})" if self.which == "iak" else ""
         return pool_numbers(name, count, f"load {kernel}", more=True)
 
     def interior(self, label: LineScanLabel) -> InteriorOrientation:

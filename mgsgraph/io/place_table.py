@@ -7,6 +7,7 @@ geodetic_latitude_deg, height_m; or longitude_deg, latitude_deg alone, of the su
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ from mgsgraph.units import DEG, ISIS_OFFSET
 Sort = Literal["image", "ground"]
 """Whether places are image places or ground places."""
 _SURFACE = PLANETOCENTRIC[:2]
+_DISTANCE = re.compile(r"(radius|height)(_?(km|meters?|metres?))?")
+"""Names of heights and radii whose unit is none of ours."""
 _MOST = 360.0, 90.0
 """Degrees of a longitude and a latitude."""
 _WANTED = "isis_line, isis_sample or line, sample; or x_m, y_m, z_m, longitude_deg, latitude_deg[, radius_m], ..."
@@ -94,6 +97,10 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
     lower = [name.lower() for name in names]
     for name in [name for k, name in enumerate(lower) if name in lower[:k]][:1]:
         raise InputError(f"{path}, line {number}", f"the column {name!r} twice", "each once")
+    for name in lower:
+        if _DISTANCE.fullmatch(name):  # else it would be kept beside the places, which would be of the surface
+            expected = f"{GEODETIC[2]} or {PLANETOCENTRIC[2]}, in metres"
+            raise InputError(f"{path}, line {number}", f"the column {name!r}", expected, "rename it, and mend its unit")
     pixel = next((pair for pair in (ISIS, OURS) if set(pair) <= set(known)), ())
     ground = next((group for group in (*PLACES, _SURFACE) if set(group) <= set(known)), ())
     if pixel and ground and sort is None:

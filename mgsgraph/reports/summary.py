@@ -34,6 +34,8 @@ from mgsgraph.wording import NAMED, listed, many, short, some_of, span, three
 
 _ODDS = 0.0027
 """Chance (three sigma) of taking mere noise for something worth a sentence, in a whole solution."""
+_STRAINED = 5.0
+"""A-priori sigmas; of 10,000 coefficients none is off by so many by chance."""
 _PIXELS = 0.5
 """Size of a mean residual below which it does no harm."""
 _FEW_RAYS = 8
@@ -50,6 +52,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
     return [
         *_ending(solution),
         _weight_unit(solution),
+        *_strained(solution),
         *linearity_statements(solution.linearity),
         *minima_statements(solution.minima),
         *_fits(solution, rays),
@@ -97,6 +100,24 @@ def _weight_unit(solution: Solution) -> str:
         f"{head}: the observations fit {_times(sigma0)} times worse than their stated sigmas. All sigmas are quoted "
         "for sigma0 = 1 and are too small by that factor, unless blunders are to blame: look at the largest residuals."
     )
+
+
+def _strained(solution: Solution) -> list[str]:
+    """Orientations that were moved by far more than is said to be known of them: sigma0 hides it behind many rays."""
+    net, found = solution.network, list[tuple[float, str]]()
+    for j in np.flatnonzero(~net.held):
+        moved, sigmas = solution.correction(int(j)).coefficients, net.priors[j].sigmas
+        if moved.shape == sigmas.shape and (most := float(np.abs(moved / sigmas).max())) > _STRAINED:
+            found.append((most, net.images[j].name))
+    if not found:
+        return []
+    found.sort(reverse=True)
+    names, most = some_of([name for _, name in found], np.arange(len(found))), found[0][0]
+    return [
+        f"Moved by up to {most:.2g} of their a-priori sigmas are the orientations of {names}: these sigmas are too "
+        "small, or an input is wrong (images or columns interchanged, a focal length, control), and then none of the "
+        "quoted sigmas holds. `analyze` tests it."
+    ]
 
 
 def _times(factor: float) -> str:

@@ -163,10 +163,6 @@ def test_what_a_record_refuses_names_the_file(tmp_path: Path, keys: Keys, value:
     assert_refused(tmp_path, edited(keys, value))
 
 
-def test_a_camera_inside_the_body_is_refused(tmp_path: Path) -> None:
-    metres_called_kilometres = [[3.796, 0.0, 0.003], [3.796, 0.0, 0.0], [3.796, 0.0, -0.003]]
-    assert_refused(tmp_path, edited(("instrument_position", "positions"), metres_called_kilometres))
-
 
 def test_the_sun_in_another_frame_is_refused(tmp_path: Path) -> None:
     assert_refused(tmp_path, edited(("sun_position", "reference_frame"), 17))

@@ -51,6 +51,8 @@ def test_of_both_it_has_to_be_said(tmp_path: Path) -> None:
 
 
 TABLES = {
+    "a radius in kilometres": ("longitude_deg,latitude_deg,radius_km\n1,2,3380.0\n", "'radius_km'; expected"),
+    "no unit": ("line,sample,height\n1,2,3380.0\n", "'height'; expected height_m or radius_m"),
     "no places": ("id,name\n1,2\n", "isis_line"),
     "a header alone": ("line,sample\n", "header alone"),
     "a word": ("line,sample\n1,two\n", "line 2, sample"),

@@ -12,6 +12,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.case.reading import Case, adjust, read_case
+from mgsgraph.errors import InputError
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges
 from mgsgraph.reports.results import solution_json
 from mgsgraph.reports.summary import statements, summary_table
@@ -48,6 +49,24 @@ def said(solution: Solution, *words: str) -> str:
     found = [sentence for sentence in statements(solution) if all(word in sentence for word in words)]
     assert len(found) == 1, statements(solution)
     return found[0]
+
+
+def test_orientations_that_their_priors_do_not_allow(solution: Solution) -> None:
+    """A thousandth of the sigmas that they were drawn from: the same corrections are a thousand times too large."""
+    assert not any("a-priori sigmas are the orientations" in sentence for sentence in statements(solution))
+    net = solution.network
+    tight = tuple(replace(prior, sigmas=1e-3 * prior.sigmas) for prior in net.priors)
+    sentence = said(replace(solution, network=replace(net, priors=tight)), "a-priori sigmas are the orientations")
+    assert all(image.name in sentence for image in net.images)
+    held = replace(net, priors=tight, held=np.ones(len(tight), dtype=bool))
+    assert not any("are the orientations" in one for one in statements(replace(solution, network=held)))
+
+
+def test_a_case_is_of_its_own_solution(solution: Solution, lro: Solution) -> None:
+    case = read_case(LRO)
+    case.require_images_of(lro)
+    with pytest.raises(InputError, match="expected those of the solution, such as SIM/A"):
+        case.require_images_of(solution)
 
 
 def test_ending_in_words(solution: Solution) -> None:

@@ -41,6 +41,8 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
     summing = block.number(keys.sample_summing) if keys.sample_summing else 1.0
     first = block.number(keys.first_sample) - keys.first_pixel if keys.first_sample else 0.0
     periods = block.number(keys.line_summing) if keys.line_summing else 1.0
+    if periods <= 0.0:
+        raise InputError(block.where(keys.line_summing), f"{periods:g}", "a summing of 1 or more")
     period = block.number(keys.period, _PERIOD_UNITS) * periods if keys.period else 0.0
     if keys.period and period <= 0.0:
         raise InputError(block.where(keys.period), f"{period} s", "a positive line period")
