@@ -119,7 +119,7 @@ class _Rows:
         self._altimeter: Altimeter = ALTIMETERS.get(instrument.upper(), ANY)
 
     def shots(self, clock_bias: float) -> AltimeterShots:
-        """All rows."""
+        """The shots of all rows, in their order."""
         found = {meaning: self._column(meaning) for meaning in _MEANINGS}
         radius, height = found["radius"], found["height"]
         if found["longitude"] is None or found["latitude"] is None or (radius is None and height is None):

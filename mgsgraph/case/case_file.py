@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.io.files import read_text
 from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
-from mgsgraph.io.kinds import Kind, kind_of
+from mgsgraph.io.kinds import Kind, kind_of, listed_names
 
 _MOLA = re.compile(r"^(\s*\[\[\s*)mola(\s*\]\])", re.MULTILINE)
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
@@ -102,12 +102,12 @@ def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]
     if entry.name or any(getattr(entry, key) is not None for key in ("image", *_FILES, "pixels")):
         raise InputError(where, "a list beside the name or the file of one image", "the list alone")
     place = folder / entry.list
-    lines = [line.split("#", 1)[0].strip() for line in read_text(place).splitlines()]
-    if not any(lines):
+    names = listed_names(read_text(place))
+    if not names:
         raise InputError(str(place), "no file", "the name of an image file in every line")
-    for number, name in enumerate(lines, start=1):
-        if name and not (place.parent / name).is_file():
+    for number, name in names:
+        if not (place.parent / name).is_file():
             expected = "a file, relative to the list's folder"
             raise InputError(f"{place}, line {number}", f"{name!r}, which is not there", expected)
-    for name in filter(None, lines):
+    for _, name in names:
         yield msgspec.structs.replace(entry, list=None, image=str(Path(entry.list).parent / name))

@@ -80,7 +80,7 @@ def _together(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, P
 
 
 def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
-    from mgsgraph.io.labelled_image import read_strip
+    from mgsgraph.io.labelled_image import read_strip, with_focal_length
 
     folder, first = path.parent, entries[0]
     images = read_strip(
@@ -94,10 +94,9 @@ def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: P
         line_times=[_line_times(entry, folder) for entry in entries],
     )
     return [
-        image if entry.focal_length_m is None
-        else replace(image, interior=replace(image.interior, focal_length=entry.focal_length_m))
+        replace(image, interior=with_focal_length(image.interior, entry.focal_length_m))
         for image, entry in zip(images, entries, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _kernels(entry: ImageInput, spice: SpiceInput | None) -> tuple[str, ...]:

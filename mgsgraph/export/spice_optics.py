@@ -1,7 +1,7 @@
 """Distortion as the instrument kernel of an export states it: model, coefficients in powers of mm, and the formula."""
 
 from dataclasses import astuple, dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -67,13 +67,9 @@ def stated_optics(distortion: Distortion, name: str) -> tuple[str, list[float]]:
     """
     for word, model in _MODELS.items():
         if isinstance(distortion, model.kind):
-            values = np.hstack([np.ravel(one) for one in _fields(distortion)]) if model.powers else np.zeros(1)
+            fields = astuple(cast(Any, distortion))
+            values = np.hstack([np.ravel(one) for one in fields]) if model.powers else np.zeros(1)
             scales = [MM**power for power in model.powers or (0,)]
             return word, (values / scales).tolist()
     found, known = f"the model {type(distortion).__name__}", ", ".join(_MODELS)
     raise InputError(f"image {name}, distortion", found, f"one of {known}", "export csm instead")
-
-
-def _fields(distortion: Any) -> tuple[Any, ...]:
-    """Numbers of a record of distortion."""
-    return astuple(distortion)

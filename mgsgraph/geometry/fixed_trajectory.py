@@ -26,7 +26,7 @@ class FixedTrajectory:
 
     @property
     def spin(self) -> Array | None:
-        """None: unknown."""
+        """None: how the body turns in inertial space is not in body-fixed tables."""
         return None
 
     @property

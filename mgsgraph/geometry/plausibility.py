@@ -7,7 +7,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import PositionTable
 from mgsgraph.units import KM
 
-FARTHEST = 400
+_FARTHEST = 400
 """Radii of the body, from farther than which no line scanner looks; a low orbit in metres for kilometres is farther."""
 _CONTRADICTION = 0.2
 """Share of the velocities by which positions may change otherwise: of sparse tables of a bent orbit it is far less."""
@@ -20,9 +20,9 @@ def require_plausible(image: PushbroomImage, where: str) -> None:
     body, unit = image.body, "check the units of positions and radii (km, or m where the file says so)"
     middle = np.array([0.5 * image.lines])
     distance = float(np.linalg.norm(image.pose(middle).position))
-    if not body.polar < distance < FARTHEST * body.equatorial:
+    if not body.polar < distance < _FARTHEST * body.equatorial:
         found = f"a camera {distance / KM:.6g} km from the body's centre, whose radius is {body.equatorial / KM:.6g} km"
-        raise InputError(where, found, f"one outside the body and not {FARTHEST} radii away", unit)
+        raise InputError(where, found, f"one outside the body and not {_FARTHEST} radii away", unit)
     if not 0.5 < body.polar / body.equatorial <= 1.0 + 1e-9:
         found = f"radii of {body.equatorial / KM:.6g} km on the equator and {body.polar / KM:.6g} km at the pole"
         raise InputError(where, found, "a body that is a little flattened, or not at all", "check their order")

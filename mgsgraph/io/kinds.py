@@ -74,12 +74,13 @@ def kind_of(path: Path) -> Kind | None:
         if head.startswith(b"\x1f\x8b"):
             with gzip.open(path) as unpacked:
                 head = unpacked.read(_HEAD)
-        return next((kind for kind in _told(head, path) if kind is not None), None)
+        return next((kind for kind in _possible_kinds(head, path) if kind is not None), None)
     except (OSError, EOFError, zlib.error):
         return None
 
 
-def _told(head: bytes, path: Path) -> Iterator[Kind | None]:
+def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
+    """What each look at a file's head finds, the surest first; None where it finds nothing."""
     yield _MEGDR_KINDS[found[1].lower()] if (found := _MEGDR.fullmatch(path.name)) else None
     yield _tiff(head)
     yield _kernel(head)
@@ -99,13 +100,18 @@ def _told(head: bytes, path: Path) -> Iterator[Kind | None]:
 
 def listed_files(path: Path, text: str | None = None) -> list[Path]:
     """Files that a text names, one in every line, relative to its folder; none where one of them is not there."""
-    lines = (path.read_text(encoding="latin-1") if text is None else text).splitlines()
-    names = [name for line in lines if (name := line.split("#", 1)[0].strip())]
+    names = listed_names(path.read_text(encoding="latin-1") if text is None else text)
     try:
-        files = [path.parent / name for name in names]
+        files = [path.parent / name for _, name in names]
         return files if all(file.is_file() for file in files) else []
     except OSError:  # a line that is too long for a name
         return []
+
+
+def listed_names(text: str) -> list[tuple[int, str]]:
+    """Numbers of an ISIS list's lines, from 1 on, with the names in them; blank lines and # comments have none."""
+    lines = enumerate(text.splitlines(), start=1)
+    return [(number, name) for number, line in lines if (name := line.split("#", 1)[0].strip())]
 
 
 def _tiff(head: bytes) -> Kind | None:

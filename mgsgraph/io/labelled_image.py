@@ -139,7 +139,7 @@ def read_strip(
                 name=name or one.product,
                 lines=one.lines,
                 samples=one.samples,
-                interior=_with_focal_length(said_by.interior(one), focal_length),
+                interior=with_focal_length(said_by.interior(one), focal_length),
                 timing=when.timing(trajectory.epoch),
                 trajectory=trajectory,
                 body=body,
@@ -223,7 +223,8 @@ class _Constants:
         return by(self, label)
 
 
-def _with_focal_length(interior: InteriorOrientation, focal_length: float | None) -> InteriorOrientation:
+def with_focal_length(interior: InteriorOrientation, focal_length: float | None) -> InteriorOrientation:
+    """The same camera with another focal length in m; as it is where that is None."""
     if focal_length is None:
         return interior
     distortion = interior.distortion

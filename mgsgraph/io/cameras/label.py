@@ -99,7 +99,7 @@ def _word(block: LabelBlock, key: str) -> str:
 
 
 def _serial_number(camera: Camera, keys: LabelKeys, block: LabelBlock) -> str:
-    """ISIS's: appdata/serialnumbers."""
+    """Mission and some keywords' values, as ISIS makes serial numbers (appdata/serialnumbers)."""
     parts = [block.text(key) for key in keys.serial if key in block]
     return "/".join([camera.mission, *parts, *filter(None, [keys.serial_end])])
 
