@@ -2,11 +2,15 @@
 and the threads that share work.
 """
 
+import atexit
 import hashlib
 import os
+import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,15 +36,45 @@ def find_a_place_for_compiled_kernels(package: Path) -> None:
         return
     if "site-packages" not in package.parts and os.access(package, os.W_OK):
         return
-    place = Path(tempfile.gettempdir()) / f"mgsgraph-kernels-{os.getuid()}"
+    caches = _home("XDG_CACHE_HOME", ".cache")
+    os.environ["NUMBA_CACHE_DIR"] = str(caches / "mgsgraph" if caches is not None else _temporary_caches())
+
+
+def find_a_place_for_fonts() -> None:
+    """Let matplotlib keep its list of fonts where it may write, so that it need not complain that it can't. Called
+    before it is imported.
+    """
+    homes = ("XDG_CACHE_HOME", ".cache"), ("XDG_CONFIG_HOME", ".config")
+    if "MPLCONFIGDIR" in os.environ or all(_home(variable, name) is not None for variable, name in homes):
+        return
+    os.environ["MPLCONFIGDIR"] = str(_temporary_caches() / "matplotlib")
+
+
+def _home(variable: str, name: str) -> Path | None:
+    """A folder of the user's, by a variable or its name at home; None where nothing can be written there."""
     try:
-        caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        caches.mkdir(parents=True, exist_ok=True)
-        if os.access(caches, os.W_OK):
-            place = caches / "mgsgraph"
+        folder = Path(os.environ.get(variable) or Path.home() / name)
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder if os.access(folder, os.W_OK) else None
     except (OSError, RuntimeError):
-        pass
-    os.environ["NUMBA_CACHE_DIR"] = str(place)
+        return None
+
+
+@cache
+def _temporary_caches() -> Path:
+    """A folder of this user alone among temporary ones: what is cached is run, and its name is known to others. Where
+    somebody else has made that folder, a new one, which goes with the process.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"mgsgraph-kernels-{user}"
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        about = folder.lstat()
+        if stat.S_ISDIR(about.st_mode) and about.st_uid == user and not about.st_mode & 0o022:
+            return folder
+    other = tempfile.mkdtemp(prefix="mgsgraph-kernels-")
+    atexit.register(shutil.rmtree, other, ignore_errors=True)
+    return Path(other)
 
 
 _equations: list[Callable[..., Any]] = []
@@ -82,6 +116,8 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     from numba import njit
     from numba.core.caching import FunctionCache
 
+    _watch_compiler()
+
     class Cache(FunctionCache):
         def __init__(self, function: Callable[..., Any]) -> None:
             super().__init__(function)
@@ -93,6 +129,30 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     if hasattr(kernel, "enable_caching"):  # else it is plain Python (NUMBA_DISABLE_JIT)
         kernel._cache = Cache(function)
     return cast(Function, kernel)
+
+
+_under_way: list[Any] = []
+"""What numba is compiling at this moment, one within another."""
+
+
+def is_compiling() -> bool:
+    """Whether a kernel is being compiled, as it is once after an installation; not while one comes from the cache."""
+    return bool(_under_way)
+
+
+@cache
+def _watch_compiler() -> None:
+    """Let numba say when it begins to compile a function and when it has."""
+    from numba.core import event
+
+    class Counting(event.Listener):
+        def on_start(self, event: Any) -> None:
+            _under_way.append(event.data)
+
+        def on_end(self, event: Any) -> None:
+            _under_way.pop()
+
+    event.register("numba:compile", Counting())
 
 
 def threads() -> int:
@@ -136,3 +196,4 @@ def _digest_of(*folders: Path) -> str:
 
 
 find_a_place_for_compiled_kernels(Path(__file__).parent)  # before whoever compiles imports numba
+find_a_place_for_fonts()

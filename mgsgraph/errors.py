@@ -3,6 +3,27 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+_LONGEST_PART = 400
+"""Characters of a file's name or a finding that a message holds; of longer ones, the beginning and the end."""
+_LONGEST_REMEDY = 700
+
+
+def printable(text: str, kept: str = "") -> str:
+    """The text as it may go to a terminal: characters that move its cursor, turn the direction of writing or end a
+    line, and bytes that are no text, are escaped as Python writes them, but for the characters `kept`.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        one if one.isprintable() or one in kept else one.encode("unicode_escape").decode("ascii") for one in text
+    )
+
+
+def one_line(text: str, longest: int = _LONGEST_PART) -> str:
+    """A part of a message as it may go to a terminal: on one line, and not longer than that."""
+    shown = printable(text.replace("\n", " ").replace("\t", " "))
+    return shown if len(shown) <= longest else f"{shown[: longest - 200]} ... {shown[-195:]}"
+
 
 class MgsgraphError(Exception):
     """Anything the program says about its input or its result; the command line prints it as one line."""
@@ -24,13 +45,14 @@ class InputError(MgsgraphError, ValueError):
     """
 
     def __init__(self, where: str, found: str, expected: str = "", remedy: str = "") -> None:
-        parts = [f"{where}: {found}", f"expected {expected}" if expected else "", remedy]
-        super().__init__("; ".join(part for part in parts if part).replace("\n", " "))
+        parts = [f"{one_line(where)}: {one_line(found)}", f"expected {one_line(expected)}" if expected else "",
+                 one_line(remedy, _LONGEST_REMEDY)]  # fmt: skip
+        super().__init__("; ".join(part for part in parts if part))
         self.where, self.found, self.expected, self.remedy = where, found, expected, remedy
 
     def within(self, source: str) -> "InputError":
         """The same error with the file (or record) that its finding comes from put before it."""
-        self.args = (f"{source}: {self}".replace("\n", " "),)
+        self.args = (f"{one_line(source)}: {self}",)
         self.where = f"{source}: {self.where}"
         return self
 

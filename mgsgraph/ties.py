@@ -14,7 +14,7 @@ from mgsgraph.geometry.records import (
     frozen,
     frozen_index,
     require_covariances,
-    require_unique,
+    require_names,
 )
 
 
@@ -54,7 +54,7 @@ class TiePoints:
 
     def __post_init__(self) -> None:
         n, k = len(self.ids), len(self.measure_image)
-        require_unique(self.ids, self.source)
+        require_names(self.ids, self.source)
         kinds = frozen_index(self.kinds, f"{self.source}, kinds", n, len(PointKind))
         places, sigmas = np.array(self.places, dtype=np.float64), np.array(self.measure_sigmas, dtype=np.float64)
         if places.shape != (n, 3) or sigmas.shape != (k, 2):

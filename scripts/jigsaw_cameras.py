@@ -8,6 +8,7 @@ import numpy as np
 from jigsaw_published import Jigsaw
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.image import PushbroomImage
@@ -16,7 +17,6 @@ from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.polynomial_trajectory import fit_attitude
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG

@@ -31,7 +31,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.io.files import fresh_file
+from mgsgraph.io.writing import fresh_file
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.ties import PointKind
 from mgsgraph.units import MM

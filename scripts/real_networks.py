@@ -23,12 +23,12 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import MeasureKind, ScalarMeasures
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.case.reading import adjust, read_case
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.output.geotiff import geotiff
 from mgsgraph.ties import TiePoints

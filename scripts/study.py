@@ -12,7 +12,7 @@ from statistics import NormalDist
 from typing import Any, NoReturn
 
 from mgsgraph.errors import InputError, MgsgraphError
-from mgsgraph.io.files import fresh_file
+from mgsgraph.io.writing import fresh_file
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 """Folder of the pages, where no other is named."""

@@ -107,12 +107,15 @@ class Handler(BaseHTTPRequestHandler):
         if cut is not None or longer:
             self.hang_up()
 
-    def body(self, content: bytes) -> None:
+    def body(self, content: bytes) -> bool:
+        """Whether the other side has taken it."""
         try:
             self.wfile.write(content)
             self.wfile.flush()
-        except OSError:  # the other side has had enough
+        except OSError:  # it has had enough
             self.close_connection = True
+            return False
+        return True
 
     def hang_up(self) -> None:
         self.close_connection = True
@@ -163,6 +166,32 @@ def web_page(handler: Handler, content: bytes) -> None:
 
 def redirect(to: str) -> Fault:
     return lambda handler, content: handler.plain(302, b"", {"Location": to})
+
+
+def endless(piece: bytes, code: int = 200, **headers: str) -> Fault:
+    """Content that goes on until the other side has had enough, of no announced length."""
+
+    def fault(handler: Handler, content: bytes) -> None:
+        handler.send_response(code)
+        for name, value in headers.items():
+            handler.send_header(name.replace("_", "-"), value)
+        handler.end_headers()
+        handler.close_connection = True
+        for _ in range(10_000):
+            if not handler.body(piece):
+                return
+
+    return fault
+
+
+def said_length(text: str) -> Fault:
+    """The whole content, which is said to be so long."""
+
+    def fault(handler: Handler, content: bytes) -> None:
+        handler.plain(200, content, {"Content-Length": text.encode().decode("latin-1")})
+        handler.hang_up()
+
+    return fault
 
 
 def stall(after: int, over: threading.Event) -> Fault:

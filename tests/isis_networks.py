@@ -5,8 +5,8 @@ import struct
 import msgspec
 from hypothesis import strategies as st
 
-from mgsgraph.io.control.pvl_writing import network_text
-from mgsgraph.io.control.record import (
+from mgsgraph.control.pvl_writing import network_text
+from mgsgraph.control.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,

@@ -13,12 +13,16 @@ from msgspec import structs
 import mgsgraph
 from mgsgraph.campaign.inputs import checksums
 from mgsgraph.case.groups import merged
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.record import ControlPoint, PointType
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.record import ControlPoint, PointType
+from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import islands
+from mgsgraph.network.observations import observed
+from mgsgraph.network.parts import known_images
+from mgsgraph.project.settings import settings_of_case
 from mgsgraph.reports.inventory import inventory
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import MRAD
@@ -184,7 +188,7 @@ def test_a_shot_outside_the_tables(case_file: Path) -> None:
     time = re.search(r'"time": (-?[\d.]+)', text)
     assert time
     lidar.write_text(text.replace(time[1], str(float(time[1]) + 1000.0), 1), encoding="utf-8")
-    with pytest.raises(InputError, match=r"laser shot .*image SIM/A: time .* outside the tables"):
+    with pytest.raises(InputError, match=r"lidar\.json, laser shot .*image SIM/A: time .* outside the tables"):
         mgsgraph.read_case(case_file)
 
 
@@ -280,6 +284,15 @@ def test_the_files_own_sigma_comes_first(case_file: Path) -> None:
     assert 7.0 not in net.rays.sigmas
 
 
+def test_a_factor_multiplies_whatever_sigmas_ties_have(case_file: Path) -> None:
+    """The network's own, which sigma_px leaves alone; those of other rays stay."""
+    before = mgsgraph.read_case(case_file).network
+    after = mgsgraph.read_case(edited(case_file, swap("sigma_px = 1.0", "sigma_px = 9.0\nsigma_factor = 1.25"))).network
+    tie = before.points.classes[before.rays.point] == PointClass.TIE
+    np.testing.assert_allclose(after.rays.sigmas, before.rays.sigmas * np.where(tie, 1.25, 1.0)[:, None])
+    assert settings_of_case(case_file).measures.tie_sigma_factor == 1.25
+
+
 def test_a_measure_in_two_networks(case_file: Path) -> None:
     path = split_network(case_file, lambda i, _: (i < 5, i >= 4))
     with pytest.raises(InputError, match=r"b\.pvl, point .*, image SIM/A: a measure that .*a\.pvl has too"):
@@ -346,6 +359,33 @@ def test_a_network_of_another_body_is_refused(case_file: Path) -> None:
             mgsgraph.read_case(case_file)
     write_pvl_network(structs.replace(read_network(path), target_name="Mars"), path)
     assert mgsgraph.read_case(case_file).networks == (path,)
+
+
+@pytest.mark.parametrize(
+    ("shots", "key", "factor", "said"),
+    [
+        (slice(None), "range", 1e3, "ranges of .*metres stand where the format has kilometres"),
+        (slice(3, 4), "range", 1e3, r"shot \S+: a range of .*metres stand where the format has kilometres"),
+        (slice(3, 4), "range", 1.3, r"shot \S+: a range of .*the way from the trajectory of SIM/"),
+        (slice(3, 4), "radius", 1.2, r"m from the body's centre"),
+        (slice(None), "sigmaRange", 1e-3, r"a sigma of 0\.001 m; .*are sigmas in kilometres"),
+        (slice(3, 4), "sigmaRange", 1e7, "a sigma of 1e[+]07 m"),
+    ],
+)
+def test_lidar_data_in_other_units(case_file: Path, shots: slice, key: str, factor: float, said: str) -> None:
+    """All of them, or one that no median shows; in a case and in a project."""
+    path = case_file.with_name("lidar.json")
+    table = json.loads(path.read_text(encoding="utf-8"))
+    for shot in table["points"][shots]:
+        shot[key] *= factor
+    path.write_text(json.dumps(table), encoding="utf-8")
+    edited(case_file, lambda text: text.replace("range_sigma_m", "# range_sigma_m"))
+    with pytest.raises(InputError, match=said):
+        mgsgraph.read_case(case_file)
+    images = {one.image.name: one for one in known_images(mgsgraph.read_case(case_file, laser=False).network)}
+    if key != "radius":  # whose body the project knows, not this function
+        with pytest.raises(InputError, match=said):
+            observed(images, [read_lidar(path)])
 
 
 def test_two_groups_of_shots(case_file: Path) -> None:

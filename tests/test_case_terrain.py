@@ -11,9 +11,11 @@ from sites import plain_site
 
 import mgsgraph
 from mgsgraph.campaign.inputs import checksums
+from mgsgraph.case.terrain import require_level
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import nominal_ground
 from mgsgraph.network.posts import posts_of
@@ -198,6 +200,21 @@ def test_tiles_and_heights_above_the_areoid_are_the_same_model(case_file: Path) 
     assert net.areoid is not None
     assert abs(np.nanmean(net.areoid.radii) - 3396190.0) < 1e-6
     assert {"east.tif", "west.tif", "areoid.tif"} <= {Path(name).name for name in checksums(path)}
+
+
+@pytest.mark.parametrize("name", ["areoid", "topography as radius", "on the equator"])
+def test_the_difference_of_two_grids_of_one_kind_is_no_areoid(name: str) -> None:
+    """MEGDR's topography under the name of its radii leaves a sphere."""
+    latitudes = (60.0 if name != "on the equator" else 1.0) * DEG - 0.01 * np.arange(3)
+    a, b = MARS.equatorial, MARS.polar
+    level = a * b / np.hypot(b * np.cos(latitudes), a * np.sin(latitudes)) + 1500.0
+    radii = np.repeat((level if name == "areoid" else np.full(3, 3396e3))[:, None], 4, axis=1)
+    areoid = TerrainGrid("a", radii, 1.0, float(latitudes[0]), 0.01, 0.01, kind="areoid")
+    if name == "topography as radius":
+        with pytest.raises(InputError, match=r"an areoid 14\.7 km off the ellipsoid"):
+            require_level(areoid, MARS)
+    else:
+        require_level(areoid, MARS)
 
 
 def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:

@@ -104,8 +104,8 @@ def pixels(folder: Path) -> dict[str, object]:
 def a_result(folder: Path) -> dict[str, object]:
     import matched
 
-    from mgsgraph.io.control.pvl_writing import write_pvl_network
-    from mgsgraph.io.control.ties import control_network
+    from mgsgraph.control.pvl_writing import write_pvl_network
+    from mgsgraph.control.ties import control_network
 
     pixels(folder)
     write_pvl_network(control_network(matched.matches().ties, "mgsgraph", "MARS", "pair"), folder / "network.pvl")
@@ -300,7 +300,7 @@ def uncommented(text: str) -> str:
 
 
 def a_table(text: str, folder: Path) -> None:
-    from mgsgraph.io.control.table import read_table
+    from mgsgraph.control.table import read_table
 
     (folder / "points.csv").write_text(text, encoding="utf-8")
     assert read_table(folder / "points.csv").points

@@ -127,6 +127,7 @@ def adjust_network(
         if starts and solved.outcome.converged:
             solved, minima, mixture = best_of_starts(solved, settings, before, starts, sweeper)
             clock.stop("starts")
+        _require_ties(name, solved)
         del before, layout, places  # the posterior needs the memory
         return replace(_posterior(settings, name, solved, nominal, clock, sweeper, mixture), minima=minima)
 
@@ -149,6 +150,24 @@ class Adjustment:
     ) -> Solution:
         """Adjust a network with the default settings, or others; see `adjust_network`."""
         return adjust_network(network, settings or SolverSettings(), name, progress)
+
+
+def _require_ties(name: str, solved: Solved) -> None:
+    """Raise InputError where tie points that two rays or more have seen are all lost: what is left to come to rest on
+    says nothing of how the images fit together.
+    """
+    network = solved.layout.network
+    ties = (network.points.classes == PointClass.TIE) & (network.ray_counts > 1)
+    taking = np.bincount(network.rays.point, solved.selection.rays, len(network.points))
+    left = solved.layout.network_order(determined_points(solved.rows)) & (taking > 0)
+    if np.any(ties) and not np.any(ties & left):
+        lost, weak = int(np.count_nonzero(ties)), int(np.count_nonzero(ties & (taking > 1)))
+        raise InputError(
+            name, f"none of {lost} tie points is left ({lost - weak} rejected, {weak} not determined by their rays)",
+            "ties that agree with the orientations, heights and laser shots",
+            "look at mgsgraph check: images, lines and samples, or columns interchanged, orientations far off; "
+            "without rejection (reject = 0) residuals.csv shows by how much",
+        )
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from mgsgraph.network.corrections import adjusted_image, correction_parts, desig
 from mgsgraph.notebook import card
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Solution:
     """Adjusted orientation, ground points, residuals and covariances of one network."""
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.altimetry.csv_table import plain_name
-from mgsgraph.altimetry.lola import lola_shots
-from mgsgraph.altimetry.places import crossings, positions, require_radii
+from mgsgraph.altimetry.lola import RECORD, lola_shots
+from mgsgraph.altimetry.places import crossings, known_ranges, positions, require_radii, require_records
 from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, Altimeter
@@ -49,6 +49,8 @@ _TYPES = {
 }  # fmt: skip
 _SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
 """Bytes of a number, by the letter of its type."""
+_LARGEST = 1e15
+"""m, rad or s: no number of an altimeter."""
 _AS_CSV = "write a CSV with longitude_deg, latitude_deg, radius_m, time_s and range_m"
 
 
@@ -75,27 +77,44 @@ def read_labelled_shots(path: Path, clock_bias: float = 0.0) -> AltimeterShots:
 
     InputError where the label has no table, a file that it names is not there, or its columns leave open what they are.
     """
-    root = whole_label(Document(str(path), read_bytes(path).decode("latin-1").replace("\r\n", "\n")))
+    root = whole_label(_document(path))
     table = next((block for block in root.blocks if block.name.endswith("table")), None)
     if table is None:
         raise InputError(str(path), "a label without a TABLE", "the label of a table of laser shots")
     pointer = next((key for key in root.entries if key.startswith("^") and key.endswith("table")), "")
     data = _beside(path, root, pointer)
+    content = read_bytes(data)
     if "LOLA-3-RDR" in str(root.entries["data_set_id"].value if "DATA_SET_ID" in root else "").upper():
-        return lola_shots(read_bytes(data), path, clock_bias)
-    return _Rows(path, root, table, read_bytes(data)).shots(clock_bias)
+        require_records(root, -(-len(content) // RECORD.itemsize))
+        return lola_shots(content, path, clock_bias)
+    return _Rows(path, root, table, content).shots(clock_bias)
+
+
+def require_whole(path: Path, content: bytes) -> None:
+    """Raise InputError where LOLA's records in a file are not as many as a label beside it counts."""
+    for label in (path.with_suffix(ending) for ending in (".LBL", ".lbl")):
+        if label.is_file():
+            require_records(whole_label(_document(label)), -(-len(content) // RECORD.itemsize))
+            return
 
 
 def _beside(path: Path, block: Block, key: str) -> Path:
     """The file that a pointer names, in the label's folder, whatever the case of its letters."""
     if not key:
         raise InputError(str(path), "no pointer such as ^TABLE", "the label of a table in a file of its own")
-    value = block.entries[key].value
-    name = (value if isinstance(value, str) else value[0]).lower()
+    items = block.words(key)
+    if len(items) > 1 and items[1] != "1":
+        raise InputError(block.where(key), f"a table from {items[1]} on in its file", "a table that is all of its file")
+    name = items[0].lower() if items else ""
     found = [one for one in path.parent.iterdir() if one.name.lower() == name]
     if not found:
         raise InputError(block.where(key), f"{name}, which is not beside the label", "the file", "fetch it, too")
     return found[0]
+
+
+def _document(path: Path) -> Document:
+    """A label's text."""
+    return Document(str(path), read_bytes(path).decode("latin-1").replace("\r\n", "\n"))
 
 
 class _Rows:
@@ -106,15 +125,23 @@ class _Rows:
         blocks = list(table.blocks)
         if "^STRUCTURE" in table:
             structure = _beside(path, table, "^structure")
-            blocks += whole_label(Document(str(structure), structure.read_text("latin-1").replace("\r\n", "\n"))).blocks
+            blocks += whole_label(_document(structure)).blocks
         self._columns = [
             Column(one, plain_name(one.text("NAME")), one.count("START_BYTE") - 1, one.count("BYTES"))
             for one in blocks if one.name == "column"
         ]  # fmt: skip
         size = table.count("ROW_BYTES")
-        self._rows = np.frombuffer(content[: len(content) // size * size], f"{'V' if self._binary else 'S'}{size}")
-        if not self._rows.size or len(content) % size:
+        rows, rest = divmod(len(content), size)
+        if not rows or rest:
             raise InputError(str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
+        if "ROWS" in table and table.count("ROWS") != rows:
+            found, remedy = f"{table.count('ROWS')}, and {rows} rows in the file", "fetch label and table anew"
+            raise InputError(table.where("ROWS"), found, "as many", remedy)
+        for one in self._columns:
+            if one.start + one.size > size:
+                found = f"bytes {one.start + 1} .. {one.start + one.size} of a row"
+                raise InputError(one.block.where("BYTES"), found, f"1 .. {size}, as ROW_BYTES says")
+        self._rows = np.frombuffer(content, f"{'V' if self._binary else 'S'}{size}")
         instrument = str(root.entries["instrument_id"].value) if "INSTRUMENT_ID" in root else ""
         self._altimeter: Altimeter = ALTIMETERS.get(instrument.upper(), ANY)
 
@@ -141,7 +168,7 @@ class _Rows:
             source=str(self.path), orbits=crossings(times, str(self.path)), frames=numbers,
             shots=np.ones(n, dtype=np.int64), times=times + clock_bias,
             footprints=positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
-            areoid_radii=nothing, ranges=np.where(ranges > 0.0, ranges, np.nan), range_corrections=nothing,
+            areoid_radii=nothing, ranges=known_ranges(ranges, np.ones(n, dtype=bool)), range_corrections=nothing,
             spacecraft=np.full((n, 3), np.nan), off_nadir=nothing, ground=np.ones(n, dtype=bool),
             channels=np.zeros(n, dtype=np.int64), clocks=nothing, pulses=nothing, altimeter=self._altimeter,
         )  # fmt: skip
@@ -180,15 +207,17 @@ class _Rows:
         else:
             places = [f"{self.path}, row {k + 1}, {column.name}" for k in range(self._rows.size)]
             numbers = np.array([number_of(*one) for one in zip(self._texts(column), places, strict=True)])
-        if "SCALING_FACTOR" in block:
-            numbers = numbers * block.number("SCALING_FACTOR")
-        if "OFFSET" in block:
-            numbers = numbers + block.number("OFFSET")
         unit = block.text("UNIT").lower() if "UNIT" in block else ""
         if unit not in _UNITS:
             found = f"the unit {unit!r} of {block.text('NAME')}" if unit else f"no UNIT of {block.text('NAME')}"
             raise InputError(block.where("UNIT"), found, "degrees, radians, mm, m, km or seconds")
-        return numbers * _UNITS[unit]
+        factor = block.number("SCALING_FACTOR") if "SCALING_FACTOR" in block else 1.0
+        offset = block.number("OFFSET") if "OFFSET" in block else 0.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = (numbers * factor + offset) * _UNITS[unit]
+        for k in np.flatnonzero(~(np.abs(values) < _LARGEST))[:1]:
+            raise InputError(f"{self.path}, row {k + 1}, {column.name}", f"{values[k]:g}", "a number that can be")
+        return values
 
     def _times(self, tdb: Column | None, utc: Column | None) -> Array:
         if tdb is not None:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.altimetry.places import known_ranges, require_records
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
@@ -38,6 +39,8 @@ _MICRODEG = 1e-6 * DEG
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
 _LEAST, _LARGEST = 3.3e6, 3.5e6
 """m, between which any radius on Mars lies."""
+_CLOCK, _CLOCK_TOLERANCE = 1e8, 0.01
+"""Hz of the altimeter's clock, and the part by which it may run otherwise; it drifted by 4e-5."""
 _FIRST_CROSSOVERS = 7.125
 """Software version from which on the frames hold crossover corrections (PEDR2TAB)."""
 
@@ -125,8 +128,9 @@ def read_pedr(path: Path, clock_bias: float = 0.0, version: str | None = None) -
     Raises
     ------
     InputError
-        Where the file is missing, ends within a frame, has no frame or records of another length, where a frame's
-        clock, times or radii can't be, or where the version is not to be found.
+        Where the file is missing, ends within a frame or before as many as its label counts, has no frame or records
+        of another length, where a frame's clock, times, places or radii can't be, or where the version is not to be
+        found.
     """
     content = read_bytes(path)
     label = _label(content, path)
@@ -203,6 +207,8 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
         )
     if body == 0:
         raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it anew")
+    if label is not None:
+        require_records(label, len(content) // size, header // size)
     frames = np.frombuffer(content, FRAME, offset=header)
     _require_sound(frames, path)
     return frames
@@ -224,8 +230,15 @@ def _require_sound(frames: NDArray[np.void], path: Path) -> None:
             f"{path}, frame {i + 1}", f"times {whole[i]:.6f} s and {again[i]:.6f} s", "the same time in both fields",
         )
     used = np.any(radii > 0.0, axis=1)
-    for i in np.flatnonzero(used & (frames["clock"] <= 0))[:1]:
+    slow = ~(np.abs(frames["clock"] / _CLOCK - 1.0) < _CLOCK_TOLERANCE)
+    for i in np.flatnonzero(used & slow)[:1]:
         raise InputError(f"{path}, frame {i + 1}", f"a clock of {frames['clock'][i]} Hz", "about 1e8 Hz")
+    for name, most in (("latitude", 90.0), ("longitude", 360.0)):
+        for field, what in ((name, name), (f"spacecraft_{name}", f"spacecraft's {name}")):
+            degrees = frames[field] * 1e-6
+            for i in np.flatnonzero(used & (np.abs(degrees) > most))[:1]:
+                found, expected = f"{degrees[i]:g} degrees", f"-{most:g} .. {most:g}"
+                raise InputError(f"{path}, frame {i + 1}, {what}", found, expected, "fetch the file anew")
 
 
 def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:
@@ -274,6 +287,7 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
     def whole(values: NDArray[np.integer]) -> Index:
         return np.broadcast_to(values, raw.shape).ravel()[kept].astype(np.int64)
 
+    ground = frames["shot_class"] == 1
     ranges, pulses = frames["range"] * _CM, frames["sigma_optical"] * _PULSE
     return AltimeterShots(
         source=str(path),
@@ -283,13 +297,13 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
         times=flat(times),
         footprints=from_planetocentric(places).reshape(-1, 3)[kept],
         areoid_radii=flat(across("areoid_radius", _CM)),
-        ranges=flat(np.where(ranges > 0.0, ranges, np.nan)),
+        ranges=flat(known_ranges(ranges, ground)),
         range_corrections=flat(frames["range_correction"] * _CM),
         spacecraft=from_planetocentric(np.stack([*spacecraft, across("spacecraft_radius", _CM)], axis=-1)).reshape(
             -1, 3
         )[kept],
         off_nadir=flat(field("off_nadir", _MICRODEG)),
-        ground=(frames["shot_class"] == 1).ravel()[kept],
+        ground=ground.ravel()[kept],
         channels=whole(frames["channel"]),
         clocks=flat(field("clock")),
         pulses=flat(np.where(pulses > 0.0, pulses, np.nan)),

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.altimetry.csv_table import plain_name
+from mgsgraph.altimetry.csv_table import measured, plain_name
 from mgsgraph.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
-from mgsgraph.altimetry.places import whole_numbers
+from mgsgraph.altimetry.places import known_ranges, whole_numbers
 from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
@@ -78,7 +78,7 @@ def read_pedr_text(
         Where a needed column is missing, a line can't be cut into the header's columns, a value is no number or the
         version is not known.
     """
-    lines = read_text(path).splitlines()
+    lines = read_text(path).split("\n")
     header = next((k for k, line in enumerate(lines) if line.strip()), None)
     if header is None:
         raise InputError(str(path), "an empty file", "a header and shots")
@@ -111,13 +111,11 @@ class _ShotTable:
         if name not in self.columns:
             return np.full(self.lines.size, np.nan)
         texts = self.columns[name]
-        try:
-            values = texts.astype(np.float64)
-        except ValueError:
-            values = np.array([_number(text) for text in texts.tolist()])
-        for k in np.flatnonzero(~np.isfinite(values))[:1]:
-            raise InputError(f"{self.path}, line {self.lines[k]}, {name}", repr(str(texts[k]).strip()), "a number")
-        return values
+        where = f"{self.path}, line"
+        return np.array([
+            measured(text, where, line, name)
+            for text, line in zip(map(str.strip, texts.tolist()), self.lines.tolist(), strict=True)
+        ])
 
     def whole(self, name: str) -> Index:
         """A column of whole numbers; zero throughout where there is no such column."""
@@ -132,13 +130,6 @@ class _ShotTable:
             found, expected = f"{values[k]:g}", f"{least:g} .. {largest:g}"
             raise InputError(f"{self.path}, line {self.lines[k]}, {name}", found, expected)
         return values
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")
 
 
 def _wanted(names: Sequence[str], path: Path) -> dict[int, str]:
@@ -212,7 +203,7 @@ def _shots(table: _ShotTable, clock_bias: float) -> AltimeterShots:
         table.numbers("spacecraft_longitude") * DEG, table.numbers("spacecraft_latitude") * DEG,
         table.numbers("spacecraft_radius"),
     ])
-    flag = table.numbers("flag")
+    ground = ~(table.numbers("flag") >= _NOT_GROUND)
     return AltimeterShots(
         source=str(table.path),
         orbits=table.whole("orbit"),
@@ -221,11 +212,11 @@ def _shots(table: _ShotTable, clock_bias: float) -> AltimeterShots:
         times=times + clock_bias,
         footprints=from_planetocentric(np.column_stack([longitude, latitude, radius])),
         areoid_radii=areoid,
-        ranges=np.where(ranges > 0.0, ranges, np.nan),
+        ranges=known_ranges(ranges, ground),
         range_corrections=table.numbers("range_correction"),
         spacecraft=from_planetocentric(spacecraft),
         off_nadir=table.numbers("off_nadir") * DEG,
-        ground=~(flag >= _NOT_GROUND),
+        ground=ground,
         channels=table.whole("channel"),
         clocks=np.full(n, np.nan),
         pulses=np.full(n, np.nan),  # in what unit PEDR2TAB writes Sigopt is not known

@@ -6,12 +6,15 @@ import numpy as np
 
 from mgsgraph.altimetry.time_scales import require_years, utc_of_tdb
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, require_near
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.io.pvl import Block
 from mgsgraph.units import DEG, KM
 
 _PAUSE = 1800.0
 """s without a shot, after which another profile begins: an orbit takes two hours or so."""
+_LARGEST = 1e9
+"""m, larger than any planet."""
 _TOLERANCE = 0.1
 """Part of the body's radius by which a file's median radius may differ from it."""
 
@@ -40,9 +43,16 @@ def positions(angles: Array, radii: Array, where: Callable[[int], str]) -> Array
     ):
         for k in np.flatnonzero((values < least) | (values > largest))[:1]:
             raise InputError(f"{where(int(k))}, {name}", f"{values[k]:g} degrees", f"{least:g} .. {largest:g}")
-    for k in np.flatnonzero(radii <= 0.0)[:1]:
-        raise InputError(f"{where(int(k))}, radius", f"{radii[k]:g} m", "a positive number")
+    for k in np.flatnonzero(~((radii > 0.0) & (radii < _LARGEST)))[:1]:
+        raise InputError(f"{where(int(k))}, radius", f"{radii[k]:g} m", "a positive number, that of a body")
     return from_planetocentric(np.column_stack([angles * DEG, radii]))
+
+
+def known_ranges(ranges: Array, ground: Mask, none: float = 0.0) -> Array:
+    """Ranges (n,) in m, NaN where the archive has 0 or less, down to what it writes for none, and where what it has of
+    a shot that didn't reach the ground is negative; other negative ones stay, and are refused.
+    """
+    return np.where((ranges <= 0.0) & ((ranges >= none) | ~ground), np.nan, ranges)
 
 
 def whole_numbers(values: Array, where: Callable[[int], str], largest: float = 2.0**32) -> Index:
@@ -72,11 +82,28 @@ def crossings(times: Array, source: str) -> Index:
     return np.array(minutes, dtype=np.int64)[numbers]
 
 
+def require_records(label: Block, found: int, before: int = 0) -> None:
+    """Raise InputError where a file has another number of records than its label counts (FILE_RECORDS), itself among
+    them if it is `before` the others.
+    """
+    if "FILE_RECORDS" not in label:
+        return
+    counted = label.count("FILE_RECORDS")
+    if found not in (counted, counted + before):  # a few count what is behind the label alone
+        remedy = "the file is cut short: fetch it anew" if found < counted else "fetch file and label anew"
+        raise InputError(label.where("FILE_RECORDS"), f"{counted}, and {found} records in the file", "as many", remedy)
+
+
 def require_radii(radii: Array, body: Ellipsoid | None, where: str) -> None:
-    """Raise InputError where the median of radii (n,) in m is not that of a body, which a wrong unit would make."""
-    if body is not None and abs(float(np.median(radii)) / body.equatorial - 1.0) > _TOLERANCE:
+    """Raise InputError where the median of radii (n,) in m is not that of a body, which a wrong unit would make, or any
+    of them far from it.
+    """
+    if body is None:
+        return
+    if abs(float(np.median(radii)) / body.equatorial - 1.0) > _TOLERANCE:
         raise InputError(
             where, f"a median radius of {np.median(radii) / KM:.1f} km",
             f"that of the body, {body.equatorial / KM:.1f} km, to 10 per cent",
             "give shots on this body, or check the unit of their radii",
         )
+    require_near(radii, body, lambda k: f"{where}, shot {k + 1}")

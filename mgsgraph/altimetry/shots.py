@@ -5,21 +5,23 @@ the Orbital Data Explorer and a selection of `mgsgraph shots` (`shot_tables`), a
 (`pds_table`). All but PEDR files may be packed by gzip.
 """
 
-import gzip
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.altimetry.csv_table import CsvTable
+from mgsgraph.altimetry.limits import require_possible_shots
 from mgsgraph.altimetry.lola import is_lola_rdr, lola_shots
-from mgsgraph.altimetry.pds_table import is_label, read_labelled_shots
+from mgsgraph.altimetry.pds_table import is_label, read_labelled_shots, require_whole
 from mgsgraph.altimetry.pedr import FRAME, read_pedr
 from mgsgraph.altimetry.pedr_text import PEDR_RADII, read_pedr_text
 from mgsgraph.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots, require_lengths
-from mgsgraph.io.files import read_bytes
+from mgsgraph.io.files import read_bytes, unpacked_gzip
+
+_SMALL, _MOST_TIMES = 1 << 24, 30
+"""bytes that any packed file may unpack to, and times its own: gzip packs tables of numbers to a fifth or so."""
 
 
 def read_shots(
@@ -48,6 +50,7 @@ def read_shots(
     known = np.isfinite(ways) & np.isfinite(shots.ranges)
     if np.any(known):
         require_lengths(shots.ranges[known], ways[known], "ranges", str(path))
+    require_possible_shots(shots)
     return shots
 
 
@@ -57,6 +60,7 @@ def _as_read(path: Path, clock_bias: float, version: str | None) -> AltimeterSho
         raise InputError(str(path), "an empty file", "laser shots")
     if b"\0" in content:
         if is_lola_rdr(content):
+            require_whole(path, content)
             return lola_shots(content, path, clock_bias)
         if path.suffix.lower() != ".b" and len(content) % FRAME.itemsize:
             raise InputError(
@@ -88,10 +92,7 @@ def unpacked(content: bytes, path: Path) -> tuple[bytes, bool]:
     """The content of a file that may be packed by gzip, and whether it was."""
     if not content.startswith(b"\x1f\x8b"):
         return content, False
-    try:
-        return gzip.decompress(content), True
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(str(path), f"can't be unpacked ({error})", "a whole gzip file", "fetch it anew") from None
+    return unpacked_gzip(content, str(path), max(_SMALL, _MOST_TIMES * len(content))), True
 
 
 def _require_unpacked(packed: bool, path: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mgsgraph.altimetry.csv_table import CsvTable
 from mgsgraph.altimetry.lola import INVALID
-from mgsgraph.altimetry.places import crossings, positions, unit_of_radii, whole_numbers
+from mgsgraph.altimetry.places import crossings, known_ranges, positions, unit_of_radii, whole_numbers
 from mgsgraph.altimetry.time_scales import require_years, tdb_of_tt, tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, Altimeter
@@ -84,6 +84,8 @@ _LOLA_HEADER = (
 )
 """ODE's, of files that users have cut it from."""
 _LOLA_ROW = re.compile(rb"\s*\d{4}-\d\d-\d\dT[\d:.]+\s*(,[^,\n]*){28}(\n|$)")
+_NONE = -1.0
+"""What LOLA writes for a radius or range that there is none of; less is a sign that was damaged."""
 _NOISE_CHANNEL = 5
 """Of MLA, from which on a return is noise (pyXover leaves out chn > 4)."""
 
@@ -112,7 +114,7 @@ def shots_of_table(table: Columns, layout: Layout, clock_bias: float) -> Altimet
         return numbers.get(names.get(meaning, ""))
 
     radii = numbers[names["radius"]]
-    there = radii > 0.0  # LOLA writes -1 for none
+    there = ~((radii <= 0.0) & (radii >= _NONE))
     if not np.any(there):
         raise InputError(str(table.path), f"{there.size} shots without a radius", "shots that reached the ground")
     length = unit_of_radii(radii[there], layout.altimeter.body, table.called(names["radius"]))
@@ -137,12 +139,13 @@ def shots_of_table(table: Columns, layout: Layout, clock_bias: float) -> Altimet
 
     frames, shots = _numbers_of(table, whole("second"), whole("frame"), whole("spot"))
     channels = whole("channel")
+    ground = _ground(whole("flag"), channels, radii.size)
     found = AltimeterShots(
         source=str(table.path), orbits=crossings(times, str(table.path)), frames=frames, shots=shots,
         times=times + clock_bias, footprints=places, areoid_radii=value("geoid"),
-        ranges=np.where(ranges > 0.0, ranges, np.nan), range_corrections=np.full(radii.size, np.nan),
+        ranges=known_ranges(ranges, ground, _NONE * length), range_corrections=np.full(radii.size, np.nan),
         spacecraft=from_planetocentric(np.column_stack(spacecraft)),
-        off_nadir=value("off nadir"), ground=_ground(whole("flag"), channels, radii.size),
+        off_nadir=value("off nadir"), ground=ground,
         channels=np.zeros(radii.size, dtype=np.int64) if channels is None else channels,
         clocks=np.full(radii.size, np.nan), pulses=np.full(radii.size, np.nan), altimeter=layout.altimeter,
     )  # fmt: skip
@@ -217,8 +220,13 @@ def read_selection(table: CsvTable, clock_bias: float) -> AltimeterShots:
         source=str(table.path), times=needed["times"] + clock_bias,
         footprints=positions(angles, needed["radiusm"], table.where),
         spacecraft=np.column_stack([table.with_gaps(one.replace("_", "")) for one in _PLACE]),
-        ground=needed.get("ground", np.ones(n)) != 0.0, altimeter=_altimeter(table), **known,
+        ground=_flags(table, needed.get("ground", np.ones(n))), altimeter=_altimeter(table), **known,
     )  # fmt: skip
+
+
+def _flags(table: CsvTable, values: Array) -> Mask:
+    """Zeros and ones (n,) as truth values."""
+    return np.asarray(whole_numbers(values, lambda k: f"{table.where(k)}, ground", 1.0) == 1)
 
 
 def _altimeter(table: CsvTable) -> Altimeter:

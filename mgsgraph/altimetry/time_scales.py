@@ -11,6 +11,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimeters import YEARS
 from mgsgraph.geometry.records import Array
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
@@ -28,8 +29,6 @@ _STARTS = np.array([(datetime.fromisoformat(f"{month}-01T00:00Z") - _J2000).tota
 """s UTC past J2000 of these days."""
 _UTC = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d*)?))?Z?")
 """Year, month and day or day of the year, hour, minute, second."""
-_YEARS = (-1.0e9, 3.2e9)
-"""s past J2000 between which times are those of a spacecraft: 1968 to 2101."""
 
 
 def tdb_of_tt(times: Array) -> Array:
@@ -77,6 +76,6 @@ def utc_of_tdb(time: float) -> datetime:
 
 def require_years(times: Array, source: str) -> None:
     """Raise InputError unless times (n,) in s past J2000 (NaN where unknown) are those of spacecraft."""
-    for k in np.flatnonzero((times < _YEARS[0]) | (times > _YEARS[1]))[:1]:
-        found, expected = f"a time of {times[k]:g} s past J2000", f"{_YEARS[0]:g} .. {_YEARS[1]:g} s, 1968 to 2101"
+    for k in np.flatnonzero((times < YEARS[0]) | (times > YEARS[1]))[:1]:
+        found, expected = f"a time of {times[k]:g} s past J2000", f"{YEARS[0]:g} .. {YEARS[1]:g} s, 1968 to 2101"
         raise InputError(source, found, expected, "check the unit of the times")

@@ -20,6 +20,8 @@ NODE_POSITION, NODE_POINTING = "position priors of nodes", "pointing priors of n
 POSITION_TREND, POINTING_TREND = "position trends", "pointing trends"
 RANGES, GROUND_PRIORS, HEIGHTS, STEREO_HEIGHTS = "ranges", "ground priors", "surface heights", "stereo heights"
 CROSSOVERS = "crossovers"
+BACK_PROJECTED = "back-projected"
+"""In the names of groups of image places that are no measures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,7 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
         ties = classes == PointClass.TIE
         of_ray[ties] = [f"tie image points, {image_kinds[j]}" for j in rays.image[ties].tolist()]
     if rays.back_projected is not None:
-        of_ray[rays.back_projected] = [f"{name}, back-projected" for name in of_ray[rays.back_projected]]
+        of_ray[rays.back_projected] = [f"{name}, {BACK_PROJECTED}" for name in of_ray[rays.back_projected]]
     parts = [np.where(np.arange(prior.sigmas.size) % 6 < 3, POSITION, POINTING) for prior in network.priors]
     parts += [np.array([_SHIFT[term.unit] for term in terms]) for terms in network.shift_terms]
     parts += [np.full(shared.sigmas.size, f"{shared.kind} priors") for shared in network.shared]

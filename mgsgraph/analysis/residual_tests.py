@@ -8,6 +8,7 @@ and bands count with that number. They err on the safe side: false alarms are ra
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -221,7 +222,7 @@ def residual_statistics(
     """Statistics of the normalised residuals of each group (`group_rows` when absent); priors' are corrections."""
     at = (solution if isinstance(solution, Linearised) else at_solution(solution)).of_estimator()
     grouping = grouping or group_rows(at.network)
-    residuals, redundancy, groups = _all_rows(at, grouping)
+    residuals, redundancy, groups, _ = judged_rows(at, grouping)
     controlled = redundancy >= _CONTROLLED
     normalised = np.where(controlled, residuals / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
     found = []
@@ -233,8 +234,21 @@ def residual_statistics(
     return tuple(found)
 
 
-def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
-    """Whitened residual, redundancy number and group of each row that takes part; points' rows, then priors."""
+class JudgedRows(NamedTuple):
+    """Scalar rows that take part, those of points first, then priors."""
+
+    residual: Array
+    """(m,) whitened."""
+    redundancy: Array
+    """(m,) redundancy numbers."""
+    group: Index
+    """(m,) of a grouping."""
+    component: Index
+    """(m,) which row of its observation: line 0, sample 1; x, y, z of an a-priori place; 0 of priors."""
+
+
+def judged_rows(at: Linearised, grouping: Grouping) -> JudgedRows:
+    """Whitened residual, redundancy number and group of each row that takes part."""
     layout = at.layout
     target, pairs = layout.blocks.target, at.pair_blocks(layout)
     numbers = reliability(at.rows, layout.groups, target, layout.model, at.orientation, pairs, at.points)
@@ -243,8 +257,9 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
     of_observation = np.repeat(grouping.of_observations(layout)[:, None], 3, axis=1)
     shares = np.stack([numbers[:, row, 1 + row] for row in range(3)], axis=1)
     known = prior_rows(at)
-    return (
+    return JudgedRows(
         np.concatenate([numbers[:, :, 0][taken], known.misfit]),
         np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
         np.concatenate([of_observation[taken], grouping.of_priors(layout)]),
+        np.concatenate([np.nonzero(taken)[1], np.zeros(known.misfit.size, dtype=np.int64)]),
     )

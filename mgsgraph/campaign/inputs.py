@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
+from mgsgraph.apart import read_apart
+from mgsgraph.aside import resolved
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.terrain import count_files
@@ -13,6 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.io.files import sha256_of
 
 SUFFIX = ".toml"
+_ELSEWHERE, _MEND = "choose another --out", "take it away"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _JOINT = "-"
@@ -38,7 +41,7 @@ def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
     found: dict[Path, None] = {}
     for path in given:
         if path.is_dir():
-            inside = _walk(path, out.resolve())
+            inside = _walk(path, resolved(out, _ELSEWHERE))
             if not inside:
                 raise InputError(str(path), f"no case file (*{SUFFIX}) in this folder", "at least one")
             found.update(dict.fromkeys(inside))
@@ -52,10 +55,10 @@ def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
 def _walk(folder: Path, out: Path) -> list[Path]:
     found = []
     for place, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith(".") and Path(place, name).resolve() != out)
-        found += [
-            Path(place, name).resolve() for name in sorted(files) if name.endswith(SUFFIX) and not name.startswith(".")
-        ]
+        seen = [name for name in sorted(folders) if not name.startswith(".")]
+        folders[:] = [name for name in seen if resolved(Path(place, name), _MEND) != out]
+        cases = [name for name in sorted(files) if name.endswith(SUFFIX) and not name.startswith(".")]
+        found += [resolved(Path(place, name), _MEND) for name in cases]
     return found
 
 
@@ -155,8 +158,10 @@ def _listed(kernel: Path) -> list[Path]:
     """Kernels that a meta-kernel lists."""
     from mgsgraph.io.kernel_contents import members  # SPICE takes its time to load; only those who need it wait
 
+    here, path = Path.cwd(), kernel.absolute()
     try:
-        return [member for member in members(kernel) if member != kernel]
+        found = read_apart(lambda: members(path, here), str(kernel), "a SPICE kernel", "fetch it again")
+        return [member for member in found if member != path]
     except InputError:
         return []  # reading the case will say what is wrong
 
@@ -165,7 +170,7 @@ def _checksum(path: Path) -> str | None:
     try:
         state = path.stat()
         return _of_content(path.resolve(), state.st_size, state.st_mtime_ns)
-    except OSError:
+    except (OSError, InputError):
         return None
 
 

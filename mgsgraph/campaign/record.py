@@ -1,12 +1,15 @@
 """The record of a campaign: JSON Lines, one for each case that is over, appended whole and never changed.
 
 A case that is done again gets another line; its last one counts. A line that a crash or a full disk has cut short is
-taken off. One campaign at a time may write.
+taken off. Each ends with its checksum. One campaign at a time may write.
 """
 
 import dataclasses
 import json
 import os
+import re
+import stat
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -15,12 +18,19 @@ import msgspec
 
 from mgsgraph.adjustment.settings import Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import claim
+from mgsgraph.io.files import json_object
+from mgsgraph.io.writing import claim
 
-Status = Literal["done", "not converged", "failed"]
+Status = Literal["done", "no result", "not converged", "failed"]
 RECORD = "campaign.jsonl"
 """Name of the file in the folder of the results."""
-_HEAD = {"program": "mgsgraph", "record": "campaign", "format": 1}
+FORMAT = 2
+"""Version of the layout; the lines of 1 had no checksums."""
+_HEADS = [{"program": "mgsgraph", "record": "campaign", "format": number} for number in range(1, FORMAT + 1)]
+_SIGNED = re.compile(rb'(.*),"crc32":"([0-9a-f]{8})"\}', re.DOTALL)
+"""A line, and the CRC-32 of what stands before it."""
+_PIECE = 1 << 20
+"""bytes read at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +68,8 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     folder: str
     """Name of the folder with its results."""
     status: Status
-    """not converged: results are written; failed: there are none of this run."""
+    """no result: it came to rest on what proves nothing (`analysis.soundness`); not converged: results are written in
+    both; failed: there are none of this run."""
     message: str
     """Reason why the adjustment ended."""
     seconds: float
@@ -100,7 +111,8 @@ class Record:
 
     def append(self, entry: CampaignEntry) -> None:
         """Add a line: all of it or nothing, and on the disk before this returns."""
-        _append(self._descriptor, msgspec.json.encode(entry) + b"\n", self.path)
+        text = msgspec.json.encode(entry).removesuffix(b"}")
+        _append(self._descriptor, text + b',"crc32":"%08x"}\n' % zlib.crc32(text), self.path)
         self.entries[entry.case] = entry
 
     def __enter__(self) -> Self:
@@ -131,18 +143,17 @@ def open_record(folder: Path) -> Record:
         raise _refusal(path, error) from None
     record = Record(path, descriptor)
     try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise InputError(str(path), "is no file", "the record of a campaign", "choose another --out")
         claim(descriptor, path, "another campaign is writing here")
-        text = path.read_bytes()
+        text = b"".join(iter(lambda: os.read(descriptor, _PIECE), b""))
         whole = text.rfind(b"\n") + 1
         os.ftruncate(descriptor, whole)
         lines = text[:whole].split(b"\n")[:-1]
         record._new = not lines
         if not lines:
-            _append(descriptor, json.dumps(_HEAD).encode() + b"\n", path)
-        elif not _is_head(lines[0]):
-            where, expected = f"{path}, line 1", json.dumps(_HEAD)
-            raise InputError(where, "no head of a campaign's record", expected, "choose another --out")
-        record.entries.update((entry.case, entry) for entry in _entries(lines[1:], path))
+            _append(descriptor, json.dumps(_HEADS[-1]).encode() + b"\n", path)
+        record.entries.update((entry.case, entry) for entry in _entries(lines, path))
     except OSError as error:
         os.close(descriptor)
         raise _refusal(path, error) from None
@@ -174,21 +185,32 @@ def _append(descriptor: int, line: bytes, path: Path) -> None:
 
 
 def _entries(lines: list[bytes], path: Path) -> list[CampaignEntry]:
-    found = []
-    for number, line in enumerate(lines, start=2):
-        try:
-            found.append(msgspec.json.decode(line, type=CampaignEntry))
-        except msgspec.MsgspecError as error:
-            remedy = "take that line out: its case will be done again"
-            raise InputError(f"{path}, line {number}", f"no entry of a campaign ({error})", remedy=remedy) from None
-    return found
+    """Entries of the lines of a record after its head."""
+    if not lines:
+        return []
+    version = _version(lines[0], path)
+    return [_entry(line, version, f"{path}, line {number}") for number, line in enumerate(lines[1:], start=2)]
 
 
-def _is_head(line: bytes) -> bool:
+def _entry(line: bytes, version: int, where: str) -> CampaignEntry:
+    signed = _SIGNED.fullmatch(line)
+    remedy = "take that line out: its case will be done again"
+    if (signed is None and version > 1) or (signed and zlib.crc32(signed[1]) != int(signed[2], 16)):
+        raise InputError(where, "a damaged entry (its checksum is another one, or gone)", remedy=remedy)
     try:
-        return bool(json.loads(line) == _HEAD)
-    except (ValueError, RecursionError):
-        return False
+        return msgspec.json.decode(line, type=CampaignEntry)
+    except (msgspec.MsgspecError, UnicodeError) as error:
+        raise InputError(where, f"no entry of a campaign ({error})", remedy=remedy) from None
+
+
+def _version(line: bytes, path: Path) -> int:
+    """Format of a record that begins with a line."""
+    where = f"{path}, line 1"
+    try:
+        return 1 + _HEADS.index(json_object(line, where))
+    except ValueError:
+        expected = json.dumps(_HEADS[-1])
+        raise InputError(where, "no head of a campaign's record", expected, "choose another --out") from None
 
 
 def _refusal(path: Path, error: OSError) -> InputError:

@@ -5,8 +5,6 @@ how they ended, in words.
 import dataclasses
 import math
 import os
-import re
-import shutil
 import socket
 import textwrap
 import time
@@ -20,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from mgsgraph.adjustment.cluster import Lost, open_cluster, parse_cluster
+from mgsgraph.analysis.soundness import is_result
+from mgsgraph.aside import sweep
 from mgsgraph.campaign.inputs import checksums, find_cases, result_folders
 from mgsgraph.campaign.record import AS_WRITTEN, CampaignEntry, Overrides, Record, open_record
 from mgsgraph.case.reading import adjust, read_case
@@ -27,6 +27,7 @@ from mgsgraph.errors import MgsgraphError
 from mgsgraph.output.folders import RECORD as RESULT
 from mgsgraph.output.folders import require_replaceable
 from mgsgraph.reports.results import write_results
+from mgsgraph.reports.soundness import soundness_statements
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
@@ -78,8 +79,8 @@ def _adjusted(task: CaseTask) -> dict[str, Any]:
     solution = adjust(dataclasses.replace(case, settings=task.overrides.over(case.settings)))
     write_results(solution, target, task.overrides.figures, task.case, case.networks)
     return {
-        "status": "done" if solution.converged else "not converged",
-        "message": solution.message,
+        "status": "not converged" if not solution.converged else "done" if is_result(solution) else "no result",
+        "message": " ".join([*soundness_statements(solution), solution.message]),
         "converged": solution.converged,
         "sigma0": solution.sigma0 if math.isfinite(solution.sigma0) else None,
         "cost": solution.cost_final,
@@ -179,7 +180,7 @@ def run_campaign(
                         record.append(ended)
                         progress(over, len(due), ended)
             finally:
-                _sweep(out, due)
+                sweep(out)  # what workers that died have left half-written
         entries = tuple(record.entries[task.name] for task in tasks)
         return Campaign(entries, frozenset(task.name for task in tasks) - {task.name for task in due})
 
@@ -219,21 +220,11 @@ def _one_by_one(
         yield place, function(task)
 
 
-def _sweep(out: Path, tasks: Sequence[CaseTask]) -> None:
-    """Take away what workers that died have left half-written."""
-    names = {task.folder for task in tasks}
-    for path in out.iterdir():
-        match = re.fullmatch(r"\.(.+)\.[0-9a-f]{8}\.unfinished", path.name)
-        if match and match[1] in names:
-            shutil.rmtree(path, ignore_errors=True)
-
-
 def summary(campaign: Campaign) -> str:
     """Counts, and a table of the cases that failed or did not converge; several lines."""
     total, kept = len(campaign.entries), len(campaign.kept)
-    counts = ", ".join(
-        f"{number} {status}" for status in ("done", "not converged", "failed") if (number := campaign.count(status))
-    )
+    states = "done", "no result", "not converged", "failed"
+    counts = ", ".join(f"{number} {status}" for status in states if (number := campaign.count(status)))
     earlier = f" ({kept} of them earlier, and nothing has changed since)" if kept else ""
     lines = [f"{total} case{'' if total == 1 else 's'}: {counts}{earlier}", *_other_versions(campaign)]
     troubled = [entry for entry in campaign.entries if entry.status != "done"]

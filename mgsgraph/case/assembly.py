@@ -15,7 +15,6 @@ from mgsgraph.geometry.altimetry import (
     AltimetryCloud,
     LaserProfile,
     footprint_covariances,
-    require_lengths,
     require_on_body,
 )
 from mgsgraph.geometry.image import PushbroomImage
@@ -33,7 +32,13 @@ from mgsgraph.network import (
     SharedUnknown,
     Surface,
 )
-from mgsgraph.network.observations import nominal_ground, require_inside
+from mgsgraph.network.observations import (
+    nominal_ground,
+    require_inside,
+    require_range_sigmas,
+    require_ranges,
+    require_ranges_of,
+)
 from mgsgraph.network.shared import off_nadir
 from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.registration.footprints import Registration, footprints_in_images, points_in_images
@@ -52,7 +57,7 @@ def shots_in_images(images: Sequence[PushbroomImage], shots: AltimeterShots) -> 
 
     InputError where they are on another body than the first image's.
     """
-    require_on_body(shots.footprints, images[0].body.equatorial, shots.source)
+    require_on_body(shots.footprints, images[0].body, shots.source)
     return footprints_in_images(tuple(images), shots), shots.ground & np.isfinite(shots.ranges)
 
 
@@ -81,21 +86,12 @@ def laser_profile(
     assert wanted.range_sigma_m is not None
     assert wanted.ground_sigma_m is not None
     if image is not None:
-        _require_ranges(image, taken.times, taken.footprints, taken.ranges, taken.source)
+        require_ranges(image, taken.times, taken.footprints, taken.ranges, taken.source, taken.ids)
     ranged = image.name if image is not None and wanted.ranges else None
     return taken.profile(
         wanted.range_sigma_m, wanted.ground_sigma_m, ranged, name, wanted.height_sigma_m, wanted.pulse_share,
         ranged=ranged is not None,
     )  # fmt: skip
-
-
-def _require_ranges(image: PushbroomImage, times: Array, footprints: Array, ranges: Array, source: str) -> None:
-    """Raise InputError where ranges are not the distances from an image's trajectory, by their unit."""
-    lines = image.timing.lines(times - image.trajectory.epoch)
-    within = (lines >= 0.0) & (lines <= image.lines)
-    if np.any(within):
-        distances = np.linalg.norm(footprints[within] - image.pose(lines[within]).position, axis=1)
-        require_lengths(ranges[within], distances, "ranges", source)
 
 
 class Parts:
@@ -130,7 +126,7 @@ class Parts:
 
     def add_profile(self, profile: LaserProfile, wanted: LaserInput) -> None:
         """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""
-        require_on_body(profile.footprints, self.images[0].body.equatorial, profile.source)
+        require_on_body(profile.footprints, self.images[0].body, profile.source, profile.ids)
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         covariances = profile.covariances
         if wanted.ground_sigma_m is not None:
@@ -146,10 +142,9 @@ class Parts:
                 for name in names
             ]
             shot, image = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-            for k in sorted(set(image.tolist())):
-                mine = shot[image == k]
-                ground = profile.footprints[mine]
-                _require_ranges(self.images[k], profile.times[mine], ground, profile.ranges[mine], profile.source)
+            require_ranges_of(profile, shot, [self.images[k] for k in image.tolist()])
+            if wanted.range_sigma_m is None:
+                require_range_sigmas(profile)
             own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
             self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
 

@@ -16,6 +16,7 @@ from mgsgraph.case.images import read_image
 from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
@@ -249,6 +250,7 @@ def _track(coverage: ImageCoverage, entry: CandidateProfile, where: str) -> _Sho
 def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
     profile = read_lidar(path)
+    require_on_body(profile.footprints, coverage.network.images[0].body, profile.source, profile.ids)
     named = sorted({name for names in profile.simultaneous for name in names if name in coverage.views})
     if entry.image is None and len(named) > 1:
         raise InputError(str(path), f"shots simultaneous with {' and '.join(named)}", "one image", _NAME_THE_IMAGE)
@@ -262,6 +264,7 @@ def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _
 def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of MOLA that fall in images: those taken along with one of them (or with the one named), if any were."""
     shots, views = read_shots(path), list(coverage.views.values())
+    require_on_body(shots.footprints, coverage.network.images[0].body, shots.source)
     images, corrections = [view.image for view in views], [view.correction for view in views]
     seen = footprints_in_images(images, shots, corrections)
     if entry.image is not None:

@@ -1,27 +1,35 @@
 """A case file for the files that somebody has: what each is says its content, what is missing is said in comments."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+from mgsgraph.aside import made_beside
 from mgsgraph.case.case_file import decode, stated
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
 from mgsgraph.case.draft_tables import Part, draft_tables, in_line, place, quoted, said
 from mgsgraph.case.reading import case_of
+from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError, Unmeasured, require
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.io.control.table import read_tie_points
-from mgsgraph.io.files import beside, fresh_file, write_file
+from mgsgraph.io.files import head_of
 from mgsgraph.io.kinds import Kind, kind_of, listed_files
 from mgsgraph.io.lidar import read_lidar
+from mgsgraph.io.writing import Output, fresh_file, require_free, writing_to
 from mgsgraph.wording import many, some
 
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""
+_CASE_FILE = Output("a case file", lambda path: kind_of(path) is Kind.CASE)
 _PLAIN = "case"
 """Name of most case files."""
+_NOT_TAKEN = (Kind.CASE, Kind.LIST, Kind.OWN_RECORD)
+_UNKNOWN, _NO_TEXT = "of no kind known here", "a name that is no Unicode text, as a case file is"
+"""Why a file is left out."""
 _STUB = "one pixel alone, cut down (slimcube?): name the whole image"
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
 _HEAD = """\
@@ -66,6 +74,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     require(not out.is_dir(), str(out), "a folder", "a case file (case.toml in it, say)")
     if out.exists() and not replace:
         raise InputError(str(out), "there already", remedy="choose another --out, or give --replace")
+    require_free(out, _CASE_FILE, remedy="choose another --out")
     kinds, unknown = _kinds(given)
     kernels = _kernels(kinds)
     found = draft_images(kinds, kernels)
@@ -81,7 +90,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     name = name or _name(given, out)
     head = _HEAD.format(name=quoted(name)) + _ORIENTATION + _spice(images, kernels, out) + _images(images, out)
     parts, failed = _accepted(head, parts, images, out)
-    left_out = [*found.left_out, *refused, *failed, *(f"{path.name}: of no kind known here" for path in unknown)]
+    left_out = [*found.left_out, *refused, *failed, *(f"{path.name}: {why}" for path, why in unknown.items())]
     left_out += [
         f"{path.name}: {kind}; unpack it with NAIF's tobin" for path, kind in kinds.items()
         if kind is Kind.TRANSFER and not path.with_suffix(f".b{path.suffix[2:]}").exists()
@@ -89,7 +98,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     measured = any(part.measured for part in parts)
     text = head + "".join(part.text for part in parts) + ("" if measured else _NO_MEASURES)
     text += "".join(f"\n# Left out: {in_line(line)}" for line in left_out) + ("\n" if left_out else "")
-    with fresh_file(out) as aside:
+    with fresh_file(out, over=_CASE_FILE) as aside:
         aside.write_text(text, encoding="utf-8")
         try:
             decode(aside)
@@ -107,32 +116,49 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     return Draft(text, tuple(map(in_line, told)), f"mgsgraph check {out}")
 
 
-def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], list[Path]]:
-    """Kinds of all files by their paths; and those in folders that are of no kind."""
-    kinds, unknown = dict[Path, Kind](), list[Path]()
+def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:
+    """Kinds of all files by their paths; and those in folders that are of no kind, and why."""
+    kinds, unknown = dict[Path, Kind](), dict[Path, str]()
     for one in given:
-        require(one.exists(), str(one), "no such file", "a file or folder", "check the path")
-        inside = [one]
-        if one.is_dir():
-            inside = sorted(path for path in one.iterdir() if path.is_file() and not path.name.startswith("."))
-        elif kind_of(one) is Kind.LIST:
-            inside = listed_files(one)
+        inside = _inside(one)
         for path in inside:
             kind = kind_of(path)
-            if kind is not None and kind not in (Kind.CASE, Kind.LIST):
+            if not _may_be_named(path):
+                unknown[path] = _NO_TEXT
+            elif kind is not None and kind not in _NOT_TAKEN:
                 kinds[path] = kind
-            elif path is one:
-                found = str(kind) if kind else "of no kind known here"
+            elif path is one and kind is not Kind.OWN_RECORD:
+                head_of(path, 1)  # says what it is that is no file
+                found = str(kind) if kind else _UNKNOWN
                 raise InputError(str(path), found, "an image, a network, shots, kernels or terrain", "leave it out")
-            elif path.suffix.lower() not in (".md", ".txt", ".toml", ".html"):
-                unknown.append(path)
+            elif kind is Kind.OWN_RECORD or path.suffix.lower() not in (".md", ".txt", ".toml", ".html"):
+                unknown[path] = str(kind) if kind else _UNKNOWN
     stems = {path.with_suffix("") for path in kinds}  # pixels beside their label
-    unknown = [path for path in unknown if path.with_suffix("") not in stems]
-    return kinds, unknown
+    return kinds, {path: why for path, why in unknown.items() if path.with_suffix("") not in stems}
+
+
+def _inside(one: Path) -> list[Path]:
+    """A file, those directly in a folder, or those that a list names."""
+    try:
+        if one.is_dir():
+            return sorted(path for path in one.iterdir() if path.is_file() and not path.name.startswith("."))
+        require(one.exists(), str(one), "no such file", "a file or folder", "check the path")
+    except OSError as error:
+        raise InputError(str(one), f"can't be read ({error.strerror})") from None
+    return listed_files(one) if kind_of(one) is Kind.LIST else [one]
+
+
+def _may_be_named(path: Path) -> bool:
+    """Whether a case file, which is Unicode text, can hold a file's name."""
+    try:
+        path.name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _no_image(
-    where: str, kinds: dict[Path, Kind], left_out: Sequence[str], unknown: Sequence[Path]
+    where: str, kinds: dict[Path, Kind], left_out: Sequence[str], unknown: Mapping[Path, str]
 ) -> InputError:
     if left_out:  # labels come last: where there are kernels, it is they that say what is missing
         file, _, reason = left_out[-1].partition(": ")
@@ -140,7 +166,7 @@ def _no_image(
         return InputError(file, reason, remedy=f"so there is no image: {some(tried, len(tried))} can't be read")
     counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
     each = [f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items()]
-    holds = ", ".join([*each, *(f"{path.name} of no kind known here" for path in unknown[:1])])
+    holds = ", ".join([*each, *(f"{path.name} {why}" for path, why in islice(unknown.items(), 1))])
     return InputError(
         where, f"no image{f': it holds {holds}' if holds else ''}", "one image at least", "name a file of it, too"
     )
@@ -242,18 +268,15 @@ def _refusal(text: str, images: tuple[PushbroomImage, ...], out: Path, whole: bo
     """What is wrong with a case of images that have been read, in its reader's words; empty for nothing. Not `whole`:
     images without measures pass.
     """
-    aside = beside(out)
-    try:
-        write_file(aside, text)
-    except InputError as error:
-        raise InputError(str(out), error.found) from None
-    try:
-        wanted = stated(aside)
-        case_of(wanted, aside, images)
-    except InputError as error:
-        if isinstance(error, Unmeasured) and not whole:
-            return ""
-        return str(error).replace(str(aside), out.name)
-    finally:
-        aside.unlink(missing_ok=True)
+    with ExitStack() as stack:
+        with writing_to(out):  # and no more: what else can't be read isn't `out`
+            aside = stack.enter_context(made_beside(out))
+            aside.write_text(text, encoding="utf-8")
+        try:
+            wanted = stated(aside)
+            case_of(wanted, aside, images)
+        except InputError as error:
+            if isinstance(error, Unmeasured) and not whole:
+                return ""
+            return str(error).replace(str(aside), out.name)
     return ""

@@ -17,13 +17,13 @@ from mgsgraph.case.laser import AltimetryInput
 from mgsgraph.case.reading import read_altimetry
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.case.terrain import read_terrain_model
+from mgsgraph.control.asp.gcp import read_ground_control
+from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.grids import SIGMAS, Terrain
 from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.asp.gcp import read_ground_control
-from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.kinds import Kind
 from mgsgraph.io.lidar import read_lidar
 

@@ -1,6 +1,5 @@
 """Several control networks as one set of tie points: a point of several files has the measures of all of them."""
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,8 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.common_errors import overlap_variances
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.files import understood
+from mgsgraph.io.records import read_record
 from mgsgraph.output.folders import MATCH
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.wording import many, some
@@ -19,10 +20,11 @@ _SAME_PLACE = 1e-3
 
 
 def with_sigmas(
-    points: TiePoints, sigma: float, of_images: Mapping[str, float], window: float = 0.0
+    points: TiePoints, sigma: float, of_images: Mapping[str, float], window: float = 0.0, factor: float = 1.0
 ) -> TiePoints:
     """The same points with a sigma for every measure: the file's own, or else its image's, or else the group's (px).
-    Measures of an image within one window (px, its side) have errors in common, by which their sigmas grow.
+    Measures of an image within one window (px, its side) have errors in common, by which their sigmas grow. All of them
+    are multiplied by the `factor`.
     """
     default = np.array([of_images.get(name, sigma) for name in points.measure_image], dtype=np.float64)
     sigmas = np.where(np.isnan(points.measure_sigmas), default[:, None], points.measure_sigmas)
@@ -31,7 +33,7 @@ def with_sigmas(
         for name in dict.fromkeys(points.measure_image):
             mine = names == name
             sigmas[mine] = np.sqrt(overlap_variances(points.measures[mine], sigmas[mine], window))
-    return replace(points, measure_sigmas=sigmas)
+    return replace(points, measure_sigmas=factor * sigmas)
 
 
 def window_beside(network: Path) -> float:
@@ -41,11 +43,8 @@ def window_beside(network: Path) -> float:
     record = network.with_name(MATCH)
     if not record.is_file():
         return 0.0
-    try:
-        return 2.0 * float(json.loads(record.read_text(encoding="utf-8"))["settings"]["half_window"]) + 1.0
-    except (OSError, ValueError, KeyError, TypeError):
-        found = "no settings.half_window"
-        raise InputError(str(record), found, "what mgsgraph match writes", "state window_px in [ties]") from None
+    with understood(f"{record}, settings.half_window", "what mgsgraph match writes", "state window_px in [ties]"):
+        return 2.0 * float(read_record(record)["settings"]["half_window"]) + 1.0
 
 
 def in_images(

@@ -94,7 +94,7 @@ def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: P
         line_times=[_line_times(entry, folder) for entry in entries],
     )
     return [
-        replace(image, interior=with_focal_length(image.interior, entry.focal_length_m))
+        _plausible(replace(image, interior=with_focal_length(image.interior, entry.focal_length_m)), entry, folder)
         for image, entry in zip(images, entries, strict=True)
     ]
 
@@ -112,7 +112,10 @@ def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path,
 
 def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
     """By an image's plain entry (`case_file.plain_image`), if it can be; `where` names the table in errors."""
-    image = _read(entry, spice, folder, where)
+    return _plausible(_read(entry, spice, folder, where), entry, folder)
+
+
+def _plausible(image: PushbroomImage, entry: ImageInput, folder: Path) -> PushbroomImage:
     require_plausible(image, str(folder / image_file(entry)))
     return image
 

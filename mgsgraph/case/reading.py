@@ -24,15 +24,15 @@ from mgsgraph.case.laser import AltimetryInput, ShotsInput
 from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import as_grid, read_terrain_model
+from mgsgraph.control.asp.gcp import read_ground_control
+from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
-from mgsgraph.geometry.records import require_unique
+from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.io.asp.gcp import read_ground_control
-from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedUnknown
@@ -252,7 +252,7 @@ def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints
         window = window_beside(path) if entry.window_px is None else entry.window_px
         points = read_tie_points(path, parts.images[0].body)
         points, left_out = in_images(points, [image.name for image in parts.images])
-        group = with_sigmas(points, entry.sigma_px, of_images, window)
+        group = with_sigmas(points, entry.sigma_px, of_images, window, entry.sigma_factor)
         parts.require_measures(group)
         groups.append(group)
         notes += [left_out] if left_out else []
@@ -310,7 +310,7 @@ def _read_terrain(
             radii, areoid = as_grid(model) if entry.control else None, beneath
         if entry.cells:
             models.append(TerrainModel(model_name(entry), model.lattice(), entry.height_sigma_m))
-    require_unique(tuple(model.name for model in models), f"{path}, terrain models")
+    require_names(tuple(model.name for model in models), f"{path}, terrain models")
     return radii, areoid, tuple(models)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
-from mgsgraph.case.numbers import Positive, Sigma
+from mgsgraph.case.numbers import Factor, Positive, Sigma
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
@@ -54,7 +54,8 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if len(factors) <= self.degree:
             expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
             raise InputError(f"{where}, trend", f"{len(factors)} factors", expected)
-        return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
+        with errors_from(where):
+            return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
 
 
 def _three_sigmas(value: float | list[float], where: str) -> Array:
@@ -87,8 +88,8 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     kernels: tuple[str, ...] = ()
     """SPICE kernels or meta-kernels of this image; those of [spice] when absent."""
     pixels: str | None = None
-    """Its pixels, for `match` and figures: what GDAL reads, or MOC's formats; those that belong to its label when
-    absent."""
+    """Its pixels, for `match` and figures: GeoTIFF, ISIS cube, PDS image, VICAR, PNG, JPEG or MOC's
+    formats; those that belong to its label when absent."""
     constants: Literal["iak", "ik"] = "iak"
     """Camera constants of the ISIS addendum, or of NAIF's instrument kernel alone (MOC-NA, HRSC, Kaguya TC)."""
     focal_length_m: Positive | None = None
@@ -118,6 +119,8 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """ISIS control network (.pvl, .net) or table (.csv); measures in images that the case doesn't hold are left out."""
     sigma_px: Sigma = 1.0
     """Sigma of line and sample where neither the network nor the image ([[images]], measure_sigma_px) says."""
+    sigma_factor: Factor = 1.0
+    """Multiplies the sigmas of all measures of the group, those that the network itself states among them."""
     window_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] | None = None
     """Side of the windows that were matched: measures of an image whose windows overlap have errors in common, by which
     their sigmas grow; that of the match.json beside the network when absent, else 0: none."""

@@ -28,6 +28,8 @@ _MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoi
 """How MEGDR's files of each kind begin."""
 _SAMPLE = 1000
 """Posts by which a terrain model is held against the body."""
+_LEVEL = 1e-3
+"""Of the equatorial radius, by which the areoid may be off the ellipsoid: Mars's is by -1.6 to 2.6 km."""
 _BEYOND = 8000.0
 """m, of a terrain model kept beside the ellipsoid's points under the images."""
 
@@ -72,6 +74,8 @@ def read_terrain_model(
     _require_body(model.lattice(), images[0].body)
     if entry.topography is not None:
         areoid = areoid_grid(as_grid(model), as_grid(files.read((entry.topography,), "topography"), "topography"))
+    if areoid is not None:
+        require_level(areoid, images[0].body)
     return model, areoid
 
 
@@ -121,7 +125,7 @@ class _Files(NamedTuple):
             if not isinstance(tile, TerrainGrid):
                 raise InputError(
                     tile.source, f"one of several tiles, in the projection {tile.projection.name!r}", "one file",
-                    "put them together by gdalbuildvrt",
+                    "put them together: gdalbuildvrt all.vrt TILES, then gdal_translate all.vrt all.tif",
                 )  # fmt: skip
         return mosaic(grids)
 
@@ -157,6 +161,23 @@ def _require_body(lattice: PostLattice, body: Ellipsoid) -> None:
         raise InputError(
             lattice.source, f"radii about {np.median(radii) / KM:.0f} km",
             f"those of a body of {body.equatorial / KM:.0f} km", "give the terrain model of the images' body",
+        )  # fmt: skip
+
+
+def require_level(areoid: TerrainGrid, body: Ellipsoid) -> None:
+    """Raise InputError unless an areoid lies about the body's ellipsoid: where one of two grids that it is the
+    difference of is of another kind than it says, it is some sphere.
+    """
+    if body.polar == body.equatorial:
+        return
+    rows, columns = areoid.radii.shape
+    middle = areoid.points(np.array([rows // 2]), np.array([columns // 2]), np.ones(1))
+    off = float(np.nanmedian(areoid.radii)) - float(body.radius(middle)[0])
+    if abs(off) > _LEVEL * body.equatorial:
+        raise InputError(
+            areoid.source, f"an areoid {off / KM:.1f} km off the ellipsoid",
+            f"one within {_LEVEL * body.equatorial / KM:.1f} km of it",
+            "check which files hold radii (MEGR...), heights above the areoid (MEGT...) and the areoid (MEGA...)",
         )  # fmt: skip
 
 

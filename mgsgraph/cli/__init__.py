@@ -10,7 +10,8 @@ from typing import NoReturn
 
 import click
 
-from mgsgraph.errors import MgsgraphError
+from mgsgraph.cli.streams import guard_streams
+from mgsgraph.errors import MgsgraphError, one_line
 
 _VERBS = {
     "add": ("projects", "Add images to a project, and adjust what they touch."),
@@ -41,8 +42,20 @@ _VERBS = {
     "status": ("projects", "Say what is in a project and what its last solution was."),
 }
 """Module of each verb, and its line of help: known before that module is imported."""
+_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
+"""Those that end the program: what it writes is then there as before, or whole."""
 _LATER = 0.01
-"""s after which an interrupt tries again that came during an import or a library's callback."""
+"""s after which an interrupt tries again that came during an import."""
+_AGAIN = 0.2
+"""s after which one tries again that a library's code, or a callback of it, may have swallowed."""
+_INTERRUPTED = "interrupted; results are as they were before, or whole"
+_OUT_OF_MEMORY = "error: out of memory; give the machine more or leave images out"
+_LONGEST = 700
+"""Characters of what click has against an argument."""
+_NO_MEMORY = -4
+"""OpenCV's code of it."""
+_LEAST = 2_000_000_000
+"""bytes of address space that the libraries need to be loaded; with less some of them spin, and heed no signal."""
 
 
 class _Verbs(click.Group):
@@ -85,37 +98,40 @@ def main() -> None:
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
-        if _importing(frame):  # broken off there, a library's own code prints a traceback: a little later
-            signal.setitimer(signal.ITIMER_REAL, _LATER)
-            return
-        raise KeyboardInterrupt
+        importing = _importing(frame)  # broken off there, a library's own code prints a traceback: a little later
+        signal.setitimer(signal.ITIMER_REAL, _LATER if importing else _AGAIN)
+        if not importing and not _ending():
+            raise KeyboardInterrupt
 
-    signals = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
-    for number in signals:  # so that nothing half-written stays behind
+    for number in _SIGNALS:  # so that nothing half-written stays behind
         signal.signal(number, interrupt)
     sys.unraisablehook = _lost
+    guard_streams()
     try:
+        _require_memory()
         status = group(standalone_mode=False)
+        _end_of_signals()  # all is written, only the interpreter's end is left
         if sys.stdout is not None:  # closed by the caller
             sys.stdout.flush()
-        for number in signals:  # all is written, only the interpreter's end is left
-            signal.signal(number, signal.SIG_IGN)
     except click.ClickException as error:
         _leave(f"error: {_said(error)}", 2)
     except MgsgraphError as error:
         _leave(f"error: {error}", 2)
     except MemoryError:
-        _leave("error: out of memory; give the machine more or leave images out", 2)
+        _leave(_OUT_OF_MEMORY, 2)
     except BrokenPipeError:
         os._exit(1)  # whoever read our output has gone; a second attempt to flush it would complain
     except (KeyboardInterrupt, click.exceptions.Abort):
-        _leave("interrupted; nothing was written", 130)
+        _leave(_INTERRUPTED, 130)
     except OSError as error:
-        _leave(f"error: standard output can't be written ({error.strerror})", 2)
-    except Exception:
+        where = f"{one_line(os.fsdecode(error.filename))}: " if isinstance(error.filename, str | bytes) else ""
+        _leave(f"error: {where}can't be read or written ({error.strerror or error})", 2)
+    except Exception as error:
+        if getattr(error, "code", None) == _NO_MEMORY:
+            _leave(_OUT_OF_MEMORY, 2)
         if not interrupted:
             raise
-        _leave("interrupted; nothing was written", 130)  # a library that was being imported makes its own error of it
+        _leave(_INTERRUPTED, 130)  # a library that was being imported makes its own error of it
     sys.exit(status or 0)
 
 
@@ -126,23 +142,49 @@ def _importing(frame: FrameType | None) -> bool:
     return frame is not None
 
 
+def _ending() -> bool:
+    """Whether an interrupt is on its way out, through what cleans up behind it."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
+def _require_memory() -> None:
+    """Raise MgsgraphError where the process may have less address space than the libraries need."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < _LEAST:
+        raise MgsgraphError(f"{limit / 1e6:.0f} MB of memory for a process (ulimit -v); expected {_LEAST / 1e6:.0f} MB "
+                            "at least; raise the limit")  # fmt: skip
+
+
+def _end_of_signals() -> None:
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def _lost(ignored: "sys.UnraisableHookArgs") -> None:
-    """An error Python could raise nowhere (in a weak reference's callback, a finalizer): an interrupt tries again."""
-    if ignored.exc_type is KeyboardInterrupt:
-        signal.setitimer(signal.ITIMER_REAL, _LATER)
-    else:
+    """An error Python could raise nowhere (in a weak reference's callback, a finalizer): an interrupt tries again by
+    itself.
+    """
+    if ignored.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(ignored)
 
 
 def _said(error: click.ClickException) -> str:
     """One line of what click has against an option or an argument, and where to look."""
-    message = " ".join(error.format_message().split()).rstrip(".")
+    message = one_line(" ".join(error.format_message().split()).rstrip("."), _LONGEST)
     context = error.ctx if isinstance(error, click.UsageError) else None
     return message if context is None else f"{message}; see {context.command_path} --help"
 
 
 def _leave(message: str, status: int) -> NoReturn:
     """One line on standard error, and out, without another look at standard output."""
+    _end_of_signals()
     click.echo(f"mgsgraph: {message}", err=True)
     sys.stderr.flush()
     os._exit(status)

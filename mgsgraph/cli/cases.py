@@ -2,7 +2,6 @@
 projection or by relief.
 """
 
-import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from tqdm import tqdm
 
 from mgsgraph.cli.options import (
     NO_FIGURES,
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster import Connection
     from mgsgraph.adjustment.settings import SolverSettings
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.campaign import CampaignEntry, Overrides
+    from mgsgraph.campaign import Overrides
     from mgsgraph.case.reading import Case
     from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 
@@ -40,15 +38,21 @@ if TYPE_CHECKING:
 def check(case: Path, no_laser: bool, ties: Path | None) -> None:
     """Read and validate CASE and everything that it names; print what is there and where it is weak. Solves nothing.
 
-    Of a CASE without measures, the images and which of them overlap.
+    Of a CASE without measures, the images, which of them overlap, and whether `match` can find tie points.
     """
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import word_of_compiling
+    from mgsgraph.errors import Unmeasured
     from mgsgraph.reports.inventory import images_inventory, inventory
 
     with word_of_compiling():
         said = images_inventory(case) if ties is None else None
-        said = said or inventory(read_case(case, not no_laser, ties))
+        try:
+            said = said or inventory(read_case(case, not no_laser, ties))
+        except Unmeasured as error:
+            said = images_inventory(case, error) if ties is None else None
+            if said is None:
+                raise
     click.echo(said)
 
 
@@ -79,10 +83,12 @@ def adjust(
     blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md. With
     --relief laser profiles of unknown shift are held to the surface that the images show: see docs/coregister.md.
 
-    Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    Exit status: 0 converged, 1 not converged, or to what is no result: most of a kind of observations left out, or an
+    absurd sigma0 (results are written); 2 bad input.
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.adjustment.cluster import open_cluster, parse_cluster
+    from mgsgraph.analysis.soundness import is_result
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.output.folders import require_replaceable
@@ -107,7 +113,7 @@ def adjust(
     write_results(solution, out, overrides.figures, case, read.networks)
     print_solution(solution)
     click.echo(f"Results are in {out}")
-    ctx.exit(0 if solution.converged else 1)
+    ctx.exit(0 if is_result(solution) else 1)
 
 
 def _in_two_steps(
@@ -120,6 +126,7 @@ def _in_two_steps(
 ) -> bool:
     """Whether both steps converged."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
+    from mgsgraph.analysis.soundness import is_result
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.reports.results import write_results
@@ -137,7 +144,7 @@ def _in_two_steps(
             write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
     click.echo(two_steps_page(statistics))
     click.echo(f"Results are in {out}")
-    return steps.converged
+    return steps.converged and is_result(steps.fitted)
 
 
 @contextmanager
@@ -152,10 +159,6 @@ def _solution_kept(out: Path) -> Iterator[None]:
     except Exception:
         click.echo(f"mgsgraph: {said}", err=True)
         raise
-
-
-_EXPLAIN_AFTER = 20.0
-"""s after which it is said why nothing has moved yet."""
 
 
 @click.command()
@@ -183,8 +186,9 @@ def campaign(
     """
     from mgsgraph.campaign import run_campaign
     from mgsgraph.campaign.run import summary
+    from mgsgraph.cli.progress import CaseBar
 
-    bar = _CaseBar(verbose)
+    bar = CaseBar(verbose)
     try:
         done = run_campaign(cases, out, overrides, cluster, retry, bar)
     except KeyboardInterrupt:
@@ -196,48 +200,6 @@ def campaign(
     click.echo(summary(done))
     click.echo(f"Results are in {out}")
     ctx.exit(0 if done.well else 1)
-
-
-class _CaseBar:
-    """Progress over the cases that are due, on standard error where that is a terminal; a line each when verbose."""
-
-    def __init__(self, verbose: bool) -> None:
-        self._verbose, self._over, self._due, self._failed = verbose, 0, 0, 0
-        self._bar: tqdm[None] | None = None
-        self._timer = threading.Timer(_EXPLAIN_AFTER, self.explain)
-        self._timer.daemon = True
-
-    def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
-        """Show that a case is over."""
-        from mgsgraph.campaign.run import line
-
-        self._over, self._due = over, due
-        if self._bar is None:
-            self._bar = tqdm(total=due, desc="adjusting", unit="case", leave=False, disable=None)
-            self._timer.start()
-        if entry is None:
-            return
-        self._failed += entry.status == "failed"
-        if self._verbose:
-            tqdm.write(line(entry))
-        if self._failed:
-            self._bar.set_postfix_str(f"{self._failed} failed")
-        self._bar.update()
-
-    def state(self) -> str:
-        """How far it is."""
-        return f"{self._over} of {self._due} cases are over and recorded" if self._due else "nothing was begun"
-
-    def explain(self) -> None:
-        """Say why nothing has moved yet."""
-        if self._over == 0 and self._due:
-            click.echo("no case is over yet; the kernel may have to be compiled first: about a minute, once", err=True)
-
-    def close(self) -> None:
-        """Take the bar away."""
-        self._timer.cancel()
-        if self._bar is not None:
-            self._bar.close()
 
 
 @click.command()
@@ -409,9 +371,10 @@ def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int
 
 def _print_registration(registration: "ReliefRegistration", out: Path) -> bool:
     """Print what a registration by relief has found; whether it converged."""
+    from mgsgraph.analysis.soundness import is_result
     from mgsgraph.registration.relief_files import profiles_table, relief_statements
 
     click.echo("\n".join(profiles_table(registration).text()))
     print_sentences(relief_statements(registration))
     click.echo(f"Results are in {out}")
-    return registration.solution.converged
+    return is_result(registration.solution)

@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 
 from mgsgraph.cli.options import PATH, print_sentences
+from mgsgraph.control.record import Duplicates
 from mgsgraph.export import Format, Target
-from mgsgraph.io.control.record import Duplicates
 
 _FORMATS = click.Choice([one.value for one in Format])
 
@@ -36,7 +36,7 @@ _FORMATS = click.Choice([one.value for one in Format])
 @click.option("--only", multiple=True, metavar="IMAGE", help="Image to keep, or a pattern as MGS/*; may be repeated.")
 @click.option("--thin", type=click.IntRange(1), metavar="N", help="Keep about N points in an image, well spread.")
 @click.option("--split", is_flag=True, help="A file for each part that hangs together: OUT_1, OUT_2, ...")
-@click.option("--replace", is_flag=True, help="Overwrite OUT, though of the format of one of IN.")
+@click.option("--replace", is_flag=True, help="Overwrite OUT, whatever it is.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
 def convert(
     files: tuple[Path, ...],
@@ -81,7 +81,7 @@ def convert(
     try:
         made = make(
             inputs, output, setting, Selection(Duplicates(duplicates), only, thin, split),
-            read_as=read_as, write_as=write_as, strict=strict, replace=replace or out is not None,
+            read_as=read_as, write_as=write_as, strict=strict, replace=replace or out is not None, anything=replace,
         )  # fmt: skip
     except Lossy as error:
         _print_lost(error.lost)
@@ -179,10 +179,11 @@ def _write_page(
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.reports.archive import read_solution
-    from mgsgraph.review.page import write_review
+    from mgsgraph.review.page import require_page, write_review
     from mgsgraph.review.selection import WORST, review_case
     from mgsgraph.review.verdicts import read_verdicts, reviewed_network
 
+    require_page(out)
     if ties is None:
         reviewed_network(case)  # of several, none could be written without the rejected points
     earlier = None if verdicts is None else read_verdicts(verdicts)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.option("--terrain", type=PATH, metavar="FILE", help="Terrain model; that of CASE or RESULT when absent.")
 @click.option("--reference-radius", type=float, metavar="M", help="Above which a GeoTIFF's heights are.")
 @click.option("--ellipsoid", is_flag=True, help="The ellipsoid, also where CASE or RESULT has a terrain model.")
-@click.option("--out", type=PATH, help="CSV file for the result; the screen when absent.")
+@click.option("--out", type=PATH, help="CSV file for the result, over an earlier one; the screen when absent.")
 def project(
     source: Path, image: str, points: Path | None, into: "Sort | None", pixels: tuple[tuple[float, float], ...],
     places: tuple[tuple[float, float], ...], isis: bool, height: float | None, radius: float | None,
@@ -52,10 +52,10 @@ def project(
     import numpy as np
 
     from mgsgraph.errors import InputError
-    from mgsgraph.io.files import fresh_file
     from mgsgraph.io.place_table import PlaceTable, read_places
+    from mgsgraph.io.writing import fresh_file, require_free
     from mgsgraph.project.views import open_view
-    from mgsgraph.reports.places import Surface, places_text, project_places
+    from mgsgraph.reports.places import PLACES, Surface, places_text, project_places
 
     if sum(map(bool, (points, pixels, places))) != 1:
         raise click.UsageError("one of --points CSV, --pixel LINE SAMPLE, --place LONGITUDE LATITUDE")
@@ -65,6 +65,8 @@ def project(
         raise click.UsageError("--reference-radius is of --terrain FILE")
     if into is not None and points is None:
         raise click.UsageError("--into is of --points CSV")
+    if out is not None:
+        require_free(out, PLACES)
     surface = terrain if terrain is not None else not (ellipsoid or height is not None or radius is not None)
     view, grid, warning = open_view(source, image, surface, reference_radius)
     if points is not None:
@@ -80,7 +82,7 @@ def project(
     if warning:
         click.echo(f"- {warning}", err=True)
     if out is not None:
-        with fresh_file(out) as path:
+        with fresh_file(out, over=PLACES) as path:
             table.write_csv(path)
         click.echo(f"- {said}")
         click.echo(f"The places are in {out}")

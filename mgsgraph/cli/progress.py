@@ -4,15 +4,22 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import click
 from tqdm import tqdm
 
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.compiled import is_compiling
 from mgsgraph.stages import Stages
 
+if TYPE_CHECKING:
+    from mgsgraph.campaign import CampaignEntry
+
 _EXPLAIN_AFTER = 4.0
-"""s after which it is said why nothing has moved yet."""
+"""s of compiling after which it is said."""
+_FIRST_CASE = 20.0
+"""s after which it is said that no case is over."""
 _SHORTLY = 2.0
 """s before a bar appears: what is done sooner needs none."""
 _BEAT = 0.5
@@ -23,13 +30,10 @@ _BEAT = 0.5
 def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
     """Progress over iterations on standard error (where that is a terminal); one line each when verbose."""
     bar = IterationBar(verbose, most)
-    timer = threading.Timer(_EXPLAIN_AFTER, bar.explain)
-    timer.daemon = True
-    timer.start()
     try:
-        yield bar
+        with word_of_compiling():
+            yield bar
     finally:
-        timer.cancel()
         bar.close()
 
 
@@ -75,18 +79,24 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
 
 @contextmanager
 def word_of_compiling() -> Iterator[None]:
-    """Say what takes long where nothing shows it: the first run after an installation."""
-    timer = threading.Timer(_EXPLAIN_AFTER, _explain)
-    timer.daemon = True
-    timer.start()
+    """Say what takes long where nothing shows it, once: that numeric kernels are being compiled, where they are."""
+    over = threading.Event()
+
+    def watch() -> None:
+        compiling = 0.0
+        while compiling < _EXPLAIN_AFTER:
+            if over.wait(_BEAT):
+                return
+            compiling += _BEAT * is_compiling()
+        click.echo("compiling the numeric kernel, as the first run after an installation does: a minute", err=True)
+
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
     try:
         yield
     finally:
-        timer.cancel()
-
-
-def _explain() -> None:
-    click.echo("the first run after an installation compiles the numeric kernel: about a minute, once", err=True)
+        over.set()
+        watching.join()
 
 
 def passing_word(sentence: str) -> None:
@@ -99,13 +109,12 @@ class IterationBar:
     """Called with every iteration."""
 
     def __init__(self, verbose: bool, most: int) -> None:
-        self._verbose, self._count, self._moved = verbose, 0, False
+        self._verbose, self._count = verbose, 0
         self._bar = tqdm(total=most, desc="adjusting", unit="iteration", leave=False, disable=None)
 
     def __call__(self, now: Iteration) -> None:
         """Show one step that was tried."""
         self._count += 1
-        self._moved = True
         if self._verbose:
             if self._count == 1:
                 tqdm.write("iteration           cost       decrease   step [sigma]   damping")
@@ -124,14 +133,51 @@ class IterationBar:
         self._bar.reset()
         self._bar.set_description_str(what)
 
-    def explain(self) -> None:
-        """Say why nothing has moved yet."""
-        if not self._moved:
-            _explain()
-
     def close(self) -> None:
         """Take the bar away."""
         self._bar.close()
+
+
+class CaseBar:
+    """Progress over the cases that are due, on standard error where that is a terminal; a line each when verbose."""
+
+    def __init__(self, verbose: bool) -> None:
+        self._verbose, self._over, self._due, self._failed = verbose, 0, 0, 0
+        self._bar: tqdm[None] | None = None
+        self._timer = threading.Timer(_FIRST_CASE, self.explain)
+        self._timer.daemon = True
+
+    def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
+        """Show that a case is over."""
+        from mgsgraph.campaign.run import line
+
+        self._over, self._due = over, due
+        if self._bar is None:
+            self._bar = tqdm(total=due, desc="adjusting", unit="case", leave=False, disable=None)
+            self._timer.start()
+        if entry is None:
+            return
+        self._failed += entry.status == "failed"
+        if self._verbose:
+            tqdm.write(line(entry))
+        if self._failed:
+            self._bar.set_postfix_str(f"{self._failed} failed")
+        self._bar.update()
+
+    def state(self) -> str:
+        """How far it is."""
+        return f"{self._over} of {self._due} cases are over and recorded" if self._due else "nothing was begun"
+
+    def explain(self) -> None:
+        """Say that nothing has moved yet; what compiles, does so in other processes."""
+        if self._over == 0 and self._due:
+            click.echo("no case is over yet", err=True)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._timer.cancel()
+        if self._bar is not None:
+            self._bar.close()
 
 
 @contextmanager

@@ -171,8 +171,10 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) -> None:
     """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
 
-    Exit status: 0 converged, 1 not converged (results are written), 2 bad input (nothing has changed).
+    Exit status: 0 converged, 1 not converged or to what is no result (results are written), 2 bad input (nothing has
+    changed).
     """
+    from mgsgraph.analysis.soundness import is_result
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.project.changes import solve as solve_all
     from mgsgraph.project.project import open_project
@@ -186,7 +188,7 @@ def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) ->
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence()}")
     click.echo(f"Results are in {solved.folder}")
-    ctx.exit(0 if solved.solution.converged else 1)
+    ctx.exit(0 if is_result(solved.solution) else 1)
 
 
 @click.command()

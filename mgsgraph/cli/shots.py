@@ -36,11 +36,13 @@ def shots(
 
     Exit status: 0, with shots found or none; 2 bad input, and nothing is written.
     """
-    from mgsgraph.io.files import fresh_file
+    from mgsgraph.io.writing import fresh_file, require_free
     from mgsgraph.project.oriented import oriented_images
     from mgsgraph.project.shot_search import ShotChoice, search_shots
-    from mgsgraph.registration.crossing_tables import crossing_sentences, crossings_table, selection_table
+    from mgsgraph.registration.crossing_tables import SELECTION, crossing_sentences, crossings_table, selection_table
 
+    if out is not None:
+        require_free(out, SELECTION)
     choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
     seen = oriented_images(case, names)
     over = search_shots(files, seen, choice)
@@ -51,6 +53,6 @@ def shots(
     if out is not None and not over.chosen.size:
         click.echo("Nothing is written: there is no shot to be written.")
     elif out is not None:
-        with fresh_file(out) as aside:
+        with fresh_file(out, over=SELECTION) as aside:
             selection_table(over).write_csv(aside)
         click.echo(f"The selection is in {out}")

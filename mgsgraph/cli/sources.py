@@ -58,6 +58,7 @@ def demo(
     left out without it. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
     from mgsgraph.adjustment.solution import Solution
+    from mgsgraph.analysis.soundness import is_result
     from mgsgraph.case.reading import Case
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar, stage_bar
@@ -77,7 +78,7 @@ def demo(
     click.echo("\nWhat was wrong, and what is right now")
     click.echo("\n".join(closing))
     click.echo(f"Inputs and results are in {out}")
-    ctx.exit(0 if solution.converged else 1)
+    ctx.exit(0 if is_result(solution) else 1)
 
 
 @click.command()

@@ -1,7 +1,7 @@
 """For the Ames Stereo Pipeline: matches, ground control points, lists of files, and the commands that take them.
 
-Cameras come from the export to CSM. Rejected measures are left out. Formats: `io.asp`; options: StereoPipeline, docs,
-bundle_adjust and jitter_solve.
+Cameras come from the export to CSM. Rejected measures are left out. Formats: `control.asp`; options: StereoPipeline,
+docs, bundle_adjust and jitter_solve.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,13 +11,13 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.control.asp.gcp import ground_control_text
+from mgsgraph.control.asp.match import match_files
+from mgsgraph.control.record import ControlNetwork, ControlPoint, PointType
 from mgsgraph.errors import InputError
 from mgsgraph.export.csm import STATE, file_stems
 from mgsgraph.export.isis import adjusted_network
-from mgsgraph.io.asp.gcp import ground_control_text
-from mgsgraph.io.asp.match import match_files
-from mgsgraph.io.control.record import ControlNetwork, ControlPoint, PointType
-from mgsgraph.io.files import write_files
+from mgsgraph.io.writing import write_files
 from mgsgraph.units import KM
 
 PREFIX, CONTROL, ADJUSTED = "matches/run", "control.gcp", "adjusted.gcp"

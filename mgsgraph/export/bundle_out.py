@@ -26,7 +26,7 @@ from mgsgraph.export.bundle_orientation import (
 from mgsgraph.export.bundle_text import Tables, bundle_text
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.files import write_files
+from mgsgraph.io.writing import write_files
 from mgsgraph.network import PointClass
 from mgsgraph.output.csv_json import picked, quoted
 from mgsgraph.ties import PointKind

@@ -15,6 +15,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.round_trip import MeasuredPlaces
+from mgsgraph.io.files import read_bytes
 
 Numbers = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -58,10 +59,7 @@ def _measures(path: Path) -> Iterator[tuple[tuple[str, str], tuple[float, ...]]]
     """By point and image: line, sample, their residuals, and the adjusted place of the point; infinite where unset.
     Ignored measures are passed over.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(str(path), error.strerror or "unreadable", "the network of an export to ISIS") from None
+    data = read_bytes(path)
     try:
         for point in _points(data):
             fields = _fields(point)

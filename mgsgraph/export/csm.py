@@ -23,10 +23,11 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.aberration import Aberration
-from mgsgraph.io.files import file_stem, read_json, write_files
+from mgsgraph.io.files import read_json
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.isd_layout import J2000, MODEL, RotationTable, StateTable, SunTable
 from mgsgraph.io.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.io.writing import file_stem, write_files
 from mgsgraph.units import ISIS_OFFSET, MM
 
 _AROUND = 100.0

@@ -1,11 +1,10 @@
-"""Support data and model states read back with json alone, and points projected as usgscsm does it.
+"""Support data and model states read back as JSON, and points projected as usgscsm does it.
 
 Nothing here is shared with the writer or with `geometry`: every step is the one that usgscsm publishes, vectorised
 over points. Source files and functions are named beside the steps (repository DOI-USGS/usgscsm and, for support data,
 DOI-USGS/ale).
 """
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.io.files import json_object, read_text
 
 if TYPE_CHECKING:
     from mgsgraph.export.round_trip import Reprojection
@@ -77,12 +77,8 @@ def _differences(folder: Path, paths: list[Path], identifier: str, wanted: "Repr
 
 def _read(path: Path) -> dict[str, Any]:
     """What is between the first and the last brace (Utilities.cpp, stateAsJson)."""
-    text = path.read_text(encoding="utf-8")
-    try:
-        content = json.loads(text[max(text.find("{"), 0) : text.rfind("}") + 1])
-    except ValueError as error:
-        raise InputError(str(path), f"malformed JSON ({error})") from None
-    return content if isinstance(content, dict) else {}
+    text = read_text(path)
+    return json_object(text[max(text.find("{"), 0) : text.rfind("}") + 1], str(path))
 
 
 # --- UsgsAstroLsSensorModel.cpp

@@ -12,32 +12,37 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
+from mgsgraph.aside import resolved
+from mgsgraph.control.asp.gcp import ground_control_text, read_ground_control_network
+from mgsgraph.control.asp.match import MatchFile, joined, match_files, read_match, read_match_text
+from mgsgraph.control.asp.match_names import images_of as named_images
+from mgsgraph.control.asp.match_names import prefix_of
+from mgsgraph.control.asp.nvm import half_sizes, nvm_files, read_nvm
+from mgsgraph.control.binary import binary_network
+from mgsgraph.control.choosing import images_of, in_images, used_images
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.pvl_writing import network_text
+from mgsgraph.control.record import ControlNetwork, ControlPoint, Duplicates
+from mgsgraph.control.table import read_table, table_text
+from mgsgraph.control.thinning import thinned
+from mgsgraph.control.uniting import united
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
+from mgsgraph.export.earlier import earlier_network
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
-from mgsgraph.io.asp.gcp import ground_control_text, read_ground_control_network
-from mgsgraph.io.asp.match import MatchFile, joined, match_files, read_match, read_match_text
-from mgsgraph.io.asp.match_names import images_of as named_images
-from mgsgraph.io.asp.match_names import prefix_of
-from mgsgraph.io.asp.nvm import half_sizes, nvm_files, read_nvm
-from mgsgraph.io.control.binary import binary_network
-from mgsgraph.io.control.choosing import images_of, in_images, used_images
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.pvl_writing import network_text
-from mgsgraph.io.control.record import ControlNetwork, ControlPoint, Duplicates
-from mgsgraph.io.control.table import read_table, table_text
-from mgsgraph.io.control.thinning import thinned
-from mgsgraph.io.control.uniting import united
-from mgsgraph.io.files import fresh_file
+from mgsgraph.io.writing import fresh_file, require_free
 from mgsgraph.network.connectivity import groups
 from mgsgraph.wording import many, some
 
 Paths = str | Path | Iterable[str | Path]
 """One file or several."""
 _ENDINGS = {f".{form}": form for form in Format if form != Format.MATCH_TEXT} | {".txt": Format.MATCH_TEXT}
+_EDGE = 0.5
+"""ISIS's count of an image's first edge; the last one is at its lines and samples and as much."""
 _MATCHES = (Format.MATCH, Format.MATCH_TEXT)
 _ISIS = (Format.PVL, Format.NET)
+_ELSEWHERE = "name another file; or say --replace"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +140,31 @@ def read_networks(
     require_one_body(networks, setting)
     notes += _other_heads(networks)
     merged = _merged(networks, duplicates, notes)
+    _require_inside(merged, setting.old_sizes())
     return _renamed(merged, setting.renamed), tuple(notes)
+
+
+def _require_inside(network: ControlNetwork, sizes: Mapping[str, tuple[int, int]]) -> None:
+    """Raise InputError unless all measures that count lie on those images whose sizes are known."""
+    beyond = [
+        (point.id, one)
+        for point in network.points
+        for one in point.measures
+        if not (one.ignore or point.ignore)
+        and (size := sizes.get(one.serial_number)) is not None
+        and one.line is not None
+        and one.sample is not None
+        and not all(_EDGE <= place <= count + _EDGE for place, count in zip((one.line, one.sample), size, strict=True))
+    ]
+    if beyond:
+        name, one = beyond[0]
+        lines, samples = sizes[one.serial_number]
+        raise InputError(
+            f"{network.source}, point {name}, image {one.serial_number}",
+            f"line {one.line:g}, sample {one.sample:g} (counted from 1), and {len(beyond) - 1} more beyond theirs",
+            f"places inside {lines} lines x {samples} samples",
+            "the case's image may be another one or a part of it; leave the size out to convert nevertheless",
+        )
 
 
 def _listed(paths: Paths) -> list[Path]:
@@ -145,9 +174,9 @@ def _listed(paths: Paths) -> list[Path]:
         raise InputError("convert", "nothing to read", "one file or more")
     seen = set[Path]()
     for path in found:
-        if path.resolve() in seen:
+        if (place := resolved(path, "")) in seen:
             raise InputError(str(path), "given twice", "each file once")
-        seen.add(path.resolve())
+        seen.add(place)
     return found
 
 
@@ -233,6 +262,7 @@ def convert(
     write_as: str | None = None,
     strict: bool = False,
     replace: bool = True,
+    anything: bool = False,
 ) -> Conversion:
     """Read networks and write them as one, in another format.
 
@@ -252,6 +282,8 @@ def convert(
         Raise `Lossy`, and write nothing, where the format can't hold all.
     replace : bool
         False refuses to overwrite a file of one of the formats that are read: it may be one that was to be read, too.
+    anything : bool
+        Overwrite files of any kind; else those alone that are networks of the same format, by their content.
 
     Raises
     ------
@@ -269,6 +301,8 @@ def convert(
     files, more = _files(network, output, form, setting, selection.split)
     lost = losses(network, form)
     _require_others(paths, files)
+    for path in files:
+        require_free(path, None if anything else earlier_network(form, path), remedy=_ELSEWHERE)
     if strict and lost:
         raise Lossy(output, lost)
     _write(files)
@@ -325,9 +359,9 @@ def connected_parts(network: ControlNetwork) -> list[ControlNetwork]:
 
 
 def _require_others(inputs: Sequence[Path], files: Mapping[Path, bytes]) -> None:
-    read = {path.resolve() for path in inputs}
+    read = {resolved(path, "") for path in inputs}
     for path in files:
-        if path.resolve() in read:
+        if resolved(path, _ELSEWHERE) in read:
             raise InputError(str(path), "one of the files that are read", "another name for what is written")
 
 

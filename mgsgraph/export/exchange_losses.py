@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.export import Format
-from mgsgraph.geometry.records import Array
-from mgsgraph.io.asp.gcp import keeps_ids
-from mgsgraph.io.asp.match import one_sigma
-from mgsgraph.io.asp.match_names import stem
-from mgsgraph.io.asp.measures import PixelMeasures, measures_of, takes_part
-from mgsgraph.io.control.pvl import CONSTRAINTS, HEAD_TEXTS, LOCKS, LOG_NAMES, NAME_TEXTS
-from mgsgraph.io.control.record import (
+from mgsgraph.control.asp.gcp import keeps_ids
+from mgsgraph.control.asp.match import one_sigma
+from mgsgraph.control.asp.match_names import stem
+from mgsgraph.control.asp.measures import PixelMeasures, measures_of, takes_part
+from mgsgraph.control.pvl import CONSTRAINTS, HEAD_TEXTS, LOCKS, LOG_NAMES, NAME_TEXTS
+from mgsgraph.control.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -21,6 +19,8 @@ from mgsgraph.io.control.record import (
     MeasureType,
     PointType,
 )
+from mgsgraph.export import Format
+from mgsgraph.geometry.records import Array
 from mgsgraph.wording import listed, many
 
 _ALL = frozenset(PointType)

@@ -5,11 +5,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 from msgspec import structs
 
+from mgsgraph.control.record import ControlNetwork
+from mgsgraph.control.ties import require_places
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
-from mgsgraph.io.control.record import ControlNetwork
 
 _SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
 _SAID = "--target, --radii, --case"
@@ -103,7 +105,9 @@ def _pairs(option: str, form: str, texts: Iterable[str]) -> list[tuple[str, str]
 
 
 def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSetting) -> None:
-    """Raise InputError if networks and setting name several bodies, or an ellipsoid that can't be the named one's."""
+    """Raise InputError if networks and setting name several bodies, or an ellipsoid that can't be the named one's, or
+    on which points don't lie.
+    """
     stated = [(one.source, one.target_name) for one in networks if one.target_name]
     stated += [(_SAID, setting.target)] if setting.target else []
     for where, name in stated[1:]:
@@ -114,6 +118,11 @@ def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSettin
         found = f"an equatorial radius of {setting.ellipsoid.equatorial:.10g} m"
         expected = f"that of {stated[0][1]}, the target body in {stated[0][0]}"
         raise InputError(_SAID, found, expected, "radii are in m")
+    if setting.ellipsoid is None:
+        return
+    for one in networks:
+        known = [place for point in one.points if (place := point.apriori or point.adjusted)]
+        require_places(np.array(known).reshape(-1, 3), setting.ellipsoid, one.source)
 
 
 def leading(networks: Sequence[ControlNetwork]) -> ControlNetwork:

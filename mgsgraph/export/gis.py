@@ -10,7 +10,6 @@ geodetic ones (3.6 and 3.12, tried). Heights are given above the body's ellipsoi
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import ModuleType
 
 import numpy as np
@@ -18,9 +17,10 @@ import shapely
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
+from mgsgraph.aside import made_beside
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
-from mgsgraph.io.files import fresh_file
+from mgsgraph.io.writing import fresh_file
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.reports.sigmas import body_crs, write_sigma_raster
 
@@ -63,9 +63,9 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
         *footprint_layers(solution), *point_layers(solution), *ellipse_layers(solution), *vector_layers(solution)
     ]  # fmt: skip
     written = [folder / GEOPACKAGE]
-    with fresh_file(written[0]) as aside, TemporaryDirectory(dir=folder, prefix=".") as scratch:
-        _write_layers(layers, _statements(solution, layers, body_crs(body)), Path(scratch) / GEOPACKAGE, solution)
-        (Path(scratch) / GEOPACKAGE).replace(aside)  # GDAL wants the ending, and leaves its journals beside it
+    with fresh_file(written[0]) as aside, made_beside(written[0], folder=True) as scratch:
+        _write_layers(layers, _statements(solution, layers, body_crs(body)), scratch / GEOPACKAGE, solution)
+        (scratch / GEOPACKAGE).replace(aside)  # GDAL wants the ending, and leaves its journals beside it
     if grid is not None:
         written.append(folder / RASTER)
         write_sigma_raster(grid, body, written[1])

@@ -15,14 +15,9 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import rejected_points
-from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
-from mgsgraph.export.kept_content import ADJUSTED_BY, Kept, with_content
-from mgsgraph.geometry.body import target_name
-from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.record import (
+from mgsgraph.control.binary import write_binary_network
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -30,8 +25,13 @@ from mgsgraph.io.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.io.files import write_file
+from mgsgraph.errors import InputError
+from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
+from mgsgraph.export.kept_content import ADJUSTED_BY, Kept, with_content
+from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.io.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
+from mgsgraph.io.writing import write_file
 from mgsgraph.network import PointClass
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.ties import PointKind

@@ -5,7 +5,6 @@ the files that were read. A solution remembers these files and their digests (`n
 be taken back is said.
 """
 
-import json
 from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -13,15 +12,16 @@ from typing import Any, NamedTuple
 
 from msgspec import structs
 
+from mgsgraph.control.choosing import with_measures
+from mgsgraph.control.pvl import MEASURE_TYPES
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
+from mgsgraph.control.table import read_whole
+from mgsgraph.control.uniting import SAME_PLACE, apart, united
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import leading
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.control.choosing import with_measures
-from mgsgraph.io.control.pvl import MEASURE_TYPES
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
-from mgsgraph.io.control.table import read_whole
-from mgsgraph.io.control.uniting import SAME_PLACE, apart, united
-from mgsgraph.io.files import sha256_of
+from mgsgraph.io.files import sha256_of, understood
+from mgsgraph.io.records import read_record
 from mgsgraph.output.folders import PROGRAM, RECORD
 from mgsgraph.wording import listed, many, some
 
@@ -79,11 +79,10 @@ def source_networks(folder: Path, stated: Sequence[Path], body: Ellipsoid) -> So
 def _remembered(folder: Path) -> list[tuple[Path, str]]:
     """Paths and digests of the networks in a solution's record."""
     file = (folder if folder.is_dir() else folder.parent) / RECORD
-    try:
-        entries = json.loads(file.read_text(encoding="utf-8")).get("networks", [])
-        return [(Path(entry["path"]), str(entry["sha256"])) for entry in entries]
-    except (OSError, ValueError, TypeError, AttributeError, KeyError):
+    if not file.exists():  # an archive alone
         return []
+    with understood(f"{file}, networks", "what mgsgraph adjust writes"):
+        return [(Path(entry["path"]), str(entry["sha256"])) for entry in read_record(file).get("networks", [])]
 
 
 class Kept(NamedTuple):

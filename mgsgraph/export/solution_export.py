@@ -1,6 +1,5 @@
 """A solution for another program: written, read back by code that shares nothing with the writer, and compared."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,8 +13,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.export import Target
 from mgsgraph.export.round_trip import reprojection
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.files import write_file
+from mgsgraph.io.records import read_record, record_text
+from mgsgraph.io.writing import write_file
 from mgsgraph.network import PointClass
+from mgsgraph.output.csv_json import write_json
 from mgsgraph.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import read_solution
 
@@ -123,16 +124,15 @@ def export_solution(
                 f"export to {target.value}", f"{lost} measures don't come back",
                 "all of them", "this is a fault of mgsgraph: report it",
             )
-        (aside / EXPORT).write_text(_text(_record(done, solution, settings)), encoding="utf-8", newline="\n")
+        write_json(aside / EXPORT, _record(done, solution, settings))
     return done._replace(noted=_note(path, done))
 
 
 def _require_same_target(out: Path, target: Target) -> None:
     """Raise InputError where the folder holds an export to another target."""
-    try:
-        earlier = json.loads((out / EXPORT).read_text(encoding="utf-8"))["target"]
-    except (OSError, ValueError, TypeError, KeyError):  # no export: `fresh_folder` says what is there
+    if not (out / EXPORT).is_file():  # no export: `fresh_folder` says what is there
         return
+    earlier = read_record(out / EXPORT).get("target")
     if earlier != target.value:
         found = f"an export to {earlier}, which would be lost"
         raise InputError(str(out), found, f"one to {target.value}, or none", "choose another --out")
@@ -248,23 +248,19 @@ def _figures(done: Exported) -> dict[str, Any]:
     return {"target": done.target.value, "measures": done.measures, "largest_difference_px": largest}
 
 
-def _text(record: Mapping[str, Any]) -> str:
-    return json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-
-
 def _note(path: Path, done: Exported) -> bool:
     """Say in the solution's record what was exported last for each target, and how it came back; False where that is
     damaged, absent (then the export alone says it) or not to be written.
     """
     file = (path if path.is_dir() else path.parent) / RECORD
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
+        record = read_record(file)
         earlier = dict(record.get("exports", {}))
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (ValueError, TypeError):
         return False
     exports = {**earlier, done.target.value: {**_figures(done), "folder": str(done.folder)}}
     try:
-        write_file(file, _text({**record, "exports": exports}))
+        write_file(file, record_text({**record, "exports": exports}))
     except InputError:
         return False  # the export is there all the same
     return True

@@ -1,12 +1,12 @@
 """Where the archives are: the public ones, or mirrors of them with the same layout."""
 
 import os
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from mgsgraph.errors import InputError
+from mgsgraph.io.decoding import LARGEST_TOML, toml_table
 from mgsgraph.io.files import read_text
 
 VARIABLE = "MGSGRAPH_MIRRORS"
@@ -67,10 +67,7 @@ class Archives:
         InputError
             A file that can't be read or is no TOML, a key that is no archive, or no address of http or https.
         """
-        try:
-            table = tomllib.loads(read_text(path))
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(str(path), f"no TOML ({error})", "lines such as kernels = \"https://...\"") from None
+        table = toml_table(read_text(path, limit=LARGEST_TOML), str(path))
         known = [field.name for field in fields(cls)]
         for key, value in table.items():
             if key not in known:

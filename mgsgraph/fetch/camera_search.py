@@ -14,15 +14,16 @@ from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import MARGIN, Interval
 from mgsgraph.fetch.needs import ImageNeeds, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
+from mgsgraph.io.files import read_text
 from mgsgraph.io.pvl import Block, flat_label
 
 _LABEL = 1 << 16
 """bytes in which the label of an image lies."""
-_KERNEL = re.compile(r"[\"']?\$?\w*/?((?:lsk|pck|sclk|fk|ik|spk|ck)/[\w.-]+\.\w{2,4})", re.IGNORECASE)
+_KERNEL = re.compile(r"[\"']?\$?\w{0,40}/?((?:lsk|pck|sclk|fk|ik|spk|ck)/[\w.-]+\.\w{2,4})", re.IGNORECASE)
 """A kernel in a meta-kernel, below data/; its path may be cut by '+' before a line's end."""
 _DATES = re.compile(r"_(\d{6}|\d{7})_(\d{6}|\d{7})(?=[_.])")
 _NEEDED = ("lsk", "pck", "sclk", "fk", "ik", "spk", "ck")
-_URL = re.compile(r"https?://[^\s<>\"']+?/(output/[\w.-]+/[\w.-]+_pts_csv\.csv)")
+_URL = re.compile(r"https?://[^\s<>\"']{1,300}?/(output/[\w.-]+/[\w.-]+_pts_csv\.csv)")
 _EDGE = 0.02
 """deg around an image's box in which shots are asked for."""
 
@@ -115,7 +116,7 @@ class CameraSearch:
         """Paths below the kernels' archive, in the meta-kernel's order: of its time, and those of all times."""
         root = getattr(self._archives, camera.kernels)
         folder, name = self._meta_kernel(camera, root, taken.middle.year, where)
-        text = self._store.get(WantedFile(f"{root}{folder}{name}", kernel_path(name))).read_text("latin-1")
+        text = read_text(self._store.get(WantedFile(f"{root}{folder}{name}", kernel_path(name))), encoding="latin-1")
         data = "DATA/" if folder.isupper() else "data/"
         listed = [match[1] for match in _KERNEL.finditer(re.sub(r"\+'\s*'", "", text))]
         chosen = [data + path for path in dict.fromkeys(listed) if self._holds(camera, root + data, path, taken)]
@@ -150,7 +151,7 @@ class CameraSearch:
             return True
         label = path.rpartition(".")[0] + (".LBL" if name.isupper() else ".lbl")
         try:
-            text = self._store.get(WantedFile(data + label, kernel_path(label.lower()))).read_text("latin-1")
+            text = read_text(self._store.get(WantedFile(data + label, kernel_path(label.lower()))), encoding="latin-1")
         except NotInArchive:
             return True
         said = Interval.said_by(flat_label(text, label))

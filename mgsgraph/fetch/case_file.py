@@ -12,13 +12,15 @@ from pathlib import Path
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.grids import Grid, topography
 from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, ImageNeeds, kernel_path, kernels_of
-from mgsgraph.io.files import finite_number
+from mgsgraph.io.files import number_of, read_text
 from mgsgraph.wording import some
 
 CASE = "case.toml"
 _INSTRUMENT = kernel_path("ik/mgs_moc_v20.ti")
-_PIXEL_SIZE = re.compile(r"^\s*INS-94031_PIXEL_SIZE\s*=\s*\(?\s*([-+.\deE]+)", re.MULTILINE)
+_PIXEL_SIZE = re.compile(r"^[ \t]*INS-94031_PIXEL_SIZE[ \t]*=[ \t]*\(?[ \t]*([-+.\deE]+)", re.MULTILINE)
 """m, in NAIF's instrument kernel."""
+_LEAST, _LARGEST = 1e-6, 1e-4
+"""m, between which a pixel is: it has 13 micrometres."""
 _PIXEL_ANGLE = 3.7497308149e-6
 """rad, that a pixel sees, by ISIS (mocAddendum004.ti: 13.1240578522949 micrometres on 3500 mm). NAIF's kernel has
 13 micrometres on a nominal 3.5 m, of which it says that the truth may be 2 percent off."""
@@ -46,6 +48,13 @@ check_every = 5                         # every fifth shot takes no part: check 
 """
 
 
+META_KERNEL_HEAD = """\
+KPL/MK
+
+Kernels fetched from NAIF. mgsgraph looks for them beside this file; SPICE itself in the current folder.
+"""
+
+
 def meta_kernel_path(needs: Sequence[ImageNeeds]) -> str:
     """Of our own meta-kernel in the folder, called after the spacecraft."""
     camera = needs[0].camera
@@ -59,9 +68,7 @@ def meta_kernel(needs: Sequence[ImageNeeds]) -> str:
         kernels = list(dict.fromkeys(one for image in needs for one in (*image.kernels, image.addendum) if one))
     names = [Path(kernel_path(kernel)).name for kernel in kernels]
     listed = "\n".join(f"  '{name}'" for name in names)
-    return f"""KPL/MK
-
-Kernels fetched from NAIF. mgsgraph looks for them beside this file; SPICE itself in the current folder.
+    return f"""{META_KERNEL_HEAD}
 
 \\begindata
 KERNELS_TO_LOAD = (
@@ -131,10 +138,11 @@ def camera_focal_length(folder: Path) -> float:
         A kernel that has no pixel size.
     """
     path = folder / _INSTRUMENT
-    found = _PIXEL_SIZE.search(path.read_text(encoding="latin-1"))
-    if found is None:
-        raise InputError(str(path), "no INS-94031_PIXEL_SIZE", "NAIF's instrument kernel of MOC", "try another mirror")
-    return round(finite_number(found[1]) / _PIXEL_ANGLE, 6)
+    found = _PIXEL_SIZE.search(read_text(path, encoding="latin-1"))
+    if found is None or not _LEAST < (size := number_of(found[1], f"{path}, INS-94031_PIXEL_SIZE")) < _LARGEST:
+        said = "no INS-94031_PIXEL_SIZE" if found is None else f"INS-94031_PIXEL_SIZE = {found[1]} m"
+        raise InputError(str(path), said, "NAIF's instrument kernel of MOC", "try another mirror")
+    return round(size / _PIXEL_ANGLE, 6)
 
 
 def _terrain(grid: Grid) -> str:

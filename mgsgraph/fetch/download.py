@@ -5,6 +5,7 @@ from the byte where it broke off; any byte more begins the count of tries anew. 
 server that ignores Range, means to begin anew. All else (404, an endless redirect, a certificate) is an error at once.
 """
 
+import re
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -15,9 +16,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from mgsgraph.errors import InputError
-from mgsgraph.fetch.archives import require_address
+from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.part import PartialFile, RemoteSource
+from mgsgraph.fetch.redirects import REDIRECTS, led_to
+from mgsgraph.io.files import ANY_SIZE
 
 if TYPE_CHECKING:
     import requests
@@ -31,8 +33,6 @@ ByteProgress = Callable[[int, int | None], None]
 _ELSEWHERE = "try later, or another mirror"
 _PIECE = 1 << 16
 """bytes read at a time, at the most."""
-_REDIRECTS = 10
-"""Followed at the most."""
 _LATER = (429, 500, 502, 503, 504)
 """Statuses of a server that may do better later."""
 _NOT_THERE = (404, 410)
@@ -135,8 +135,8 @@ class Remote:
             return ""
 
     def download(
-        self, url: str, path: Path, check: Check, progress: ByteProgress = lambda done, total: None,
-        known: RemoteSource | None = None,
+        self, url: str, path: Path, check: Check, limit: int = ANY_SIZE,
+        progress: ByteProgress = lambda done, total: None, known: RemoteSource | None = None,
     ) -> RemoteSource | None:
         """Bring a file; it takes its place at `path` when it is whole and `check` has nothing against it.
 
@@ -147,6 +147,8 @@ class Remote:
             Where to; its folder is made. What has come lies beside it as NAME.part until it is whole.
         check : callable
             Looks at the whole NAME.part; what it raises ends the download, and the part is forgotten.
+        limit : int
+            bytes that the file may have, announced or not.
         progress : callable
             Called as bytes come.
         known : RemoteSource, optional
@@ -165,7 +167,7 @@ class Remote:
             Everything else, one line.
         """
         part = PartialFile(path, url)
-        source = self._persist(url, lambda: self._attempt(url, part, progress, known), lambda: part.size)
+        source = self._persist(url, lambda: self._attempt(url, part, limit, progress, known), lambda: part.size)
         if source is None:
             return None
         try:
@@ -179,7 +181,7 @@ class Remote:
     # --- one try
 
     def _attempt(
-        self, url: str, part: PartialFile, progress: ByteProgress, known: RemoteSource | None
+        self, url: str, part: PartialFile, limit: int, progress: ByteProgress, known: RemoteSource | None
     ) -> RemoteSource | None:
         if part.source is not None and part.source.total is not None and part.size >= part.source.total:
             if part.whole:
@@ -192,17 +194,26 @@ class Remote:
             if answer.status_code == _NOTHING_MORE:
                 part.discard()
                 raise _Trouble("it is shorter than was announced before")
+            if said.total is not None and said.total > limit:
+                raise _too_long(url, f"{said.total / 1e6:.0f} MB", limit)
             if answer.status_code != 206:
                 part.begin(said)
             elif part.source is None or not part.source.same_content(said) or _first(answer) != part.size:
                 part.discard()
                 raise _Trouble("its content has changed while it was being fetched")
-            progress(part.size, said.total)
+            size = part.size
+            progress(size, said.total)
             for piece in _pieces(answer):
                 if self._stop.is_set():
                     raise Stopped
+                size += len(piece)
+                if size > (limit if said.total is None else said.total):
+                    part.discard()
+                    if said.total is None:
+                        raise _too_long(url, "no end", limit)
+                    raise _Trouble(f"more bytes came than the {said.total} that were announced")
                 part.add(piece)
-                progress(part.size, said.total)
+                progress(size, said.total)
         if not part.whole:
             raise _Trouble(f"{part.size} bytes came of {said.total} that were announced")
         return said
@@ -210,31 +221,43 @@ class Remote:
     @contextmanager
     def _answer(self, url: str, headers: Mapping[str, str]) -> Iterator["requests.Response"]:
         """The archive's answer, of a status that means content; all that can go wrong in words."""
+        with self._followed(url, headers) as answer:
+            _require_content(url, answer)
+            self._open.add(answer)
+            try:
+                yield answer
+            finally:
+                self._open.discard(answer)
+
+    def _followed(self, url: str, headers: Mapping[str, str]) -> "requests.Response":
+        """The answer at an address, or where redirects lead from there; nothing of these' own content is read."""
+        address = url
+        for _ in range(REDIRECTS + 1):
+            answer = self._asked(url, address, headers)
+            if not answer.is_redirect:
+                return answer
+            answer.close()
+            address = led_to(url, address, answer.headers["Location"])
+        raise InputError(url, f"more than {REDIRECTS} redirects", "a file", _ELSEWHERE)
+
+    def _asked(self, url: str, address: str, headers: Mapping[str, str]) -> "requests.Response":
+        """What one address answers."""
         import requests
+        import urllib3
 
         retry = self._retry
         try:
-            with self._session().get(
-                url, headers=dict(headers), stream=True, timeout=(retry.connecting, retry.reading)
-            ) as answer:
-                _require_content(url, answer)
-                self._open.add(answer)
-                try:
-                    yield answer
-                finally:
-                    self._open.discard(answer)
-        except requests.TooManyRedirects:
-            raise InputError(url, f"more than {_REDIRECTS} redirects", "a file", _ELSEWHERE) from None
-        except (requests.exceptions.InvalidSchema, requests.exceptions.InvalidURL) as error:
-            raise InputError(url, f"a redirect that leads nowhere ({_words(error)})", remedy=_ELSEWHERE) from None
+            return self._session().get(
+                address, headers=dict(headers), stream=True, timeout=(retry.connecting, retry.reading)
+            )
         except requests.exceptions.SSLError as error:
             raise InputError(url, f"its certificate can't be trusted ({_words(error)})", remedy=_ELSEWHERE) from None
         except requests.Timeout:
             raise _Trouble("no answer came") from None
         except requests.ConnectionError as error:
             raise _Trouble(f"it can't be reached ({_words(error)})") from None
-        except requests.RequestException as error:
-            raise InputError(url, _words(error), remedy=_ELSEWHERE) from None
+        except (requests.RequestException, urllib3.exceptions.HTTPError, ValueError) as error:
+            raise InputError(url, f"it can't be asked ({_words(error)})", remedy=_ELSEWHERE) from None
 
     def _session(self) -> "requests.Session":
         """One for each thread: sessions are not to be shared."""
@@ -243,7 +266,7 @@ class Remote:
         session: requests.Session | None = getattr(self._mine, "session", None)
         if session is None:
             session = requests.Session()
-            session.max_redirects = _REDIRECTS
+            session.get_redirect_target = lambda answer: None  # type: ignore[assignment, method-assign]
             session.headers["User-Agent"] = f"mgsgraph/{version('mgsgraph')}"
             session.headers["Accept-Encoding"] = "identity"
             self._mine.session = session
@@ -272,7 +295,7 @@ class Remote:
             raise InputError(url, f"{trouble.found}, and it asks to come back in {trouble.after:.0f} s", remedy=remedy)
         seconds = max(trouble.after, retry.first_wait * 2.0 ** max(0, failures - 1))
         seconds = min(seconds, retry.longest_wait)
-        self._say(f"{url}: {trouble.found}; tried again in {seconds:.0f} s")
+        self._say(printable(f"{url}: {trouble.found}; tried again in {seconds:.0f} s"))
         if self._stop.wait(seconds):
             raise Stopped
 
@@ -285,11 +308,12 @@ def _require_requests() -> None:
         raise InputError("fetch", found, remedy=remedy) from None
 
 
+def _too_long(url: str, found: str, limit: int) -> InputError:
+    return InputError(url, f"a file of {found}", f"at most {limit / 1e6:.0f} MB of one of its kind", _ELSEWHERE)
+
+
 def _require_content(url: str, answer: "requests.Response") -> None:
     """Raise _Trouble or InputError unless the answer is a file, a part of one, or that it has not changed."""
-    require_address(answer.url.partition("?")[0].partition("#")[0], f"{url}, redirected")
-    if url.startswith("https:") and not all(one.url.startswith("https:") for one in (*answer.history, answer)):
-        raise InputError(url, f"redirected to {answer.url}, which is not encrypted", "https", _ELSEWHERE)
     status = f"{answer.status_code} {answer.reason}".strip()
     if answer.status_code in _NOT_THERE:
         raise NotInArchive(url, f"not there ({status})", remedy="check the mirror, or the archive's own pages")
@@ -307,8 +331,7 @@ def _source(url: str, answer: "requests.Response") -> RemoteSource:
     length = headers.get("Content-Length", "")
     if answer.status_code == 206:  # bytes 10-99/100
         length = headers.get("Content-Range", "").rpartition("/")[2]
-    total = int(length) if length.strip().isdecimal() else None
-    return RemoteSource(url, total, headers.get("ETag", ""), headers.get("Last-Modified", ""))
+    return RemoteSource(url, _count(length), headers.get("ETag", ""), headers.get("Last-Modified", ""))
 
 
 def _pieces(answer: "requests.Response") -> Iterator[bytes]:
@@ -337,7 +360,12 @@ def _up_to(answer: "requests.Response", count: int) -> bytes:
 def _first(answer: "requests.Response") -> int | None:
     """First byte of a part of a file, by Content-Range."""
     start = answer.headers.get("Content-Range", "").removeprefix("bytes").strip().partition("-")[0]
-    return int(start) if start.isdecimal() else None
+    return _count(start)
+
+
+def _count(text: str) -> int | None:
+    """A number of bytes; None for anything else."""
+    return int(text) if re.fullmatch(r"\s*[0-9]{1,18}\s*", text) else None
 
 
 def _unless(known: RemoteSource | None) -> Mapping[str, str]:

@@ -6,21 +6,29 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from mgsgraph.errors import InputError
+from mgsgraph.aside import scratch
+from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import Box, shots_in
-from mgsgraph.fetch.case_file import CASE, camera_focal_length, case_text, meta_kernel, meta_kernel_path
+from mgsgraph.fetch.case_file import (
+    CASE,
+    META_KERNEL_HEAD,
+    camera_focal_length,
+    case_text,
+    meta_kernel,
+    meta_kernel_path,
+)
 from mgsgraph.fetch.download import Remote, RetryPolicy
-from mgsgraph.fetch.grids import Grid, grid_of, terrain_of, wanted_grids
-from mgsgraph.fetch.lock import LOCK, Lock
+from mgsgraph.fetch.grids import grid_of, terrain_of, wanted_grids
+from mgsgraph.fetch.lock import FOLDERS, LOCK, Lock
 from mgsgraph.fetch.needs import ImageNeeds, Product, WantedFile, products_of, require_one_mission, wanted_files
 from mgsgraph.fetch.search import Search
 from mgsgraph.fetch.store import DownloadFolder, Progress
 from mgsgraph.fetch.volumes import volumes_of
-from mgsgraph.io.files import claimed, read_bytes, write_file
+from mgsgraph.io.files import read_bytes
+from mgsgraph.io.writing import claimed, write_file
 from mgsgraph.wording import many
 
 _REMEDY = "choose another --out"
@@ -56,7 +64,7 @@ class Fetched:
         ]
         size = sum(self.brought.values()) / 1e6
         said.append(f"{many(len(self.brought), 'file')} fetched, {size:.1f} MB; {self.here} were here already")
-        return [*said, *self.notes]
+        return [printable(one) for one in (*said, *self.notes)]
 
     def commands(self) -> list[str]:
         """What to type next; none for a single image."""
@@ -136,8 +144,8 @@ def fetch_images(
         _find(products, lock, Search(archives, store, volumes), update)
         needs = tuple(lock.images.values())
         store.get_all(wanted_files(needs, archives))
-        write_file(folder / meta_kernel_path(needs), meta_kernel(needs), remedy=_REMEDY)
-        notes = [note for image in needs for note in image.notes]
+        notes = _write_own(lock, meta_kernel_path(needs), meta_kernel(needs))
+        notes += [note for image in needs for note in image.notes]
         places = list[tuple[float, float]]()
         for image in needs:
             try:
@@ -150,7 +158,7 @@ def fetch_images(
         if grid is not None:
             store.get_all(wanted_grids(grid, archives))
         store.mend()
-        notes += [*store.notes, *_write_case(lock, needs, grid)]
+        notes += [*store.notes, *_write_own(lock, CASE, case_text(needs, grid, folder))]
     return Fetched(folder, needs, store.brought, len(lock.files) - len(store.brought), tuple(notes))
 
 
@@ -226,8 +234,8 @@ def survey(
     products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
     volumes, archives = volumes_of(volumes), archives or Archives()
     kept = Lock.read(folder)
-    with TemporaryDirectory() as aside, closing(Remote(retry, say)) as remote:
-        lock = Lock(Path(aside), images=dict(kept.images))
+    with scratch() as aside, closing(Remote(retry, say)) as remote:
+        lock = Lock(aside, images=dict(kept.images))
         _find(products, lock, Search(archives, DownloadFolder(lock, remote, progress=progress), volumes), update=False)
         wanted = [*wanted_files(lock.images.values(), archives)]
         if choice in ("4", "16") and not _on_the_moon(lock.images.values()):
@@ -249,6 +257,10 @@ def _made(folder: Path) -> Path:
                 found, expected = f"exists, and has no {LOCK}", "an empty folder, or one fetched into"
                 raise InputError(str(folder), found, expected, _REMEDY)
         folder.mkdir(parents=True, exist_ok=True)
+        for inside in map(folder.joinpath, FOLDERS):
+            if inside.is_symlink() or (inside.exists() and not inside.is_dir()):
+                found = "a link, and what it leads to would be written into" if inside.is_symlink() else "a file"
+                raise InputError(str(inside), found, "a folder", "move it away")
     except OSError as error:
         raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder", _REMEDY) from None
     return folder
@@ -301,15 +313,15 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
     return [(float(longitude), float(latitude)) for longitude, latitude, _ in seen]
 
 
-def _write_case(lock: Lock, needs: Sequence[ImageNeeds], grid: Grid | None) -> list[str]:
-    """Write the case file unless the user has made it theirs; what there is to say of it."""
-    path, text = lock.folder / CASE, case_text(needs, grid, lock.folder)
-    mine = hashlib.sha256(text.encode()).hexdigest()
+def _write_own(lock: Lock, name: str, text: str) -> list[str]:
+    """Write the case file or the meta-kernel unless the user has made it theirs; what there is to say of it."""
+    path, mine = lock.folder / name, hashlib.sha256(text.encode()).hexdigest()
     if path.exists():
-        there = hashlib.sha256(read_bytes(path)).hexdigest()
-        if there not in (lock.case, mine):
+        content = read_bytes(path)
+        earlier = name not in lock.written and content.startswith(META_KERNEL_HEAD.encode())  # that was not locked then
+        if not earlier and hashlib.sha256(content).hexdigest() not in (lock.written.get(name), mine):
             return [f"{path} is not as it was written here, and was left alone; move it away to have a new one"]
     write_file(path, text, remedy=_REMEDY)
-    lock.case = mine
+    lock.written[name] = mine
     lock.write()
     return []

@@ -1,6 +1,5 @@
 """fetch.lock: what a folder holds, from where, with its SHA-256; by it a second run needs no network."""
 
-import json
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,13 +10,17 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import require_address
 from mgsgraph.fetch.needs import ImageNeeds
 from mgsgraph.fetch.part import RemoteSource
-from mgsgraph.io.files import read_json, sha256_of, write_file
+from mgsgraph.io.files import sha256_of
+from mgsgraph.io.records import read_record, record_text
+from mgsgraph.io.writing import write_file
 from mgsgraph.wording import many, some
 
 LOCK = "fetch.lock"
 """Its name in the folder."""
 _FORMAT = 1
-_NAME = re.compile(r"(images|index|kernels|megdr|pedr|shots)/\w[\w.-]*")
+FOLDERS = ("images", "index", "kernels", "megdr", "pedr", "shots")
+"""In the folder, for what is fetched."""
+_NAME = re.compile(rf"({'|'.join(FOLDERS)})/\w[\w.-]*")
 """Paths of files in the folder: nothing of a lock leads out of it."""
 
 
@@ -43,6 +46,8 @@ class LockedFile:
     def differs(self, path: Path) -> str:
         """How what is at `path` differs from it, in words; empty for not at all."""
         try:
+            if path.is_symlink():
+                return "a link"
             size = path.stat().st_size
             if size != self.size:
                 return f"{size} bytes instead of {self.size}"
@@ -51,6 +56,8 @@ class LockedFile:
             return "missing"
         except OSError as error:
             return f"can't be read ({error.strerror})"
+        except InputError as error:
+            return error.found
 
 
 @dataclass(slots=True)
@@ -61,8 +68,8 @@ class Lock:
     files: dict[str, LockedFile] = field(default_factory=dict)
     images: dict[str, ImageNeeds] = field(default_factory=dict)
     """By product id."""
-    case: str = ""
-    """SHA-256 of the case file as it was written here; empty when it was not."""
+    written: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of what was written here, case and meta-kernel, by paths."""
 
     @classmethod
     def read(cls, folder: Path) -> "Lock":
@@ -70,7 +77,7 @@ class Lock:
         path = folder / LOCK
         if not path.exists():
             return cls(folder)
-        content = read_json(path)
+        content = read_record(path)
         if content.get("format") != _FORMAT:
             raise InputError(f"{path}, format", f"{content.get('format')}", f"{_FORMAT}", "use a newer mgsgraph")
         try:
@@ -78,7 +85,7 @@ class Lock:
                 folder,
                 {name: _locked(name, entry) for name, entry in content["files"].items()},
                 {name: ImageNeeds.of(entry) for name, entry in content["images"].items()},
-                str(content["written"].get("case.toml", "")),
+                {str(name): str(digest) for name, digest in content["written"].items()},
             )
         except (TypeError, ValueError, KeyError, AttributeError):
             found, remedy = "entries that are not ours", "move the folder away, and fetch anew"
@@ -90,9 +97,9 @@ class Lock:
             "program": "mgsgraph", "format": _FORMAT,
             "images": {name: needs.entry() for name, needs in self.images.items()},
             "files": {name: asdict(self.files[name]) for name in sorted(self.files)},
-            "written": {"case.toml": self.case} if self.case else {},
+            "written": self.written,
         }  # fmt: skip
-        write_file(self.folder / LOCK, json.dumps(content, indent=1) + "\n", remedy="choose another --out")
+        write_file(self.folder / LOCK, record_text(content), remedy="choose another --out")
 
     def whole(self, name: str) -> bool:
         """Whether a file is there as it was locked."""
@@ -108,9 +115,15 @@ def _locked(name: str, entry: Mapping[str, Any]) -> LockedFile:
     """A file's entry; TypeError or ValueError for one that is not ours."""
     file = LockedFile(**entry)
     require_address(file.url, name)
-    if not _NAME.fullmatch(name) or not isinstance(file.size, int):
+    texts = file.url, file.sha256, file.fetched, file.etag, file.modified
+    if not is_ours(name) or type(file.size) is not int or not all(isinstance(one, str) for one in texts):
         raise ValueError(name)
     return file
+
+
+def is_ours(name: str) -> bool:
+    """Whether a path in the folder may be one of a file that is fetched; none leads out of it."""
+    return _NAME.fullmatch(name) is not None
 
 
 def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Lock:

@@ -1,5 +1,6 @@
 """Ids of MOC images; what an image needs, by paths in the archives' layout; where each file goes in a folder."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -97,6 +98,10 @@ FIXED = (
 and planets."""
 
 
+_TEXTS = ("image", "start", "stop", "pedr", "shots", "addendum")
+"""Of an image's entry in a lock."""
+
+
 class WantedFile(NamedTuple):
     """A file: where from, and where to in the folder."""
 
@@ -135,6 +140,9 @@ class ImageNeeds:
         values = dict(entry)
         values |= {key: tuple(map(str, values[key])) for key in ("kernels", "notes")}
         values["box"] = tuple(map(float, values.get("box", ())))
+        texts = all(isinstance(values.get(key, ""), str) for key in _TEXTS)
+        if not texts or not all(map(math.isfinite, values["box"])):
+            raise ValueError("an image's entry")
         return cls(**(values | {"product": read_product(str(values["product"]))}))
 
     def entry(self) -> dict[str, Any]:

@@ -1,16 +1,40 @@
-"""A file that has come in part: NAME.part, and beside it NAME.part.json with what the archive said of the whole."""
+"""A file that has come in part: NAME.part, and beside it NAME.part.json with what the archive said of the whole.
+
+Whatever lies at these names, no link is followed, and no file is taken up or written to that has another name, too.
+"""
 
 import errno
 import json
+import os
 import shutil
+import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mgsgraph.errors import InputError
+from mgsgraph.io.files import read_json
 
 _SPARE = 1 << 20
 """bytes that stay free on the disk."""
+_LONGEST = 1 << 16
+"""bytes of NAME.part.json."""
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file is there, no link to one, and under this name alone."""
+    try:
+        about = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISREG(about.st_mode) and about.st_nlink == 1
+
+
+def _write(path: Path, how: int, content: bytes) -> None:
+    """Write to a file that is new, or appended to, and not reached by a link."""
+    flags = os.O_WRONLY | how | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+    with open(os.open(path, flags, 0o666), "wb") as file:
+        file.write(content)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +48,12 @@ class RemoteSource:
     """Its ETag; empty where there is none."""
     modified: str
     """Its Last-Modified; empty where there is none."""
+
+    @property
+    def sound(self) -> bool:
+        """Whether its values are of the kinds that they should be: it may have been read from a file."""
+        texts = all(isinstance(one, str) for one in (self.url, self.etag, self.modified))
+        return texts and (self.total is None or (type(self.total) is int and self.total >= 0))
 
     @property
     def validator(self) -> str:
@@ -50,20 +80,19 @@ class PartialFile:
         self._take_up(url)
 
     def _take_up(self, url: str) -> None:
-        try:
-            source = RemoteSource(**json.loads(self._said.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError):  # no part, or one that says nothing
+        if not _is_own(self._said) or not _is_own(self.file):
             return
-        if source.url == url and self.size > 0:
+        try:
+            source = RemoteSource(**read_json(self._said, limit=_LONGEST))
+        except (InputError, TypeError):  # no part, or one that says nothing
+            return
+        if source.sound and source.url == url and self.size > 0:
             self.source = source
 
     @property
     def size(self) -> int:
         """Bytes that are there."""
-        try:
-            return self.file.stat().st_size
-        except OSError:
-            return 0
+        return self.file.lstat().st_size if _is_own(self.file) else 0
 
     @property
     def whole(self) -> bool:
@@ -86,8 +115,9 @@ class PartialFile:
                     str(self.path), f"{free / 1e6:.1f} MB free on the disk", f"{source.total / 1e6:.1f} MB for it",
                     "free some space, or choose another --out",
                 )
-            self.file.write_bytes(b"")
-            self._said.write_text(json.dumps(asdict(source)), encoding="utf-8")
+            for path, content in ((self.file, b""), (self._said, json.dumps(asdict(source)).encode())):
+                path.unlink(missing_ok=True)
+                _write(path, os.O_CREAT | os.O_EXCL, content)
         except OSError as error:
             raise self._refusal(error) from None
         self.source = source
@@ -95,8 +125,7 @@ class PartialFile:
     def add(self, more: bytes) -> None:
         """Bytes that follow on those that are there."""
         try:
-            with self.file.open("ab") as file:
-                file.write(more)
+            _write(self.file, os.O_APPEND, more)
         except OSError as error:
             raise self._refusal(error) from None
 

@@ -13,6 +13,7 @@ from mgsgraph.fetch.needs import ImageNeeds, Product, ProductId, WantedFile, ker
 from mgsgraph.fetch.profiles import find_profile, orbit_at
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.fetch.volumes import NAMES, IndexRow, find_image, read_index, volumes_listed
+from mgsgraph.io.files import read_text
 from mgsgraph.io.pvl import Block, flat_label
 
 _LABEL = 8192
@@ -92,4 +93,4 @@ class Search:
             path = self._store.get(WantedFile(self._archives.kernels + label, kernel_path(label)))
         except NotInArchive:
             return None
-        return Interval.said_by(flat_label(path.read_text(encoding="latin-1"), str(path)))
+        return Interval.said_by(flat_label(read_text(path, encoding="latin-1"), str(path)))

@@ -9,9 +9,9 @@ from pathlib import Path
 from mgsgraph.altimetry.pedr import FRAME
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.download import Remote
-from mgsgraph.fetch.lock import Lock, LockedFile
+from mgsgraph.fetch.lock import Lock, LockedFile, is_ours
 from mgsgraph.fetch.needs import WantedFile
-from mgsgraph.io.files import sha256_of
+from mgsgraph.io.files import head_of, read_bytes, sha256_of
 from mgsgraph.io.image_label import read_label
 
 Progress = Callable[[int, int], None]
@@ -50,6 +50,8 @@ class DownloadFolder:
             It can't be brought whole, or is not the one that was locked.
         """
         name, path = wanted.path, self.path(wanted.path)
+        if not is_ours(name):
+            raise InputError(wanted.url, f"to be called {name!r} here", "a plain name", "try another mirror")
         if name in self._asked:
             return path
         locked = self.lock.files.get(name)
@@ -93,7 +95,8 @@ class DownloadFolder:
 
         # another server's ETag and date say nothing of this one's file
         known = locked.source if locked is not None and whole and locked.url == wanted.url else None
-        came = self.remote.download(wanted.url, path, check, lambda *now: self._count(wanted.path, *now), known)
+        came = self.remote.download(wanted.url, path, check, limit_of(wanted.path),
+                                    lambda *now: self._count(wanted.path, *now), known)  # fmt: skip
         if came is None:  # the archive still has what is here
             return
         size, now = path.stat().st_size, datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -114,6 +117,19 @@ class DownloadFolder:
             self.notes.append(sentence)
 
 
+_MEGA = 1_000_000
+_LIMITS = {".lbl": 1, ".tm": 1, ".tab": 64, ".tls": 64, ".tsc": 64, ".ti": 64, ".tf": 64, ".tpc": 64, ".b": 256,
+           ".csv": 4_000}  # fmt: skip
+"""MB that a file may have, by its ending; ten times those of the archives, or more."""
+_LARGEST = 16_000
+"""MB of images, grids and binary kernels."""
+
+
+def limit_of(name: str) -> int:
+    """Bytes that a file may have: nothing longer is brought, whether or not the archive says how long it is."""
+    return _MEGA * _LIMITS.get(Path(name).suffix.lower(), _LARGEST)
+
+
 _HEAD = 8192
 _RECORD = 1024
 """bytes of a record of SPICE's binary kernels."""
@@ -128,8 +144,7 @@ def require_content(path: Path, name: str) -> None:
     """Raise InputError unless the file at `path` is what one called `name` has to be: a kernel, an image, a PEDR, a
     label, a table or a grid.
     """
-    with path.open("rb") as file:
-        head = file.read(_HEAD)
+    head = head_of(path, _HEAD)
     size, suffix = path.stat().st_size, Path(name).suffix.lower()
     if head.lstrip()[:15].lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<head")):
         raise InputError(name, "a web page instead of the file", _expected(suffix))
@@ -139,7 +154,7 @@ def require_content(path: Path, name: str) -> None:
     if suffix in _BINARY:
         sound = head.startswith(_BINARY[suffix]) and size % _RECORD == 0
     elif suffix in _TEXT:
-        sound = b"\\begindata" in path.read_bytes()
+        sound = b"\\begindata" in read_bytes(path)
     elif suffix == ".b":
         sound = b"PDS_VERSION_ID" in head and size % FRAME.itemsize == 0
     elif suffix == ".lbl":

@@ -14,7 +14,7 @@ from mgsgraph.dem.checking import check_figures
 from mgsgraph.dem.model import Dem
 from mgsgraph.figures.sheet import AFTER, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.pictures import open_raster
+from mgsgraph.io.raster_file import open_raster, read_band
 from mgsgraph.units import KM
 from mgsgraph.wording import many, some
 
@@ -32,8 +32,7 @@ def read_ortho(path: Path) -> NDArray[np.uint8]:
     """An ortho image with no more rows and columns than are drawn."""
     with open_raster(path, "the ortho image") as file:
         step = max(1.0, max(file.shape) / _MOST_POSTS)
-        found: NDArray[np.uint8] = file.read(1, out_shape=tuple(max(1, round(size / step)) for size in file.shape))
-    return found
+        return read_band(file, path, out_shape=tuple(max(1, round(size / step)) for size in file.shape))
 
 
 @plain_style()

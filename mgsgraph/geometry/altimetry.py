@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import MOLA, Altimeter
+from mgsgraph.geometry.body import Ellipsoid, distances, nearness, require_near, surface_radii
 from mgsgraph.geometry.records import (
     Array,
     Index,
@@ -16,7 +17,7 @@ from mgsgraph.geometry.records import (
     frozen_index,
     frozen_mask,
     require_covariances,
-    require_unique,
+    require_names,
 )
 from mgsgraph.units import SPEED_OF_LIGHT
 
@@ -39,19 +40,27 @@ def require_lengths(found: Array, expected: Array, what: str, source: str, near:
     ratio = float(np.median(found / expected))
     if 1.0 / near < ratio < near:
         return
-    units = {1000.0: "metres stand where the format has kilometres", 0.001: "kilometres stand where it has metres"}
-    exchanged = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
-    remedy = f"{exchanged[0]}: mend the unit" if exchanged else "check file and images"
+    remedy = exchanged_units(ratio) or "check file and images"
     raise InputError(
         source, f"{what} of {np.median(found) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
         f"about {np.median(expected) / 1e3:,.6g} km", remedy,
     )  # fmt: skip
 
 
-def require_on_body(footprints: Array, radius: float, source: str) -> None:
-    """Raise InputError where footprints (n, 3) in m are not at the radius (m) of the images' body, to 10 per cent."""
-    radii = np.linalg.norm(footprints, axis=1)
-    require_lengths(radii, np.full(radii.size, radius), "radii", source, near=1.1)
+def exchanged_units(ratio: float) -> str:
+    """What to mend where a length is so many times what it should be; empty where no unit explains it."""
+    units = {1000.0: "metres stand where the format has kilometres", 0.001: "kilometres stand where it has metres"}
+    exchanged = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
+    return f"{exchanged[0]}: mend the unit" if exchanged else ""
+
+
+def require_on_body(footprints: Array, body: Ellipsoid, source: str, names: Sequence[str] = ()) -> None:
+    """Raise InputError where footprints (n, 3) in m are not near the ellipsoid of the images' body (`nearness`), by
+    their median or any of them, which are called so.
+    """
+    radii = distances(footprints)
+    require_lengths(radii, surface_radii(footprints, body), "radii", source, nearness(body))
+    require_near(radii, body, lambda k: f"{source}, {names[k] if names else f'point {k + 1}'}")
 
 
 def _minute(number: int) -> str:
@@ -95,7 +104,7 @@ class LaserProfile:
 
     def __post_init__(self) -> None:
         n, k = len(self.ids), len(self.measure_image)
-        require_unique(self.ids, self.source)
+        require_names(self.ids, self.source)
         ranges = frozen(self.ranges, f"{self.source}, ranges", (n,))
         sigmas = frozen(self.range_sigmas, f"{self.source}, range sigmas", (n,))
         for what, values in (("range", ranges), ("range sigma", sigmas)):
@@ -323,8 +332,8 @@ class AltimetryCloud:
 
     def __post_init__(self) -> None:
         n = len(self.ids)
-        require_unique(self.ids, self.source)
-        require_unique(self.profiles, f"{self.source}, profiles")
+        require_names(self.ids, self.source)
+        require_names(self.profiles, f"{self.source}, profiles")
         times = _with_gaps(self.times, f"{self.source}, times", (n,))
         profile = frozen_index(self.profile, f"{self.source}, profile", n, len(self.profiles))
         order = np.argsort(profile, kind="stable")

@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.units import KM
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,17 +30,29 @@ class Ellipsoid:
         return np.asarray(a * b / np.hypot(b * np.hypot(directions[:, 0], directions[:, 1]), a * directions[:, 2]))
 
 
-_RADII = {"MARS": 3396.19e3, "MOON": 1737.4e3, "MERCURY": 2440.53e3, "VENUS": 6051.8e3, "EARTH": 6378.14e3}
-"""m, equatorial (IAU 2015)."""
-
-
-_NEAR = 2.0
-"""How many times larger or smaller than a body's radii a place's may be."""
+_BODIES = {
+    "MERCURY": (199, 2440.53, 2438.26), "VENUS": (299, 6051.8, 6051.8), "EARTH": (399, 6378.1366, 6356.7519),
+    "MOON": (301, 1737.4, 1737.4), "MARS": (499, 3396.19, 3376.2), "JUPITER": (599, 71492.0, 66854.0),
+    "IO": (501, 1829.4, 1815.7), "EUROPA": (502, 1562.6, 1559.5), "GANYMEDE": (503, 2631.2, 2631.2),
+    "CALLISTO": (504, 2410.3, 2410.3), "SATURN": (699, 60268.0, 54364.0), "TITAN": (606, 2575.15, 2574.47),
+    "URANUS": (799, 25559.0, 24973.0), "NEPTUNE": (899, 24764.0, 24341.0), "TRITON": (801, 1352.6, 1352.6),
+    "PLUTO": (999, 1188.3, 1188.3),
+}  # fmt: skip
+"""NAIF id, equatorial and polar radius in km (IAU 2015, pck00011.tpc) of the bodies that are larger than `_LARGE`."""
+_RADII = {name: equatorial * KM for name, (_, equatorial, _) in _BODIES.items()}
+_LARGE = 1.0e6
+"""m: there are no larger bodies that anything orbits."""
+_OFF = 5e-3
+"""Share by which radii of a known body may be off: older ones are so by 2e-3, spheres by the flattening."""
+_NEAR, _NEAR_UNKNOWN = 1.1, 2.0
+"""How many times larger or smaller than a body's radii a place's may be; of a body that is none of these, which may be
+of any shape.
+"""
 
 
 def target_name(body: Ellipsoid) -> str:
     """What SPICE and ISIS call the body of this size, to half a per cent; UNKNOWN for others."""
-    near = [name for name, radius in _RADII.items() if abs(body.equatorial / radius - 1.0) < 5e-3]
+    near = [name for name, radius in _RADII.items() if abs(body.equatorial / radius - 1.0) < _OFF]
     return near[0] if near else "UNKNOWN"
 
 
@@ -49,18 +62,65 @@ def may_be(body: Ellipsoid, target: str) -> bool:
 
 
 def is_another(body: Ellipsoid, target: str) -> bool:
-    """Whether a name is not that of this body; False where there is none, or the body's own name isn't known."""
-    own = target_name(body)
-    return own != "UNKNOWN" and target.upper() not in ("", own)
+    """Whether a name is not that of this body; False where there is none, or where neither is of a known size."""
+    own, other = target_name(body), target.strip().upper()
+    return other in _RADII and other != own if own == "UNKNOWN" else other not in ("", own)
+
+
+def distances(points: Array) -> Array:
+    """M from the body's centre of points (n, 3); infinite for those whose squares are no numbers."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.linalg.norm(points, axis=1))
+
+
+def surface_radii(points: Array, body: Ellipsoid) -> Array:
+    """M from the body's centre to its ellipsoid (n,), towards points (n, 3); the equatorial radius towards those that
+    have no direction.
+    """
+    with np.errstate(invalid="ignore"):
+        radii = distances(points) / distances(points / np.array([body.equatorial, body.equatorial, body.polar]))
+    return np.where(np.isfinite(radii), radii, body.equatorial)
+
+
+def nearness(body: Ellipsoid) -> float:
+    """How many times larger or smaller than a body's radii those of places on it may be."""
+    return _NEAR_UNKNOWN if target_name(body) == "UNKNOWN" else _NEAR
+
+
+def body_name(code: int) -> str:
+    """What SPICE calls a body by its NAIF id; empty for one whose size isn't known here."""
+    return next((name for name, (known, _, _) in _BODIES.items() if known == code), "")
+
+
+def require_possible(body: Ellipsoid, target: str, where: str) -> None:
+    """Raise InputError, naming `where`, for radii that can't be those of the body that SPICE and ISIS call `target`;
+    where that is empty or not known here, for those that no body has.
+    """
+    size = f"radii of {body.equatorial / KM:.9g} km on the equator and {body.polar / KM:.9g} km at the pole"
+    unit = "check the order and the unit of the radii (km, or m where the file says so)"
+    if not 0.5 < body.polar / body.equatorial <= 1.0 + 1e-9:
+        raise InputError(where, size, "a body that is a little flattened, or not at all", unit)
+    name = target.upper() if target.upper() in _BODIES else target_name(body)
+    if name == "UNKNOWN":
+        if body.equatorial > _LARGE:
+            found = min(_BODIES, key=lambda one: abs(np.log(_RADII[one] / body.equatorial)))
+            expected = f"a body that there is (the one nearest in size is {found} of {_RADII[found] / KM:g} km)"
+            raise InputError(where, size, expected, unit)
+        return
+    equatorial, polar = (KM * radius for radius in _BODIES[name][1:])
+    possible = abs(body.equatorial / equatorial - 1.0) < _OFF and body.polar > (1.0 - _OFF) * polar
+    if not possible:
+        raise InputError(where, size, f"those of {name}: {equatorial / KM:g} and {polar / KM:g} km", unit)
 
 
 def require_near(radii: Array, body: Ellipsoid, where: Callable[[int], str]) -> None:
-    """Raise InputError for a distance (n,) in m from the body's centre that is less than half of its radii, or more
-    than twice: it must be in other units; `where` is the place of the k-th in messages.
+    """Raise InputError for a distance (n,) in m from the body's centre that is a tenth less than its radii, or more;
+    of a body of unknown name half, or twice as much. NaN passes. `where` is the place of the k-th in messages.
     """
-    for k in np.flatnonzero((radii < body.polar / _NEAR) | (radii > body.equatorial * _NEAR))[:1].tolist():
+    near = nearness(body)
+    for k in np.flatnonzero((radii < body.polar / near) | (radii > body.equatorial * near))[:1].tolist():
         found, expected = f"{radii[k]:.6g} m from the body's centre", f"about {body.equatorial:.6g} m"
-        raise InputError(where(k), found, expected, "lengths are in m, not in km")
+        raise InputError(where(k), found, expected, "lengths are in m, not in km, and on the images' body")
 
 
 def in_turn(angles: Array, middle: Array | float = 0.0) -> Array:

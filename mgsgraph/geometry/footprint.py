@@ -23,6 +23,8 @@ _ALONG, _ACROSS = 32, 8
 """Places on each edge along and across the lines: the edges are curved, since the line turns and the body is round."""
 _CHUNK = 4000
 """Pairs whose polygons are cut at a time."""
+_OBLONG = 10.0
+"""How many times as long as the other an axis of a body may be."""
 _SLACK = 1e-7
 """rad, by which bounding caps are widened against rounding."""
 
@@ -192,6 +194,9 @@ def _directions(footprints: Sequence[Footprint]) -> tuple[Array, float]:
     that sphere's radius in m.
     """
     body = footprints[0].body
+    if not 1.0 / _OBLONG < body.polar / body.equatorial < _OBLONG:  # the sphere of its area would have no digits left
+        found = f"an ellipsoid of {body.equatorial:g} x {body.polar:g} m"
+        raise InputError(f"footprint of {footprints[0].name}", found, "one that is a body's")
     for other in footprints:
         if other.body != body:
             raise InputError(f"footprint of {other.name}", "another body than the first one's", "one body")

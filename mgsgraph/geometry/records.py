@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mgsgraph.errors import InputError
 
+LONGEST_NAME = 500
+"""Characters of a name."""
 Array = NDArray[np.float64]
 """An array of float64."""
 Index = NDArray[np.int64]
@@ -77,8 +79,14 @@ def assign(record: Any, **fields: Any) -> None:
         object.__setattr__(record, name, value)
 
 
-def require_unique(ids: tuple[str, ...], source: str) -> None:
-    """Raise InputError when a name occurs twice."""
+def require_names(ids: tuple[str, ...], source: str) -> None:
+    """Raise InputError when a name occurs twice, is overlong, or holds control characters, which would reach a terminal
+    and tables.
+    """
+    if not "".join(ids).isprintable() or max(map(len, ids), default=0) > LONGEST_NAME:
+        found = next(name for name in ids if not name.isprintable() or len(name) > LONGEST_NAME)
+        expected = f"at most {LONGEST_NAME} characters that can be printed"
+        raise InputError(source, f"the name {found[:60]!r}", expected, "rename it")
     seen: set[str] = set()
     for name in ids:
         if name in seen:

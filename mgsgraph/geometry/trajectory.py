@@ -71,12 +71,14 @@ class AttitudeTable:
         times = frozen(self.times, "attitude table, times", (None,))
         _check_times(times, "attitude table")
         quaternions = frozen(self.quaternions, "attitude table, quaternions", (times.size, 4))
-        norm = np.linalg.norm(quaternions, axis=1)
+        with np.errstate(over="ignore"):
+            norm = np.linalg.norm(quaternions, axis=1)
         if np.any(np.abs(norm - 1.0) > 1e-6):
             k = int(np.argmax(np.abs(norm - 1.0)))
             raise InputError("attitude table, quaternions", f"norm {norm[k]:.9f} at [{k}]", "unit quaternions")
         constant = frozen(self.constant, "attitude table, constant rotation", (3, 3))
-        if np.abs(constant @ constant.T - np.eye(3)).max() > 1e-6 or np.linalg.det(constant) < 0.0:
+        large = np.abs(constant).max() > 1.0 + 1e-6
+        if large or np.abs(constant @ constant.T - np.eye(3)).max() > 1e-6 or np.linalg.det(constant) < 0.0:
             raise InputError("attitude table, constant rotation", "a matrix that is no rotation", "orthonormal rows")
         unit = quaternions / norm[:, None]
         unit.flags.writeable = False

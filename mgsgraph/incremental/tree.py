@@ -11,7 +11,8 @@ under priors of some hundred metres, though the priors themselves keep every dir
 It needs the rows: what GTSAM makes of quadratic factors itself is Cholesky's again.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 
 import gtsam
@@ -26,6 +27,17 @@ from mgsgraph.network.parts import Members, Unknown
 _WILDFIRE = 1e-7
 """A-priori sigmas: changes smaller than this are not handed on (a thousandth of what is promised where the posterior
 is a thousand times sharper than the prior)."""
+
+
+@contextmanager
+def _solvable(what: str) -> Iterator[None]:
+    """GTSAM's errors as SolverErrors that say what it can't do."""
+    try:
+        yield
+    except RuntimeError as error:
+        said = " ".join(str(error).split())[:100] or "not positive definite"
+        remedy = "look for sigmas that differ by many orders of magnitude, or adjust by batch"
+        raise SolverError(f"iSAM2 can't {what} ({said}); {remedy}") from error
 
 
 class Tree:
@@ -68,15 +80,11 @@ class Tree:
                 gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Unit.Create(sigmas.size))
             )
             of_slot.append(unknown)
-        try:
+        with _solvable("eliminate the change"):
             for members, system in systems.items():
                 factors.add(self._factor(system))
                 of_slot.append(members)
             result = self._isam.update(factors, values, removed)
-        except RuntimeError as error:
-            said = " ".join(str(error).split())[:100] or "not positive definite"
-            remedy = "look for sigmas that differ by many orders of magnitude, or adjust by batch"
-            raise SolverError(f"iSAM2 can't eliminate the change ({said}); {remedy}") from None
         for owner, slot in zip(of_slot, result.getNewFactorsIndices(), strict=True):
             if isinstance(owner, Unknown):
                 self._priors[owner] = int(slot)
@@ -104,7 +112,8 @@ class Tree:
 
     def moved(self) -> dict[Unknown, Array]:
         """Present values, m and rad, of the unknowns that have moved since the last call, and of new ones."""
-        estimate, found = self._isam.calculateEstimate(), dict[Unknown, Array]()
+        with _solvable("solve"):
+            estimate, found = self._isam.calculateEstimate(), dict[Unknown, Array]()
         for size, names in self._by_size().items():
             # many unknowns, of which few have moved: compared all at once
             now = np.array([estimate.atVector(self._keys[name]) for name in names]).reshape(len(names), size)

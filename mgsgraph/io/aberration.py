@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from mgsgraph.geometry.plausibility import require_slow
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import PositionTable
 from mgsgraph.units import SPEED_OF_LIGHT
@@ -21,6 +22,8 @@ _VELOCITY_STEP = 0.05
 """s, step of the central difference that gives the velocities of the geometric table."""
 _ITERATIONS = 5
 """Each leaves about v / c, 1e-4, of the error."""
+_FASTEST_BODY = 1e5
+"""m/s about the Sun; Mercury's perihelion has 5.9e4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,7 @@ def geometric(apparent: PositionTable, body_velocity: Array, stated: Aberration,
     """
     if stated.correction == "NONE":
         return apparent
+    require_slow(body_velocity, "velocity of the Sun", _FASTEST_BODY)
     undo = _seen_from_body if stated.observer == "body" else _seen_from_spacecraft
     saved = radius / SPEED_OF_LIGHT if stated.to_surface else None
 

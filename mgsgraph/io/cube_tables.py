@@ -5,6 +5,7 @@ SpiceRotation::LoadCache. A table of positions or attitudes is a cache of sample
 scaled time (jigsaw, CacheType = PolyFunction): of X, Y, Z in km, or of three angles about the axes 3, 1, 3.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable
+from mgsgraph.io.files import ANY_SIZE, opened
 from mgsgraph.io.pvl import Block
 from mgsgraph.units import KM
 
@@ -27,6 +29,8 @@ _QUATERNION, _ANGLES = ("J2000Q0", "J2000Q1", "J2000Q2", "J2000Q3"), ("J2000Ang1
 _POSITION, _VELOCITY = ("J2000X", "J2000Y", "J2000Z"), ("J2000XV", "J2000YV", "J2000ZV")
 _COEFFICIENTS = ("J2000SVX", "J2000SVY", "J2000SVZ")
 _REMEDY = "run spiceinit on the cube again, with its tables attached"
+_LARGEST = 1e100
+"""Larger numbers are ISIS's Null, or none at all."""
 _NODES = 2049
 """Samples that a polynomial of jigsaw is laid out at; between them cubic and great arc are far below a micropixel."""
 
@@ -119,9 +123,10 @@ def _laid_out(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, A
     polynomial = np.polynomial.Polynomial
     times = np.linspace(table.start, table.stop, _NODES)
     of_axes = [polynomial(axis) for axis in np.stack(coefficients, axis=1)]
-    scaled = (times - base) / scale
-    values = np.stack([axis(scaled) for axis in of_axes], axis=1)
-    return times, values, np.stack([axis.deriv()(scaled) / scale for axis in of_axes], axis=1)
+    with np.errstate(all="ignore"):  # the records that these are for take finite numbers only
+        scaled = (times - base) / scale
+        values = np.stack([axis(scaled) for axis in of_axes], axis=1)
+        return times, values, np.stack([axis.deriv()(scaled) / scale for axis in of_axes], axis=1)
 
 
 # --- as JSON
@@ -162,7 +167,7 @@ def _numbers(values: Any, shape: tuple[int | None, ...], where: str) -> Array:
     except (TypeError, ValueError):
         raise InputError(where, "what is not a table of numbers", "numbers") from None
     good = array.ndim == len(shape) and all(a in (None, b) for a, b in zip(shape, array.shape, strict=True))
-    if not good or not np.isfinite(array).all():
+    if not good or not (np.abs(array) < _LARGEST).all():
         wanted = " x ".join("n" if n is None else str(n) for n in shape)
         raise InputError(where, f"numbers of shape {array.shape}", f"{wanted} finite numbers")
     return array
@@ -187,14 +192,15 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
     if size != records * len(fields) * 8:
         raise InputError(where, f"{size} bytes", f"{records} records of {len(fields)} doubles")
     order = ">" if label.text("ByteOrder").lower() == "msb" else "<"
-    with path.open("rb") as file:
+    with opened(path, ANY_SIZE) as file:
+        there = max(os.fstat(file.fileno()).st_size - start, 0)
+        if there < size:
+            remedy = "the cube is cut short, or a label alone: name the cube, or put its tables beside it (.isd)"
+            raise InputError(where, f"{there} bytes from byte {start + 1} on", f"{size}", remedy)
         file.seek(start)
         raw = file.read(size)
-    if len(raw) < size:
-        remedy = "the cube is cut short, or this is a label alone: name the cube, or put its tables beside it (.isd)"
-        raise InputError(where, f"{len(raw)} bytes from byte {start + 1} on", f"{size}", remedy)
     numbers = np.frombuffer(raw, f"{order}f8").astype(np.float64).reshape(records, len(fields))
-    if not np.isfinite(numbers).all():
+    if not (np.abs(numbers) < _LARGEST).all():
         raise InputError(where, "values that are no numbers", "finite ones")
     kind = "Ck" if "Rotation" in name or "Pointing" in name else "Spk"
     ends = (f"{kind}Table{end}Time" for end in ("Start", "End"))

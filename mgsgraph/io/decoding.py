@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 import msgspec
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import read_text
+from mgsgraph.io.files import read_text, require_bearable
 from mgsgraph.io.toml_lines import line_of
 
 FORMAT = 1
@@ -26,6 +26,12 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 Name = Annotated[str, msgspec.Meta(min_length=1)]
 
 _Record = TypeVar("_Record", bound=msgspec.Struct)
+LARGEST_TOML = 1 << 24
+"""bytes: a hundred thousand tables."""
+_DEEP = re.compile(
+    r"(?:(?:(?<![\w-])[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){20}|(?:[\[{][\s,]*+){100}"
+)
+"""Dotted keys of which tomllib makes tables by the square of their number, and brackets on which it breaks down."""
 _STEP = re.compile(r"\.?(\w+)|\[(\d+|\.\.\.)\]")
 _KEY = re.compile(r"Object (missing required|contains unknown) field `(.*)`")
 _WORDS = {
@@ -52,11 +58,8 @@ class Toml(NamedTuple):
 
 def read_toml(path: Path, what: str) -> Toml:
     """A TOML file that begins with `format`; `what` it is, in words of errors."""
-    try:
-        text = read_text(path)
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
+    text = read_text(path, limit=LARGEST_TOML)
+    table = toml_table(text, str(path))
     version = table.get("format")
     if version != FORMAT:
         found = "no key 'format'" if version is None else f"format {version!r}"
@@ -64,19 +67,38 @@ def read_toml(path: Path, what: str) -> Toml:
     return Toml(path, text, table)
 
 
+def toml_table(text: str, where: str) -> dict[str, Any]:
+    """What a TOML text says; InputError, with the line, when it is malformed, nested too deeply, or holds a
+    whole number that can't be any.
+    """
+    if found := _DEEP.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise InputError(f"{where}, line {line}", "keys or brackets nested too deeply", "TOML that a person can read")
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, f"malformed TOML ({error})", remedy="mend that line") from None
+    except RecursionError:
+        raise InputError(where, "brackets nested too deeply", "TOML that a person can read") from None
+    except ValueError as error:  # Python's limit of digits, which tomllib lets through
+        raise InputError(where, f"malformed TOML ({str(error).split(';')[0]})", remedy="mend that number") from None
+    require_bearable(table, where, infinite=True)
+    return table
+
+
 def validated(
-    given: Toml | dict[str, Any], kind: type[_Record], source: Path | str, remedy: str = "", strict: bool = False
+    given: Toml | dict[str, Any], kind: type[_Record], source: Path | str, remedy: str = ""
 ) -> _Record:
     """Tables as a record of a kind; InputError with the place (of TOML with its line) of what is wrong, what was found
     and expected there.
-
-    Unless `strict`, numbers may be in quotation marks.
     """
     table, text = (given.tables, given.text) if isinstance(given, Toml) else (given, "")
     try:
-        found = msgspec.convert(table, kind, strict=strict)
+        found = msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
         raise _refusal(str(error), table, kind, str(source), remedy, text) from None
+    except UnicodeEncodeError:  # JSON may escape one
+        raise InputError(str(source), "half a character", "text") from None
     _refuse_nan(table, str(source))
     return found
 

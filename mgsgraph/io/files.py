@@ -1,80 +1,256 @@
-"""Files: read with errors that name them, written whole or not at all, locked against a second process."""
+"""The door by which every file from outside comes in: a regular file, of a bearable size, in errors that name it.
 
-import hashlib
+What a damaged file makes its parser raise becomes an InputError in one place, `understood`.
+"""
+
+import csv
 import json
 import math
 import os
 import re
-import secrets
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+import stat
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from hashlib import file_digest
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import LONGEST_NAME
 
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+LARGEST = 1 << 32
+"""bytes of a file that is read whole."""
+ANY_SIZE = 1 << 63
+"""The same of one of which a part is read: no limit."""
+LARGEST_TEXT = 1 << 30
+"""bytes of one that is read as text, which takes several times as much memory."""
+DEEPEST = 100
+"""Levels of brackets in JSON and TOML; support data has four."""
+_NUMBER = re.compile(r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?", re.ASCII)
 _NULL = 1e300
 """ISIS writes its Null as -1.797e308 where a number was never set: larger ones are no numbers."""
+_LARGEST_COUNT = 1 << 63
+"""Whole numbers beyond are no counts, ticks or ids."""
+_NO_FILES = (
+    (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)  # fmt: skip
+_MOST_PACKED, _LEAST_LIMIT = 100, 1 << 25
+"""By how much a table may be packed (those of the archives are to a fourth), and bytes that it may always have."""
+_PIECE = 1 << 16
+"""bytes read at a time."""
+_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+"""Not to wait for whoever writes into a pipe."""
+_DAMAGE = (
+    ValueError, LookupError, TypeError, ArithmeticError, AttributeError, EOFError, RuntimeError, struct.error,
+    zlib.error, zipfile.BadZipFile, tokenize.TokenError, csv.Error,
+)  # fmt: skip
+"""What parsers raise on content that isn't theirs: UnicodeError and RecursionError are among them; NumPy's, on the head
+of an array, those of Python's own source. MemoryError is none of them: sizes are looked at before."""
 
-# --- reading
+# --- opening and reading
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def _system_errors(path: Path) -> Iterator[None]:
     """Errors of the operating system as InputErrors that name the file."""
     try:
         yield
     except FileNotFoundError:
         raise InputError(str(path), "no such file", remedy="check the path; a case file's are relative to it") from None
-    except IsADirectoryError:
-        raise InputError(str(path), "a folder", "a file") from None
     except OSError as error:
-        raise InputError(str(path), f"can't be read ({error.strerror})") from None
+        raise InputError(str(path), f"can't be read ({error.strerror or error})") from None
 
 
-def read_bytes(path: Path) -> bytes:
-    """The whole of a file; InputError when it is missing or can't be read."""
-    with _reading(path):
-        return path.read_bytes()
+@contextmanager
+def opened(path: Path, limit: int = LARGEST) -> Iterator[BufferedReader]:
+    """A file from outside, opened to read its bytes: the only way in which one is.
+
+    Parameters
+    ----------
+    path : Path
+    limit : int
+        bytes that it may have.
+
+    Raises
+    ------
+    InputError
+        No such file, a folder, a pipe, a device or a socket, one that can't be read, or one longer than `limit`: all
+        before anything is read; also what the operating system says inside the block.
+    """
+    with _system_errors(path), os.fdopen(_regular(path, limit), "rb") as file:
+        yield file
 
 
-def read_text(path: Path, expected: str = "a text file") -> str:
-    """The whole of a UTF-8 text file; InputError when it is missing, unreadable or not text."""
+def _regular(path: Path, limit: int) -> int:
+    """Descriptor of a file that may be read."""
     try:
-        return read_bytes(path).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        descriptor = os.open(path, _FLAGS)
+    except ValueError:  # a zero or a lone surrogate, out of JSON
+        raise InputError(str(path), "no name of a file", "a path") from None
+    found = os.fstat(descriptor)
+    kind = next((word for is_kind, word in _NO_FILES if is_kind(found.st_mode)), "")
+    if not kind and found.st_size <= limit:
+        return descriptor
+    os.close(descriptor)
+    if kind:
+        raise InputError(str(path), kind, "a file")
+    raise InputError(str(path), f"{found.st_size / 1e6:.0f} MB", f"at most {limit / 1e6:.0f} MB of such a file")
+
+
+def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
+    """The whole of a file; InputError as `opened` has them."""
+    with opened(path, limit) as file:
+        content = file.read(os.fstat(file.fileno()).st_size + 1)
+        while len(content) <= limit and (more := file.read(_PIECE)):  # those of /proc don't say how long they are
+            content += more
+    if len(content) > limit:
+        raise InputError(str(path), "a file without an end", f"at most {limit / 1e6:.0f} MB")
+    return content
+
+
+def head_of(path: Path, count: int) -> bytes:
+    """The first bytes of a file of any size, as many as there are up to `count`; InputError as `opened` has them."""
+    with opened(path, ANY_SIZE) as file:
+        return file.read(count)
+
+
+def read_text(
+    path: Path, expected: str = "a text file", limit: int = LARGEST_TEXT, encoding: str = "utf-8-sig"
+) -> str:
+    """The whole of a text file, lines ended by line feeds; InputError as `opened` has them, or where it is not text."""
+    try:
+        return read_bytes(path, limit).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
 
 
-def read_json(path: Path, heading: str = "") -> dict[str, Any]:
-    """A JSON object; InputError with line and column when it is malformed, truncated, or holds NaN. A heading may stand
-    before it.
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file's content, as hexadecimal digits; InputError where it can't be read."""
+    with opened(path, ANY_SIZE) as file:
+        return file_digest(file, "sha256").hexdigest()
+
+
+# --- understanding
+
+
+@contextmanager
+def understood(where: str, what: str, remedy: str = "") -> Iterator[None]:
+    """Around a parser or decoder: what damaged content makes it raise becomes an InputError; InputErrors pass.
+
+    What was raised is its cause, for whoever looks for a fault of ours.
+
+    Parameters
+    ----------
+    where : str
+        File, and place in it.
+    what : str
+        What should be there: "a NumPy archive".
+    remedy : str
+        What the user can do.
     """
+    try:
+        yield
+    except InputError:
+        raise
+    except _DAMAGE as error:
+        reason = " ".join(str(error).split())[:100]
+        found = f"is not {what}, or a damaged one ({reason or type(error).__name__})"
+        raise InputError(where, found, remedy=remedy) from error
+
+
+def unpacked_gzip(content: bytes, where: str, limit: int = LARGEST_TEXT) -> bytes:
+    """What gzip has packed, of all members one after the other; InputError where it is damaged, cut short, or longer
+    than `limit` bytes or than any table is that packs into so few.
+    """
+    pieces, size = list[bytes](), 0
+    limit = min(limit, max(_LEAST_LIMIT, _MOST_PACKED * len(content)))
+    with understood(where, "a gzip file", "fetch it anew"):
+        while content:
+            member = zlib.decompressobj(wbits=31)
+            pieces.append(member.decompress(content, limit + 1 - size))
+            size += len(pieces[-1])
+            if size > limit:
+                raise InputError(where, "unpacks without an end", f"at most {limit / 1e6:.0f} MB", "unpack it yourself")
+            if not member.eof:
+                raise EOFError("it is cut short")
+            content = member.unused_data.lstrip(b"\0")  # what tapes and disks pad with
+    return b"".join(pieces)
+
+
+def read_json(path: Path, heading: str = "", limit: int = LARGEST_TEXT) -> dict[str, Any]:
+    """A JSON object in a file, before which a heading may stand; InputError as `opened` and `json_object` have them."""
+    return json_object(read_text(path, limit=limit).removeprefix(heading), str(path))
+
+
+def json_object(text: str | bytes, where: str) -> dict[str, Any]:
+    """A JSON object; InputError, with line and column, when it is malformed, truncated, nested too deeply, or holds a
+    key twice or a number that is not finite or too large.
+    """
+    if isinstance(text, bytes):
+        with understood(where, "UTF-8 text"):
+            text = text.decode()
 
     def refuse(constant: str) -> float:
-        raise InputError(str(path), f"the value {constant}", "finite numbers")
+        raise InputError(where, f"the value {constant}", "finite numbers")
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        table = dict(pairs)
+        if len(table) < len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise InputError(where, f"the key {twice!r} twice", "each key once")
+        return table
 
     try:
-        value = json.loads(read_text(path).removeprefix(heading), parse_constant=refuse)
+        value = json.loads(text, parse_constant=refuse, object_pairs_hook=unique)
     except json.JSONDecodeError as error:
-        where = f"{path}, line {error.lineno}, column {error.colno}"
-        raise InputError(where, f"malformed or truncated JSON ({error.msg})", remedy="write the file anew") from None
+        place = f"{where}, line {error.lineno}, column {error.colno}"
+        raise InputError(place, f"malformed or truncated JSON ({error.msg})", remedy="write the file anew") from None
     except RecursionError:
-        raise InputError(str(path), "JSON nested too deeply", "image support data") from None
+        raise _too_deep(where) from None
+    except InputError:
+        raise
+    except ValueError:  # Python's limit of digits
+        raise InputError(where, "a whole number of thousands of digits", "numbers") from None
     if not isinstance(value, dict):
-        raise InputError(str(path), f"a JSON {type(value).__name__}", "a JSON object")
+        raise InputError(where, f"a JSON {type(value).__name__}", "a JSON object")
+    require_bearable(value, where)
     return value
 
 
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's content, as hexadecimal digits; OSError where it can't be read."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def require_bearable(value: object, where: str, infinite: bool = False) -> None:
+    """Raise InputError where tables and lists are nested too deeply, or hold numbers that can't be any; whether
+    `infinite` ones may be there.
+    """
+    level = [value]
+    for _ in range(DEEPEST):
+        inner = list[object]()
+        for one in level:
+            for item in one.values() if isinstance(one, dict) else one if isinstance(one, list) else ():
+                kind = type(item)
+                if kind is dict or kind is list:
+                    inner.append(item)
+                elif kind is float and not infinite and not math.isfinite(item):  # 1e999 is infinite to JSON
+                    raise InputError(where, f"the number {item}", "finite numbers")
+                elif kind is int and not -_LARGEST_COUNT <= item < _LARGEST_COUNT:
+                    raise InputError(where, f"a whole number of {item.bit_length()} bits", "64 bits at most")
+        if not inner:
+            return
+        level = inner
+    raise _too_deep(where)
 
 
-# --- numbers in text
+def _too_deep(where: str) -> InputError:
+    return InputError(where, f"brackets nested more than {DEEPEST} deep", "a file of this kind")
+
+
+# --- numbers and names in text
 
 
 def finite_number(text: str) -> float:
@@ -93,93 +269,12 @@ def number_of(text: str, where: str) -> float:
         raise InputError(where, f"{text[:60]!r}", "a finite number") from None
 
 
-# --- writing
-
-
-def file_stem(name: str) -> str:
-    """An image's name (or any other) as part of a file's: all but letters, digits, dots and hyphens are underscores."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", name)
-
-
-def beside(path: Path) -> Path:
-    """A name in the same folder under which something is made before it takes its place."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
-
-
-def is_aside(name: str) -> bool:
-    """Whether a name is one of `beside`."""
-    return name.startswith(".") and name.endswith(".unfinished")
-
-
-def require_folder_above(path: Path, shown: str, remedy: str = "") -> None:
-    """Raise InputError where a file stands in the place of a folder that `path` would be in; OSError where it can't be
-    seen.
+def name_of(text: str, where: str, what: str = "a name") -> str:
+    """The text as a name of an image, a point or a profile; InputError with `where` when it is empty, overlong, or
+    holds control characters, which no terminal and no table should be given.
     """
-    first = next(parent for parent in path.parents if parent.exists())
-    if not first.is_dir():
-        raise InputError(shown, f"can't be written ({first} is a file)", "a folder to make it in", remedy)
-
-
-@contextmanager
-def fresh_file(path: Path, expected: str = "", remedy: str = "") -> Iterator[Path]:
-    """A path to write a file to; what is there takes its place at `path` when all went well.
-
-    `expected` and `remedy` are words of the InputError that is raised where it can't be written: also where something
-    else than a file is there, a folder, a pipe, or /dev/stdout, whose place no file should take.
-    """
-    if os.path.exists(path) and (not os.path.isfile(path) or path.parent == Path("/dev")):
-        raise InputError(str(path), "can't be written (what is there is no file)", expected, remedy)
-    aside = beside(path)
-    try:
-        require_folder_above(path, str(path), remedy)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield aside
-        aside.replace(path)
-    except OSError as error:
-        found = f"can't be written ({error.strerror or error})"
-        raise InputError(str(path), found, expected, remedy) from None
-    finally:
-        with suppress(OSError):  # gone, or never made
-            aside.unlink()
-
-
-def write_file(path: Path, content: str | bytes, expected: str = "", remedy: str = "") -> None:
-    """Write a file that is there whole or not at all: bytes, or text as UTF-8; see `fresh_file`."""
-    with fresh_file(path, expected, remedy) as aside:
-        aside.write_bytes(content.encode() if isinstance(content, str) else content)
-
-
-def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files by their names in a folder; their paths."""
-    for name, content in contents.items():
-        write_file(folder / name, content)
-    return [folder / name for name in contents]
-
-
-# --- one process at a time
-
-
-def claim(descriptor: int, path: Path, found: str) -> None:
-    """Lock what is open, as long as it is; InputError with `found` where another process has."""
-    if sys.platform == "win32":
-        return
-    import fcntl
-
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise InputError(str(path), found, remedy="wait for it, or choose another --out") from None
-
-
-@contextmanager
-def claimed(folder: Path, found: str) -> Iterator[None]:
-    """Hold a folder that is there; InputError with `found` where another process does."""
-    if sys.platform == "win32":  # opens no folders
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        claim(descriptor, folder, found)
-        yield
-    finally:
-        os.close(descriptor)
+    if not 0 < len(text) <= LONGEST_NAME:
+        raise InputError(where, f"{what} of {len(text)} characters", f"1 to {LONGEST_NAME} characters")
+    if not text.isprintable():
+        raise InputError(where, f"{what} with control characters ({text[:60]!r})", "characters that can be printed")
+    return text

@@ -5,6 +5,7 @@ from typing import Literal
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.cameras.label import label_of
+from mgsgraph.io.files import head_of
 from mgsgraph.io.image_label import read_label
 from mgsgraph.io.isis_cube import has_tables, serial_number
 from mgsgraph.io.kinds import Kind, kind_of
@@ -40,7 +41,7 @@ def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = Fal
     kind = kind_of(path)
     if kind in _KEYS:
         return _KEYS[kind]
-    if kind is None and _head(path).startswith(b"{"):  # what is missing or wrong in it, its reader says
+    if kind is None and head_of(path, _HEAD).lstrip().startswith(b"{"):  # what is wrong in it, its reader says
         return "isd"
     if kind not in _OF_LABELS:
         raise InputError(
@@ -62,13 +63,3 @@ def image_name(path: Path, kind: ImageKind) -> str:
         return label_of(path, read_label(path)).serial
     stated = read_state_json(path).get("m_imageIdentifier" if kind == "state" else "image_identifier")
     return stated if isinstance(stated, str) and stated else path.stem
-
-
-def _head(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(_HEAD).lstrip()
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "an image: ISIS cube, label, or support data") from None
-    except OSError as error:
-        raise InputError(str(path), f"can't be read ({error.strerror})", "a file") from None

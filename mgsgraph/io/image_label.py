@@ -4,10 +4,13 @@ import re
 from pathlib import Path
 
 from mgsgraph.errors import InputError
+from mgsgraph.io.files import head_of
 from mgsgraph.io.pvl import Block, Document, whole_label
 
 _HEAD = 1 << 20
 """bytes; no label of a planetary image comes near."""
+_DIGITS = 15
+"""Of the longest place in a file."""
 _BEGIN = re.compile(rb"(?:\s*(?:CCSD|#)[^\r\n]*[\r\n])*\s*(PDS_VERSION_ID|Object\s*=\s*IsisCube\b)", re.IGNORECASE)
 """Behind the label of a standard formatted data unit (CCSD...) and comments."""
 
@@ -34,14 +37,7 @@ def read_label(path: Path) -> Block:
 
 def _head(path: Path) -> str | None:
     """The text at the head of a file; None where there is none."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "an image or its label") from None
-    except OSError as error:
-        raise InputError(str(path), f"can't be read ({error.strerror})", "a file") from None
-    return label_text(head)
+    return label_text(head_of(path, _HEAD))
 
 
 def label_text(head: bytes) -> str | None:
@@ -89,7 +85,7 @@ def data_location(path: Path, root: Block) -> tuple[Path, int]:
     entry = root.entries["^image"]
     items = [entry.value] if isinstance(entry.value, str) else list(entry.value)
     place = items.pop() if items and items[-1].isdecimal() else "1"
-    if len(items) > 1 or int(place) < 1:
+    if len(items) > 1 or len(place) > _DIGITS or int(place) < 1:
         raise InputError(root.where("^IMAGE"), f"{entry.value}", "a record, a file, or (file, record)")
     offset = int(place) - 1 if entry.unit == "bytes" else (int(place) - 1) * record
     return (_beside(path, items[0], root) if items else path), offset
@@ -97,10 +93,15 @@ def data_location(path: Path, root: Block) -> tuple[Path, int]:
 
 def _beside(path: Path, name: str, root: Block) -> Path:
     """The file of this name, in any case, in the label's folder."""
-    for file in path.parent.iterdir():
-        if file.name.lower() == name.lower():
-            return file
+    if found := files_called(path, name):
+        return found[0]
     raise InputError(root.where("^IMAGE"), f"the file {name}, which is not there", "it in the label's folder")
+
+
+def files_called(path: Path, name: str) -> list[Path]:
+    """Those of this name, in any case, in a file's folder; the one in just this case is the first."""
+    found = [file for file in path.parent.iterdir() if file.name.lower() == name.lower()]
+    return sorted(found, key=lambda file: file.name != name)
 
 
 def bytes_around(image: Block) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.decoding import validated
 from mgsgraph.io.files import read_json
+from mgsgraph.io.isd_keywords import require_own_constants, unread_keys
 from mgsgraph.io.isd_layout import MODEL, UNITS, RotationTable, SupportData
 from mgsgraph.io.isd_positions import positions, require_j2000
 from mgsgraph.io.isd_repairs import repaired
@@ -57,9 +58,11 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         )  # fmt: skip
     if (model := content.get("name_model", MODEL)) != MODEL:
         raise InputError(f"{source}, name_model", repr(model)[:60], f"{MODEL} (a line scanner)")
-    isd, remarks = repaired(validated(content, SupportData, source, strict=True), source)
+    isd, remarks = repaired(validated(content, SupportData, source), source)
     unit = UNITS[isd.radii.unit]
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
+    require_own_constants(isd, body, source)
+    remarks += unread_keys(content, source)
     with errors_from(source):
         trajectory, words = _trajectory(isd, body, aberration, source)
         return PushbroomImage(

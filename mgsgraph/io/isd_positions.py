@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.plausibility import require_flight
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import PositionTable
 from mgsgraph.io.aberration import Aberration, geometric
@@ -41,6 +42,7 @@ def positions(
     stated, why = (given, "as the case says") if given else _stated(isd, source)
     if stated.correction == "NONE":
         return apparent, list(remarks_on(stated, why))
+    require_flight(apparent, where)
     radius = 0.5 * (body.equatorial + body.polar)
     found = geometric(apparent, _body_velocity(isd, f"{source}, sun_position"), stated, radius)
     return found, list(remarks_on(stated, why))

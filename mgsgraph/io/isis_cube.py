@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.body import Ellipsoid, may_be
+from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import require_flight
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.aberration import Aberration, geometric
 from mgsgraph.io.cameras.camera import LineScanLabel
@@ -173,6 +174,8 @@ def _line_times(label: LineScanLabel, keywords: NaifKeywords, position: CubeTabl
     """
     camera, key = label.camera, f"CLOCK_ET_{label.camera.clock or label.camera.spacecraft}_{label.start}_COMPUTED"
     known = not camera.start_is_utc and key in keywords
+    if not known and not camera.start_is_utc:
+        _require_no_other_start(keywords, key)
     first, last = position.start + label.padding[0], position.stop - label.padding[1]
     start = keywords.time(key) if known else first
     times = camera.line_times(keywords, label, start, last)
@@ -188,6 +191,15 @@ def _line_times(label: LineScanLabel, keywords: NaifKeywords, position: CubeTabl
     return times
 
 
+def _require_no_other_start(keywords: NaifKeywords, key: str) -> None:
+    """Raise InputError where keywords hold times of clock counts, but not of the label's: they are another image's."""
+    clock = key[: key.index("_", len("CLOCK_ET_")) + 1]
+    others = [name for name in keywords.values if name.upper().startswith(clock) and name.upper().endswith("_COMPUTED")]
+    if others:
+        found, remedy = f"{others[0].upper()}", "the tables are another image's: run spiceinit again"
+        raise InputError(f"{keywords.source}, NaifKeywords", found, f"{key}, the label's start", remedy)
+
+
 def _require_coverage(where: str, covered: tuple[float, float], image: LineTimes, longer: bool) -> None:
     """Raise InputError unless a table is of the image's own times (s TDB past J2000), or of longer where it may be."""
     slack = max(_LINE_SLACK * float(image.periods.min()), _ROUNDING)
@@ -200,6 +212,7 @@ def _require_coverage(where: str, covered: tuple[float, float], image: LineTimes
 
 def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration, body: Ellipsoid) -> Trajectory:
     position = position_table(tables["InstrumentPosition"], epoch)
+    require_flight(position, tables["InstrumentPosition"].where)
     if stated.correction == "LT+S":
         position = geometric(position, _body_velocity(tables), stated, 0.5 * (body.equatorial + body.polar))
     return Trajectory(
@@ -235,6 +248,5 @@ def _body(keywords: NaifKeywords, label: LineScanLabel) -> Ellipsoid:
     if abs(a - b) > 1e-9 * a:
         raise InputError(f"{keywords.source}, {key}", f"{a} and {b} m on the equator", "a body of revolution")
     body = Ellipsoid(float(a), float(c))
-    if not may_be(body, label.target):
-        raise InputError(f"{keywords.source}, {key}", f"{a / KM:g} km on the equator", f"the radii of {label.target}")
+    require_possible(body, label.target, f"{keywords.source}, {key}")
     return body

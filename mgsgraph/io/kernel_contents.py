@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import spiceypy
@@ -11,10 +11,9 @@ from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.daf import require_sound
+from mgsgraph.io.files import LARGEST_TEXT, read_bytes
 
-_BYTE_ORDERS: dict[bytes, Literal["little", "big"]] = {b"LTL-IEEE": "little", b"BIG-IEEE": "big"}
-_RECORD = 1024
-"""bytes of a record of SPICE's binary kernels."""
 _CK_CLASS, _DEEPEST = 3, 5
 """SPICE's class of frames that a CK orients, and how many of them one on another are followed."""
 _SHOWN = 4
@@ -35,11 +34,9 @@ def spice_words(where: str, remedy: str = "") -> Iterator[None]:
 # --- files
 
 
-def members(path: Path) -> list[Path]:
-    """The file itself, or the files that a meta-kernel names; all of them are there and are kernels."""
-    _require_kernel(path)
-    text = _is_text(path)
-    if not text or b"KERNELS_TO_LOAD" not in path.read_bytes():
+def members(path: Path, home: Path = Path()) -> list[Path]:
+    """The file itself, or the files that a meta-kernel names, from a folder or beside it; all are there and kernels."""
+    if b"KERNELS_TO_LOAD" not in _text_of(path):
         return [path]
     with spice_words(str(path)):
         spiceypy.ldpool(str(path))  # its variables only: SPICE itself would stop at the first file it doesn't find
@@ -52,14 +49,15 @@ def members(path: Path) -> list[Path]:
         full = name
         for symbol in sorted(symbols, key=len, reverse=True):
             full = full.replace(f"${symbol}", symbols[symbol])
-        found = [place for place in (Path(full), path.parent / full) if place.is_file()]
+        found = [place for place in (home / full, path.parent / full) if place.is_file()]
         if not found:
             raise InputError(
                 str(path), f"the kernel {name!r} that it names is not there",
-                f"it as {Path(full).absolute()} or beside the meta-kernel",
+                f"it as {(home / full).absolute()} or beside the meta-kernel",
                 "fetch it, or mend PATH_VALUES or KERNELS_TO_LOAD",
             )
-        _require_kernel(found[0])
+        if b"KERNELS_TO_LOAD" in _text_of(found[0]):
+            raise InputError(str(path), f"the meta-kernel {name!r} among its kernels", "no other meta-kernel in one")
         files.append(found[0])
     return files
 
@@ -74,38 +72,21 @@ def _strings(variable: str) -> list[str]:
             return texts
 
 
-def _is_text(path: Path) -> bool:
-    return bool(spiceypy.getfat(str(path))[0] in ("KPL", "?"))
-
-
-def _require_kernel(path: Path) -> None:
-    """Raise InputError unless the file is there and looks like a kernel: SPICE takes any file for a text kernel."""
-    if not path.is_file():
-        raise InputError(str(path), "a folder" if path.is_dir() else "no such file", "a SPICE kernel", "check the path")
-    _require_whole(path)
+def _text_of(path: Path) -> bytes:
+    """What a text kernel says; nothing of a binary one. InputError unless it is one of both: SPICE takes any file for a
+    text kernel.
+    """
+    require_sound(path)
     with spice_words(str(path)):
         kind, _ = spiceypy.getfat(str(path))
     if kind == "XFR":
         raise InputError(str(path), "a transfer file", "a binary kernel", "convert it with NAIF's tobin")
-    if kind not in ("DAF", "DAS") and b"\\begindata" not in path.read_bytes():
+    if kind in ("DAF", "DAS"):
+        return b""
+    text = read_bytes(path, LARGEST_TEXT)
+    if b"\\begindata" not in text:
         raise InputError(str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
-
-
-def _require_whole(path: Path) -> None:
-    """Raise InputError where a binary kernel ends before the first free double word of its file record (NAIF, DAF
-    required reading), behind which nothing is.
-    """
-    with path.open("rb") as file:
-        record = file.read(96)
-    order = _BYTE_ORDERS.get(record[88:96])
-    if not record.startswith((b"DAF/", b"NAIF/DAF")):
-        return
-    size, needed = path.stat().st_size, _RECORD
-    if order is not None:
-        needed = max(needed, 8 * (int.from_bytes(record[84:88], order) - 1))
-    if size < needed:
-        expected = f"{needed} at least by its own header"
-        raise InputError(str(path), f"{size} bytes", expected, "it is cut short: fetch it again")
+    return text
 
 
 # --- what kernels cover

@@ -15,7 +15,7 @@ from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.io.files import finite_number
@@ -37,6 +37,8 @@ _CK_TOLERANCE = 1e-4
 """ticks (0.4 microseconds of MGS): rounding of a time at the very end of a segment, no more."""
 _FIXED = 4
 """SPICE's class of frames that are fixed to another."""
+_LARGEST = 1e100
+"""Larger ones measure nothing."""
 _PAGE = 1000
 """Pool variables asked for at once."""
 _NEAR = 1e-4
@@ -55,14 +57,16 @@ class _Pool(NamedTuple):
 
 
 @contextmanager
-def loaded(kernels: Sequence[Path]) -> Iterator[None]:
+def loaded(kernels: Sequence[Path], home: Path = Path()) -> Iterator[None]:
     """A kernel pool that holds these kernels and no others, and afterwards again what it held before.
 
     Parameters
     ----------
     kernels : sequence of Path
-        In the order of loading: where two define the same, the later wins. Files that a meta-kernel names are looked
-        for as SPICE does, from the working directory, and then beside the meta-kernel.
+        In the order of loading: where two define the same, the later wins.
+    home : Path
+        From which files that a meta-kernel names are looked for, and then beside the meta-kernel; as SPICE does, the
+        working directory.
 
     Raises
     ------
@@ -79,11 +83,12 @@ def loaded(kernels: Sequence[Path]) -> Iterator[None]:
             )
     try:
         spiceypy.kclear()
-        for path in kernels:
-            for file in members(Path(path)):
-                with spice_words(str(file)):
-                    spiceypy.furnsh(str(file))
-        yield
+        with spice_words(", ".join(map(str, kernels)), "one of these kernels contradicts the others, or itself"):
+            for path in kernels:
+                for file in members(Path(path), home):
+                    with spice_words(str(file)):
+                        spiceypy.furnsh(str(file))
+            yield
     finally:
         _restore(before)
 
@@ -144,7 +149,10 @@ def pool_numbers(
         raise InputError("kernels", f"no {name}", f"{name} = {count} number(s)", remedy) from None
     if kind != "N" or size < count or (size > count and not more):
         raise InputError(f"kernels, {name}", f"{size} {'texts' if kind == 'C' else 'numbers'}", f"{count} number(s)")
-    return np.asarray(spiceypy.gdpool(name, 0, count), dtype=np.float64)
+    values = np.asarray(spiceypy.gdpool(name, 0, count), dtype=np.float64)
+    if not (np.abs(values) < _LARGEST).all():
+        raise InputError(f"kernels, {name}", f"the numbers {values.tolist()}", f"{count} finite number(s)", remedy)
+    return values
 
 
 def clock_time(spacecraft: int, count: str) -> float:
@@ -194,7 +202,9 @@ def ellipsoid(body: str | int) -> Ellipsoid:
     a, b, c = pool_numbers(f"BODY{body_code(body)}_RADII", 3) * KM
     if abs(a - b) > 1e-9 * a:
         raise InputError(f"kernels, radii of {body}", f"{a} and {b} m on the equator", "a body of revolution")
-    return Ellipsoid(float(a), float(c))
+    found = Ellipsoid(float(a), float(c))
+    require_possible(found, str(body), f"kernels, radii of {body}")
+    return found
 
 
 def body_code(body: str | int) -> int:

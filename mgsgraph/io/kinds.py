@@ -4,8 +4,6 @@ A name is looked at only where the content can't tell: MEGDR's grids have no hea
 """
 
 import csv
-import gzip
-import json
 import re
 import zlib
 from collections.abc import Iterator
@@ -16,7 +14,9 @@ from mgsgraph.altimetry.lola import RECORD, is_lola_rdr
 from mgsgraph.altimetry.pedr import FRAME
 from mgsgraph.altimetry.shots import is_archive_table
 from mgsgraph.altimetry.tables import table_of
-from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
+from mgsgraph.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
+from mgsgraph.errors import InputError
+from mgsgraph.io.files import head_of, json_object, read_bytes, read_text
 from mgsgraph.io.image_label import label_text
 from mgsgraph.io.isd_layout import MODEL
 from mgsgraph.io.isis_cube import is_cube_json
@@ -24,6 +24,10 @@ from mgsgraph.io.model_state import is_model_state
 
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
+_LARGEST_JSON, _LARGEST_LIST = 1 << 28, 1 << 24
+"""bytes of JSON and of a list of files, which are read whole."""
+_PROGRAM = "mgsgraph"
+"""How `program` begins in records of results."""
 _MEGDR = re.compile(r"meg([acrt])\d\d[ns]\d{3}[c-h]\w\.img", re.IGNORECASE)
 _MEG = re.compile(r"meg([acrt])", re.IGNORECASE)
 _GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+(\s+[-+.\deE]+){4})+\s*")
@@ -58,6 +62,7 @@ class Kind(StrEnum):
     TRANSFER = "a SPICE kernel in transfer format"
     LIST = "an ISIS list of files"
     CASE = "a TOML file with a format"
+    OWN_RECORD = "a record of mgsgraph itself"
 
 
 _MEGDR_KINDS = {"r": Kind.RADII, "t": Kind.TOPOGRAPHY, "a": Kind.AREOID, "c": Kind.COUNTS}
@@ -67,15 +72,13 @@ IMAGES = (Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL, Kind.CUBE_TABLES, Kind.P
 
 
 def kind_of(path: Path) -> Kind | None:
-    """What a file is; None for what is not known here, and for what can't be read."""
+    """What a file is; None for what is not known here, for what can't be read, and for what is no file."""
     try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
+        head = head_of(path, _HEAD)
         if head.startswith(b"\x1f\x8b"):
-            with gzip.open(path) as unpacked:
-                head = unpacked.read(_HEAD)
+            head = zlib.decompressobj(wbits=31).decompress(head, _HEAD)
         return next((kind for kind in _possible_kinds(head, path) if kind is not None), None)
-    except (OSError, EOFError, zlib.error):
+    except (InputError, OSError, zlib.error):
         return None
 
 
@@ -91,7 +94,7 @@ def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
     yield Kind.MODEL_STATE if text.startswith(MODEL) else None
     yield _json(path) if text.startswith("{") else None
     if b"\0" in head:
-        yield _shots(path)
+        yield _shots(head, path)
         return
     yield Kind.CASE if re.search(r"^format\s*=\s*\d+\s*(#.*)?$", text, re.MULTILINE) else None
     yield Kind.LIST if listed_files(path, text) else None
@@ -100,11 +103,11 @@ def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
 
 def listed_files(path: Path, text: str | None = None) -> list[Path]:
     """Files that a text names, one in every line, relative to its folder; none where one of them is not there."""
-    names = listed_names(path.read_text(encoding="latin-1") if text is None else text)
+    names = listed_names(read_text(path, limit=_LARGEST_LIST, encoding="latin-1") if text is None else text)
     try:
         files = [path.parent / name for _, name in names]
         return files if all(file.is_file() for file in files) else []
-    except OSError:  # a line that is too long for a name
+    except (OSError, ValueError):  # a line that is too long for a name, or can't be one
         return []
 
 
@@ -138,49 +141,52 @@ def _kernel(head: bytes) -> Kind | None:
         return Kind.KERNEL
     if head.startswith(b"KPL/MK") or (not head.startswith(b"KPL/") and b"KERNELS_TO_LOAD" in head):
         return Kind.META_KERNEL
-    text = head.startswith(b"KPL/") or re.search(rb"^\s*\\begin(data|text)\s*$", head, re.MULTILINE)
+    text = head.startswith(b"KPL/") or re.search(rb"^[ \t]*\\begin(data|text)\s*$", head, re.MULTILINE)
     return Kind.KERNEL if text else None
 
 
 def _label(text: str, path: Path, size: int) -> Kind:
     if text.upper().startswith("PDS_VERSION_ID"):
-        if re.search(r"^\s*OBJECT\s*=\s*IMAGE_MAP_PROJECTION", text, re.MULTILINE):
-            pointer = re.search(r"^\s*\^IMAGE\s*=\s*\(?\s*\"?([^\",\s]+)", text, re.MULTILINE)
+        if re.search(r"^[ \t]*OBJECT\s*=\s*IMAGE_MAP_PROJECTION", text, re.MULTILINE):
+            pointer = re.search(r"^[ \t]*\^IMAGE\s*=\s*\(?\s*\"?([^\",\s]+)", text, re.MULTILINE)
             letter = _MEG.match(pointer[1] if pointer else path.name) or _MEG.match(path.name)
             return _MEGDR_KINDS[letter[1].lower()] if letter else Kind.RASTER
-        of_table = re.search(r"^\s*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
-        return Kind.SHOTS if of_table and not re.search(r"^\s*\^(IMAGE|\w*QUBE)\s*=", text, re.MULTILINE) else Kind.PDS3
-    start = re.search(r"^\s*StartByte\s*=\s*(\d+)", text, re.MULTILINE | re.IGNORECASE)
-    if re.search(r"^\s*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
+        of_table = re.search(r"^[ \t]*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
+        of_image = re.search(r"^[ \t]*\^(IMAGE|\w*QUBE)\s*=", text, re.MULTILINE)
+        return Kind.SHOTS if of_table and not of_image else Kind.PDS3
+    start = re.search(r"^[ \t]*StartByte\s*=\s*(\d{1,18})\b", text, re.MULTILINE | re.IGNORECASE)
+    if re.search(r"^[ \t]*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
         return Kind.CUBE_LABEL
-    mapped = re.search(r"^\s*Group\s*=\s*Mapping", text, re.MULTILINE | re.IGNORECASE)
-    taken = re.search(r"^\s*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
+    mapped = re.search(r"^[ \t]*Group\s*=\s*Mapping", text, re.MULTILINE | re.IGNORECASE)
+    taken = re.search(r"^[ \t]*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
     if mapped and not taken:
         return Kind.RASTER
     return Kind.MAPPED_CUBE if mapped else Kind.CUBE
 
 
 def _json(path: Path) -> Kind | None:
-    text = path.read_bytes()
+    text = read_bytes(path, _LARGEST_JSON)
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):  # a file that was cut short, which its reader says
+        content = json_object(text.removeprefix(b"\xef\xbb\xbf"), str(path))
+    except InputError:  # a file that was cut short, which its reader says
         return Kind.SUPPORT_DATA if b'"instrument_po' in text or b'"name_model"' in text else None
     if "points" in content and isinstance(content["points"], list):
         return Kind.LIDAR
     if is_model_state(content):
         return Kind.MODEL_STATE
+    if str(content.get("program", "")).startswith(_PROGRAM):
+        return Kind.OWN_RECORD
     if is_cube_json(content):
         return Kind.CUBE_TABLES
     return Kind.SUPPORT_DATA if "name_model" in content or "sensor_position" in content else None
 
 
-def _shots(path: Path) -> Kind | None:
+def _shots(head: bytes, path: Path) -> Kind | None:
     """Binary records, which have no header: sizes, and what stands at places of the first ones."""
     size = path.stat().st_size
     if path.suffix.lower() == ".b" and size % FRAME.itemsize == 0:
         return Kind.SHOTS
-    if size % RECORD.itemsize == 0 and is_lola_rdr(path.read_bytes()):
+    if size % RECORD.itemsize == 0 and is_lola_rdr(head):
         return Kind.SHOTS
     return None
 

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import spiceypy
 
+from mgsgraph.apart import read_apart
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import MocWideAngleDistortion
 from mgsgraph.geometry.image import PushbroomImage
@@ -20,6 +22,7 @@ from mgsgraph.io.cameras.camera import Camera, LineScanLabel
 from mgsgraph.io.cameras.keywords import Keywords
 from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.cameras.line_times import LineTimes, LineTimesSource
+from mgsgraph.io.files import understood
 from mgsgraph.io.kernels import (
     INTERVAL,
     Constants,
@@ -35,6 +38,7 @@ from mgsgraph.io.kernels import (
     sample_trajectory,
     utc_time,
 )
+from mgsgraph.wording import listed
 
 _CLOCK_SLACK = 1.0
 """s by which the label's UTC and its clock count may differ; true labels agree within 0.01 s."""
@@ -116,37 +120,52 @@ def read_strip(
         found = f"{len(names)} names and {len(line_times)} line times for {len(labels)} labels"
         raise InputError("strip", found, "one each, or none")
     said = [
-        _with_line_times(read_line_scan_label(label), source)
+        _with_line_times(read_line_scan_label(label.absolute()), source)
         for label, source in zip(labels, line_times or [None] * len(labels), strict=True)
     ]
-    camera, target = said[0].camera, said[0].target
     for other in said[1:]:
         _require_alike(said[0], other)
-    with errors_from(*map(str, labels)), loaded(kernels):
-        words = [_Constants.of(one, constants) for one in said]
-        times = [_line_times(one, said_by) for one, said_by in zip(said, words, strict=True)]
-        start, stop = min(one.start for one in times), max(one.stop for one in times)
-        structure = ck_frame(_frame(camera))
-        mount = fixed_rotation(structure, _frame(camera), start)
-        bias = camera.attitude_bias if attitude_bias is None else attitude_bias
-        trajectory = sample_trajectory(
-            camera.spacecraft, target, structure, mount, start, stop, interval,
-            attitude_bias=bias, position_bias=position_bias, aberration=aberration,
-        )  # fmt: skip
-        body = ellipsoid(target)
-        return tuple(
-            PushbroomImage(
-                name=name or one.product,
-                lines=one.lines,
-                samples=one.samples,
-                interior=with_focal_length(said_by.interior(one), focal_length),
-                timing=when.timing(trajectory.epoch),
-                trajectory=trajectory,
-                body=body,
-                remarks=_remarks(one, said_by),
-            )
-            for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
+    here, files = Path.cwd(), [Path(path).absolute() for path in kernels]
+
+    def by_kernels() -> tuple[PushbroomImage, ...]:
+        with understood(", ".join(map(str, files)), "sound SPICE kernels", "fetch them again"), loaded(files, here):
+            return _sampled(said, names, focal_length, constants, attitude_bias, position_bias, interval, aberration)
+
+    rotation.from_matrix(np.eye(3))  # loads what is compiled: once, not in every fork
+    with errors_from(*(str(one.path) for one in said)):
+        return read_apart(by_kernels, listed([path.name for path in files]), "SPICE kernels", "fetch them again")
+
+
+def _sampled(
+    said: Sequence[LineScanLabel], names: Sequence[str | None], focal_length: float | None, constants: Constants,
+    attitude_bias: float | None, position_bias: float, interval: float, aberration: Correction,
+) -> tuple[PushbroomImage, ...]:  # fmt: skip
+    """Images of labels by the kernels that are loaded; parameters as in `read_strip`."""
+    camera, target = said[0].camera, said[0].target
+    words = [_Constants.of(one, constants) for one in said]
+    times = [_line_times(one, said_by) for one, said_by in zip(said, words, strict=True)]
+    start, stop = min(one.start for one in times), max(one.stop for one in times)
+    structure = ck_frame(_frame(camera))
+    mount = fixed_rotation(structure, _frame(camera), start)
+    bias = camera.attitude_bias if attitude_bias is None else attitude_bias
+    trajectory = sample_trajectory(
+        camera.spacecraft, target, structure, mount, start, stop, interval,
+        attitude_bias=bias, position_bias=position_bias, aberration=aberration,
+    )  # fmt: skip
+    body = ellipsoid(target)
+    return tuple(
+        PushbroomImage(
+            name=name or one.product,
+            lines=one.lines,
+            samples=one.samples,
+            interior=with_focal_length(said_by.interior(one), focal_length),
+            timing=when.timing(trajectory.epoch),
+            trajectory=trajectory,
+            body=body,
+            remarks=_remarks(one, said_by),
         )
+        for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
+    )
 
 
 def _with_line_times(label: LineScanLabel, source: LineTimesSource) -> LineScanLabel:
@@ -155,7 +174,7 @@ def _with_line_times(label: LineScanLabel, source: LineTimesSource) -> LineScanL
     if label.period > 0.0:
         found = f"line times for {label.camera.name}"
         raise InputError(str(label.path), found, "none: its label has the line rate")
-    return replace(label, times=source)
+    return replace(label, times=source if source == "mean" else Path(source).absolute())
 
 
 def _require_alike(first: LineScanLabel, other: LineScanLabel) -> None:

@@ -13,18 +13,24 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from mgsgraph.altimetry.time_scales import require_years
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.decoding import Name, Number, Positive, validated
-from mgsgraph.io.files import read_bytes, read_json
+from mgsgraph.io.decoding import Name, Number, validated
+from mgsgraph.io.files import head_of, name_of, read_json
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _FROM_TRIANGLE = np.array([[3, 1, 4], [1, 0, 2], [4, 2, 5]])
 """Where in the file's triangle (lat-lat, lat-lon, lat-rad, lon-lon, lon-rad, rad-rad) each element of the covariance of
 longitude, latitude, radius stands, which is the order of `planetocentric_jacobian`."""
-_Triangle = Annotated[list[Number], msgspec.Meta(min_length=6, max_length=6)]
+_HEAD, _TURN = 4096, 360.0
+"""bytes in which JSON begins, and degrees."""
+_Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e9)]
+"""Of whatever unit: nothing that is measured is longer, and squares of more would be no numbers."""
+_Element = Annotated[float, msgspec.Meta(ge=-1e18, le=1e18)]
+_Triangle = Annotated[list[_Element], msgspec.Meta(min_length=6, max_length=6)]
 _Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 
 
@@ -41,13 +47,13 @@ class LidarShot(msgspec.Struct, rename="camel", omit_defaults=True, kw_only=True
     """A laser shot as the file has it: planetocentric degrees, km; sigmas of ranges in m."""
 
     id: Name
-    range: Positive
-    sigma_range: Positive
+    range: _Length
+    sigma_range: _Length
     time: Number
     """s TDB past J2000."""
     latitude: _Latitude
     longitude: Number
-    radius: Positive
+    radius: _Length
     apriori_matrix: _Triangle | None = None
     adjusted_latitude: Number | None = None
     adjusted_longitude: Number | None = None
@@ -82,9 +88,9 @@ def read_lidar(path: Path) -> LaserProfile:
         that is not positive, a latitude beyond a pole, an image twice in a shot. A covariance that is not positive
         definite is named by its id.
     """
-    if not read_bytes(path).lstrip().startswith(b"{"):
+    if not head_of(path, _HEAD).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
         raise InputError(str(path), "no JSON", "ISIS lidar data", "an altimeter's own file goes into [[shots]]")
-    shots = validated(read_json(path), _LidarData, path, strict=True).points
+    shots = validated(read_json(path), _LidarData, path).points
     _require_sound(shots, str(path))
     places = np.array([(shot.longitude * DEG, shot.latitude * DEG, shot.radius * KM) for shot in shots])
     triangles, jacobian = np.array([shot.apriori_matrix for shot in shots]), planetocentric_jacobian(places)
@@ -108,7 +114,13 @@ def _require_sound(shots: list[LidarShot], source: str) -> None:
     """Raise InputError for an id twice, an image twice in a shot, or a shot without covariance."""
     first = dict[str, int]()
     for k, shot in enumerate(shots):
-        where = f"{source}, points[{k}] ({shot.id})"
+        where = f"{source}, points[{k}] ({shot.id[:60]})"
+        name_of(shot.id, where, "an id")
+        for name in {*shot.simultaneous_images, *(measure.serial_number for measure in shot.measures)}:
+            name_of(name, where, "an image's name")
+        require_years(np.array([shot.time]), where)
+        if abs(shot.longitude) > _TURN:
+            raise InputError(where, f"longitude {shot.longitude:g} degrees", f"-{_TURN:g} .. {_TURN:g}")
         if first.setdefault(shot.id, k) != k:
             raise InputError(where, f"the id {shot.id!r} twice, first in points[{first[shot.id]}]", "each id once")
         if shot.apriori_matrix is None:

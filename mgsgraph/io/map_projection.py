@@ -1,5 +1,6 @@
 """Where the posts of a raster lie on a body: its map projection, as PROJ knows it."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -8,6 +9,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.raster_file import raster_understood, require_in_file
 from mgsgraph.units import DEG, KM
 
 if TYPE_CHECKING:
@@ -19,6 +21,8 @@ _OTHER_BODY = 0.02
 """Share by which the radius that a projection is made for may differ from the body's: polar ones may have its polar
 radius (0.6 % less on Mars), and no two bodies are closer (Earth and Venus, 5 %).
 """
+_GRIDS = re.compile(r"\b(?:nadgrids|geoidgrids|grids|init)\s*=", re.IGNORECASE)
+"""By which PROJ opens files."""
 _CYLINDRICAL = ("longlat", "eqc", "merc", "mill", "cea")
 """PROJ's names of projections whose columns are meridians at equal steps."""
 
@@ -84,7 +88,8 @@ class MapProjection(NamedTuple):
         if self.name not in _CYLINDRICAL or not self.upright:
             return None
         middle = float(self.terms.get("lon_0", 0.0)) * DEG
-        return 360.0 * float(np.diff(self.pixels(middle + np.array([0.0, DEG]), np.zeros(2))[:, 1])[0])
+        columns = self.pixels(middle + np.array([0.0, DEG]), np.zeros(2))[:, 1]
+        return 360.0 * float(columns[1] - columns[0]) if np.all(np.isfinite(columns)) else None
 
     def cut(self, row: int, column: int) -> "MapProjection":
         """With another first pixel."""
@@ -97,29 +102,37 @@ class MapProjection(NamedTuple):
     def _transformed(self, source: str, target: str, x: Array, y: Array) -> Array:
         from rasterio.warp import transform
 
-        try:
+        with raster_understood(self.source, f"a model of the images' ground in its projection {self.name!r}"):
             return np.column_stack(transform(source, target, x, y)).reshape(-1, 2)
-        except Exception as error:  # GDAL's own, which rasterio doesn't make public
-            found = f"ground beyond its projection {self.name!r} ({' '.join(str(error).split())[:80]})"
-            raise InputError(self.source, found, "a model of the images' ground") from None
 
 
 def map_projection(file: "DatasetReader", path: Path, body: Ellipsoid | None) -> MapProjection:
     """Of an open raster, which has to be of a body; InputError where it has none, or is of another body."""
-    crs: Any = file.crs
+    require_in_file(path, ("SRS", "GeoTransform", "GCPList", "GeodataXform"))
+    with raster_understood(path, "a raster in a map projection"):
+        return _of_crs(file, file.crs, path, body)
+
+
+def _of_crs(file: "DatasetReader", crs: Any, path: Path, body: Ellipsoid | None) -> MapProjection:
     if not crs or file.transform.is_identity:
         found = "no coordinate reference system" if not crs else "no place of its pixels"
         raise InputError(str(path), found, "a raster in a map projection", "state it with gdal_edit.py -a_srs, -a_ullr")
     ellipsoid = _ellipsoid(crs, path)
-    if body is not None and abs(ellipsoid.equatorial / body.equatorial - 1.0) > _OTHER_BODY:
+    radii = np.array([ellipsoid.equatorial, ellipsoid.polar])
+    if body is not None and not np.all(  # of flat ones there are maps on spheres between
+        (radii > body.polar * (1.0 - _OTHER_BODY)) & (radii < body.equatorial * (1.0 + _OTHER_BODY))
+    ):
+        size = f"{radii[0] / KM:.0f}" + (f" x {radii[1] / KM:.0f}" if round(radii[1] / radii[0], 1) != 1.0 else "")
         raise InputError(
-            str(path), f"coordinates on a body of {ellipsoid.equatorial / KM:.0f} km",
+            str(path), f"coordinates on a body of {size} km",
             f"those of the images' body of {body.equatorial / KM:.0f} km", "if they are, state so: gdal_edit.py -a_srs",
         )  # fmt: skip
+    if grids := _GRIDS.search(wkt := crs.to_wkt()):
+        raise InputError(str(path), f"a coordinate system by other files ({grids[0]})", "one by its own numbers")
     corners: Array = np.array(file.transform[:6]).reshape(2, 3)
     centres = np.column_stack([corners[:, :2], corners @ [0.5, 0.5, 1.0]])
     unit = 1.0 if crs.is_geographic or not crs.is_projected else float(crs.linear_units_factor[1])
-    return MapProjection(str(path), crs.to_wkt(), crs.to_dict(), ellipsoid, centres, unit)
+    return MapProjection(str(path), wkt, crs.to_dict(), ellipsoid, centres, unit)
 
 
 def _ellipsoid(crs: Any, path: Path) -> Ellipsoid:

@@ -21,6 +21,7 @@ from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.plausibility import require_near_sun
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable
 from mgsgraph.io.decoding import Count, Number, Positive, validated
@@ -32,6 +33,12 @@ from mgsgraph.units import MM
 _HIGHEST, _HIGHEST_OF_PLATFORM_0 = 8, 4
 _HALVINGS = 16
 """Of a sample's distance, at the most."""
+_ORDER = 4.0
+"""By which power of the distance between samples what is lost between them falls, at the best."""
+_MOST = 200_000
+"""Samples; those of a WorldView image that jitter_solve has bent are 180,000."""
+_NORMS = 0.5, 2.0
+"""Of quaternions."""
 _TOLERANCE = 2e-4
 """Pixels by which positions, and attitudes, may be off between samples."""
 _BETWEEN = np.array([0.25, 0.5, 0.75])
@@ -104,7 +111,7 @@ def read_model_state(path: Path, name: str) -> PushbroomImage:
     content, source = read_state_json(path), str(path)
     if (model := content.get("m_modelName", MODEL)) != MODEL:
         raise InputError(f"{source}, m_modelName", repr(model)[:60], f"{MODEL} (a line scanner)")
-    state = validated(content, _State, source, strict=True)
+    state = validated(content, _State, source)
     _require_plain(state, source)
     with errors_from(source):
         interior, timing = _interior(state, source), _timing(state, source)
@@ -160,6 +167,7 @@ def _trajectory(state: _State, interior: InteriorOrientation, timing: LineTiming
     turns = _EvenTable(
         _table(state.m_quaternions, 4, f"{source}, m_quaternions"), state.m_t0Quat, state.m_dtQuat, highest
     )
+    _require_samples(places.nodes, turns.nodes, source)
     edges, _ = timing.at(np.array([0.0, float(state.m_nLines)]))
     _, slope = interior.focal_plane(np.array([0.5 * state.m_nSamples]))
     angle = float(np.linalg.norm(slope[0])) / interior.focal_length
@@ -180,6 +188,15 @@ def _trajectory(state: _State, interior: InteriorOrientation, timing: LineTiming
         _dense(corners, lambda times: _placed(places, times), misplaced, edges, f"{source}, m_positions"),
         _dense(samples, lambda times: _turned(turns, times), misturned, edges, f"{source}, m_quaternions"),
     )
+
+
+def _require_samples(places: Array, turns: Array, source: str) -> None:
+    """Raise InputError for positions that are none, and quaternions that are far from unit ones."""
+    require_near_sun(places, f"{source}, m_positions")
+    largest = np.abs(turns).max(axis=1)
+    norms = np.linalg.norm(np.where(largest[:, None] < _NORMS[1], turns, 0.0), axis=1)
+    for k in np.flatnonzero((norms < _NORMS[0]) | (norms > _NORMS[1]))[:1]:
+        raise InputError(f"{source}, m_quaternions", f"{turns[k].tolist()} at [{k}]", "a unit quaternion")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,9 +253,12 @@ def _dense(
         checked = np.flatnonzero((times[1:] > edges[0]) & (times[:-1] < edges[1]))
         between = times[checked, None] + np.diff(times)[checked, None] * _BETWEEN
         pixels = off(table, between.ravel()).reshape(-1, _BETWEEN.size).max(axis=1, initial=0.0)
-        poor = checked[pixels > _TOLERANCE]
+        poor = checked[~(pixels <= _TOLERANCE)]
         if poor.size == 0:
             return table
+        halvings = np.log2(np.median(pixels[~(pixels <= _TOLERANCE)]) / _TOLERANCE) / _ORDER
+        if times.size + 0.5 * poor.size * 2.0**halvings > _MOST:
+            break
         times = np.sort(np.concatenate([times, 0.5 * (times[poor] + times[poor + 1])]))
     found = f"{poor.size} intervals with {pixels.max():.2g} pixels lost by interpolation, as dense as they may be"
     raise InputError(where, found, f"a path smooth enough to lose less than {_TOLERANCE:g}")

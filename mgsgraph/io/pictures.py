@@ -1,10 +1,8 @@
-"""Pixels of images of any camera: MOC's own formats, and raster files that GDAL reads (ISIS cubes, GeoTIFF, PDS)."""
+"""Pixels of images of any camera: MOC's own formats, and rasters that GDAL reads (ISIS cubes, GeoTIFF, PDS, ...)."""
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,43 +10,17 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.io.cameras.camera import LineScanLabel
 from mgsgraph.io.cameras.label import label_of
+from mgsgraph.io.files import opened, understood
 from mgsgraph.io.image_label import cube_of, instrument_of, read_label
-from mgsgraph.io.moc_pixels import PixelArea, pixel_area
-
-if TYPE_CHECKING:
-    from rasterio.io import DatasetReader
+from mgsgraph.io.moc_pixels import PixelArea, pixel_area, require_fragments
+from mgsgraph.io.raster_file import open_raster, read_band
 
 Pixels = NDArray[np.uint8]
 """(lines, samples) of an image, as they came down (not calibrated)."""
-_DRIVERS = [
-    "GTiff", "ISIS3", "ISIS2", "PDS4", "PDS", "VICAR", "ENVI", "EHdr", "HFA", "AAIGrid", "PNG", "JPEG", "JP2OpenJPEG",
-    "PCIDSK", "netCDF", "HDF5", "VRT",
-]  # fmt: skip
-"""GDAL's of raster files: its others, of databases and of services on the network, are not asked."""
 _NULL = -1e30
 """ISIS's special pixels (null, saturated) of real type lie below."""
 _SPECIAL = {"int16": (-32752, 32767), "uint16": (2, 65522)}
 """ISIS's of whole numbers: up to the first, and for unsigned ones from the second on (SpecialPixel.h)."""
-
-
-@contextmanager
-def open_raster(path: Path, expected: str) -> Iterator["DatasetReader"]:
-    """A raster file opened by GDAL; InputError where it is missing, or can't be read inside the block."""
-    from rasterio import Env  # heavy
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
-    from rasterio.io import DatasetReader
-
-    if not path.is_file():
-        raise InputError(str(path), "no such file", expected)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with Env(), DatasetReader(str(path), driver=_DRIVERS) as file:  # rasterio.open takes one driver alone
-                yield file
-    except InputError:
-        raise
-    except (RasterioError, MemoryError, ValueError) as error:
-        raise InputError(str(path), f"can't be read ({_short(error)})", expected) from None
 
 
 def read_picture(path: Path) -> NDArray[Any]:
@@ -86,17 +58,17 @@ def is_moc(path: Path) -> bool:
 
 
 def _by_gdal(path: Path) -> NDArray[Any]:
-    with open_raster(path, "an ISIS cube, GeoTIFF or PDS image") as file:
-        bands, pixels, null = file.count, file.read(1), file.nodata
-    if bands != 1:
-        raise InputError(str(path), f"{bands} bands", "one band")
+    with open_raster(path, "an image") as file:
+        if file.count != 1:
+            raise InputError(str(path), f"{file.count} bands", "one band")
+        if not file.dtypes[0].startswith(("int", "uint", "float")):
+            raise InputError(str(path), f"pixels of type {file.dtypes[0]}", "grey values")
+        pixels, null = read_band(file, path), file.nodata
     if pixels.dtype.kind == "f":
-        pixels = pixels.astype(np.float32)
-        pixels[~(pixels > _NULL) | ~np.isfinite(pixels)] = np.nan
-        if null is not None:
-            pixels[pixels == np.float32(null)] = np.nan
-    elif pixels.dtype.kind not in "iu":
-        raise InputError(str(path), f"pixels of type {pixels.dtype}", "grey values")
+        with np.errstate(over="ignore", invalid="ignore"):  # what float32 can't hold is none
+            pixels = pixels.astype(np.float32)
+            hollow = ~(pixels > _NULL) | ~np.isfinite(pixels) | (pixels == np.float32(np.nan if null is None else null))
+        pixels[hollow] = np.nan
     elif path.suffix.lower() == ".cub" and pixels.dtype.name in _SPECIAL:
         low, high = _SPECIAL[pixels.dtype.name]
         hollow = (pixels <= low) | ((pixels >= high) if pixels.dtype.kind == "u" else False)
@@ -145,24 +117,28 @@ def _require_size(label: LineScanLabel, area: PixelArea) -> None:
 
 def _plain(label: LineScanLabel, area: PixelArea) -> Pixels:
     width = area.prefix + label.samples + area.suffix
-    rows = np.fromfile(area.file, np.uint8, label.lines * width, offset=area.offset).reshape(label.lines, width)
+    with opened(area.file) as file:
+        file.seek(area.offset)
+        rows = np.fromfile(file, np.uint8, label.lines * width).reshape(label.lines, width)
     return np.ascontiguousarray(rows[:, area.prefix : area.prefix + label.samples])
 
 
 def _decompressed(label: LineScanLabel, area: PixelArea) -> Pixels:
     try:
-        import pdr  # heavy, and only compressed images need it
+        from pdr.formats.mgs_moc import mgs_moc_comp_image_loader  # heavy, and only compressed images need it
     except ImportError:
         raise InputError(
             str(area.file), f"pixels compressed as {area.encoding}, and pdr is not installed",
             remedy='pip install "mgsgraph[moc]", or give the decompressed .img',
         ) from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # pdr's about what it doesn't find; a missing image shows below
-            pixels = pdr.read(str(area.file))["IMAGE"]
-    except Exception as error:  # whatever its parsers raise on a damaged stream
-        raise InputError(str(area.file), f"can't be decompressed ({_short(error)})", remedy="fetch it again") from None
+    require_fragments(area, label.lines, label.samples)
+    what = f"pixels compressed as {area.encoding}"
+    with warnings.catch_warnings(), understood(str(area.file), what, "fetch it again"):
+        warnings.simplefilter("error")
+        try:
+            pixels = mgs_moc_comp_image_loader(str(area.file), {"DATA_QUALITY_DESC": "OK"})
+        except UserWarning as error:  # of parts that are missing, in place of which it puts zeros
+            raise ValueError(str(error)) from None
     return _checked(label, area.file, pixels)
 
 
@@ -174,7 +150,7 @@ def _from_cube(label: LineScanLabel) -> Pixels:
             raise InputError(str(path), "the label of a cube, without the cube", f"{path.stem}.cub beside it")
         path = beside[0]
     with open_raster(path, "a whole ISIS cube") as cube:
-        pixels = cube.read(1)
+        pixels = read_band(cube, path)
     return _checked(label, path, pixels)
 
 
@@ -188,6 +164,3 @@ def _checked(label: LineScanLabel, file: Path, pixels: Any) -> Pixels:
         raise InputError(str(file), f"pixels of type {pixels.dtype}", "unsigned bytes, as they came down")
     return np.ascontiguousarray(pixels)
 
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:100] or type(error).__name__

@@ -15,11 +15,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from mgsgraph.control.table import Row, csv_rows
+from mgsgraph.control.table_columns import CARTESIAN, GEODETIC, ISIS, OURS, PLACES, PLANETOCENTRIC
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, require_near
+from mgsgraph.geometry.body import Ellipsoid, distances, from_geodetic, from_planetocentric, require_near
 from mgsgraph.geometry.records import Array, frozen
-from mgsgraph.io.control.table import Row, csv_rows
-from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, ISIS, OURS, PLACES, PLANETOCENTRIC
 from mgsgraph.io.files import finite_number
 from mgsgraph.units import DEG, ISIS_OFFSET
 
@@ -179,7 +179,7 @@ def _ground_places(
             given if ground == CARTESIAN
             else from_planetocentric(turned) if ground == PLANETOCENTRIC else from_geodetic(turned, body)
         )  # fmt: skip
-        radii = given[:, 2] if ground == PLANETOCENTRIC else np.linalg.norm(points, axis=1)  # with its sign
+        radii = given[:, 2] if ground == PLANETOCENTRIC else distances(points)  # with its sign
         require_near(radii, body, lambda k: f"{rows.where(k)}, {ground[-1]}")
     return PlaceTable(str(rows.path), columns, "ground", isis, none, None, None, points, plane)
 

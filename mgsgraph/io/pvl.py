@@ -21,6 +21,8 @@ LENGTHS = dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0) | 
 
 _BEGIN = {"object": "object", "begin_object": "object", "group": "group", "begin_group": "group"}
 _CLOSE = {"end_object": "object", "end_group": "group"}
+_LARGEST_COUNT = 1e15
+"""Exact as a float64; no file is as long."""
 _FLAGS = {"true": True, "t": True, "yes": True, "y": True, "on": True, "1": True,
           "false": False, "f": False, "no": False, "n": False, "off": False, "0": False}
 """Truth values, as in ISIS toBool."""
@@ -134,7 +136,7 @@ class Block:
     def count(self, key: str) -> int:
         """A whole number of at least 1."""
         value = self.number(key)
-        if value < 1.0 or value % 1.0 != 0.0:
+        if not 1.0 <= value < _LARGEST_COUNT or value % 1.0 != 0.0:
             raise InputError(self.where(key), f"{value:g}", "a whole number above zero")
         return int(value)
 

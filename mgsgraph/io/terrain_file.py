@@ -1,4 +1,4 @@
-"""Terrain models as GeoTIFF, or whatever else GDAL opens, in any projection that PROJ knows.
+"""Terrain models as GeoTIFF, or another raster that stands alone, in any projection that PROJ knows.
 
 Degrees, projected units and kilometres end here. A raster whose rows are parallels of a sphere, and whose columns are
 meridians, is a TerrainGrid as it is; of any other each post is where its projection has it (`TerrainRaster`). Of a
@@ -18,7 +18,7 @@ from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, in_
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, window
 from mgsgraph.io.map_projection import MapProjection, map_projection
-from mgsgraph.io.pictures import open_raster
+from mgsgraph.io.raster_file import open_raster, read_band, require_in_file
 from mgsgraph.units import DEG, KM
 
 if TYPE_CHECKING:
@@ -42,6 +42,13 @@ _EDGE = 1e-6
 """Pixels by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 _NULL = 1e30
 """What is beyond is no height: special values of ISIS, and of programs that don't say which they write."""
+_RELIEF, _SMALL_BODY, _ANOTHER = 0.009, 0.3, 0.05
+"""Shares of a body's equatorial radius that heights on it reach at most, flattening included: Mars's poles lie 20 km
+below the equator's level, and -32768 m is no height; those of a body of less than `_ROUND` (Vesta's south pole lies
+70 km below its equator's 285 km, Phobos's 3.9 km below 13.0 km); and from which on all posts are another body's.
+"""
+_ROUND = 1e6
+"""m, radius from which on bodies are round."""
 _CHUNK = 1 << 20
 """Of these at once."""
 _OUTLINE = 65
@@ -87,6 +94,9 @@ class TerrainRaster:
             Where that is too many posts.
         """
         low, high, step = self._extent()
+        if not (np.all(step > 0.0) and np.all(np.isfinite([low, high, step]))):
+            found = f"posts whose places don't tell where they lie, in the projection {self.projection.name!r}"
+            raise InputError(self.source, found, "places on the body", "look at them: gdalinfo")
         columns, rows = (np.ceil((high - low) / step).astype(int) + 1).tolist()
         if rows * columns > _MOST:
             raise InputError(
@@ -193,7 +203,7 @@ def read_terrain(
     InputError
         Where the file can't be read, is of another body, has no place, or holds heights although radii are asked for.
     """
-    with open_raster(path, "a GeoTIFF") as file:
+    with open_raster(path, "a terrain model") as file:
         projection, turn = map_projection(file, path, body), None
         rows, columns = slice(0, file.height), np.arange(file.width)
         if near is not None or projection.by_meridians:
@@ -210,7 +220,7 @@ def read_terrain(
             str(path), f"topography in the projection {projection.name!r}",
             "geographic or simple cylindrical coordinates on a sphere", "give areoid, and heights above it as radius",
         )  # fmt: skip
-    _require_plausible(values, reference, kind, path)
+    _require_plausible(values, reference, kind, path, body)
     raster = TerrainRaster(
         str(path), values, projection.cut(rows.start, int(columns[0])), reference, vertical_sigma, planimetric_sigma
     )
@@ -221,15 +231,21 @@ def _values(file: "DatasetReader", rows: slice, columns: NDArray[np.int64], path
     """(rows, columns) m; NaN where a post is missing."""
     from rasterio.windows import Window
 
+    require_in_file(path, ("Scale", "Offset", "UnitType"))
     said = (file.units[0] or "").strip().lower()
     if said not in _UNITS:
         raise InputError(str(path), f"heights in {said!r}", "metres or kilometres", "state it: gdal_edit.py -units m")
-    high = rows.stop - rows.start
-    posts = np.ma.hstack([
-        file.read(1, window=Window(int(run[0]), rows.start, run.size, high), masked=True)
-        for run in np.split(columns, np.flatnonzero(np.diff(columns) != 1) + 1)
-    ])  # fmt: skip
+    if not file.dtypes[0].startswith(("int", "uint", "float")):
+        raise InputError(str(path), f"posts of type {file.dtypes[0]}", "heights")
     scale, offset = file.scales[0] * _UNITS[said], file.offsets[0] * _UNITS[said]
+    if not (0.0 < abs(scale) < _NULL and abs(offset) < _NULL):
+        raise InputError(str(path), f"a scale of {scale:g} and an offset of {offset:g}", "a scale of heights")
+    high = rows.stop - rows.start
+    runs = [
+        read_band(file, path, Window(int(run[0]), rows.start, run.size, high), masked=True)
+        for run in np.split(columns, np.flatnonzero(np.diff(columns) != 1) + 1)
+    ]
+    posts = runs[0] if len(runs) == 1 else np.ma.hstack(runs)
     exact = posts.dtype in (np.float32, np.int16, np.uint16, np.uint8) and (scale, offset) == (1.0, 0.0)
     values = np.ma.filled(posts.astype(np.float32 if exact else np.float64), np.nan)
     values[~(np.abs(values) < _NULL)] = np.nan
@@ -261,11 +277,25 @@ def _by_meridians(raster: TerrainRaster, kind: TerrainKind, turn: float | None) 
     )  # fmt: skip
 
 
-def _require_plausible(values: NDArray[Any], reference: Reference, kind: TerrainKind, path: Path) -> None:
+def _require_plausible(
+    values: NDArray[Any], reference: Reference, kind: TerrainKind, path: Path, body: Ellipsoid | None
+) -> None:
     if not np.any(np.isfinite(values)):
         raise InputError(str(path), "no valid value", "a terrain model")
-    if reference == 0.0 and kind != "topography" and np.nanmin(values) < 1e5:
+    extremes = np.array([np.nanmin(values), np.nanmax(values)], dtype=np.float64)
+    if reference == 0.0 and kind != "topography" and extremes[0] < 1e5:
         raise InputError(
-            str(path), f"values from {np.nanmin(values):g} m on", "radii",
+            str(path), f"values from {extremes[0]:g} m on", "radii",
             "say above what they are: reference_radius_m = 3396190.0, reference_ellipsoid_m or areoid",
         )
+    if body is None or kind == "counts":
+        return
+    level = 0.0 if kind == "topography" or not isinstance(reference, float) else body.equatorial - reference
+    near, off = sorted(extremes, key=lambda post: abs(post - level))
+    share = _RELIEF if body.equatorial > _ROUND else _SMALL_BODY
+    most = share * body.equatorial
+    if abs(off - level) > most and abs(near - level) < max(share, _ANOTHER) * body.equatorial:
+        raise InputError(
+            str(path), f"a post of {off:g} m", f"posts within {most / KM:.0f} km of {level / KM:g} km",
+            "say above what they are and in which unit; state the value of missing ones: gdal_edit.py -a_nodata",
+        )  # fmt: skip

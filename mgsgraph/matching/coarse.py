@@ -1,5 +1,6 @@
 """First, on a coarse ground grid: by how much the nominal orientations contradict each other."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -10,7 +11,15 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.features import Window
 from mgsgraph.matching.pairs import Pair, boxes, first_picture, next_pair
-from mgsgraph.matching.relative import Displacements, consensus, displacements, increased, robust_sigma, units_between
+from mgsgraph.matching.relative import (
+    SAMPLE,
+    Displacements,
+    consensus,
+    displacements,
+    increased,
+    robust_sigma,
+    units_between,
+)
 from mgsgraph.matching.scene import Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, TileStore, features_on, kept_links, links_on, tiling, together
@@ -33,6 +42,8 @@ _LEAST = 12
 """Matches that have to agree on a correction."""
 _CHANCE = 4.0
 """How many times more likely than by chance matches have to agree (the ratio of the odds)."""
+_FALSE = 1.0
+"""Agreements of false matches that may be expected; far fewer are met, for few of all the orientations are tried."""
 _SMOOTHEST = 5.0
 """m, least sigma of the ground's height about the model that is reckoned with."""
 
@@ -186,12 +197,29 @@ def _coarse_links(scene: Scene, pair: Pair, settings: MatchSettings, step: float
     ])
 
 
-def _share_needed(found: Displacements, tolerance: float, height_sigma: float, radius: float) -> float:
-    """Share of the matches that has to agree: by chance, it would be what tolerances take of the ground searched."""
+def _chance(found: Displacements, tolerance: float, height_sigma: float, radius: float) -> float:
+    """Chance of a match to agree with an orientation: what tolerances take of the ground searched."""
     along = np.hypot(tolerance, height_sigma * found.parallax)
     reach = np.minimum(3.0 * np.column_stack([np.full(along.size, tolerance), along]) / radius, 1.0)
-    chance = float(reach.prod(axis=1).mean()) if along.size else 0.0
+    return float(reach.prod(axis=1).mean()) if along.size else 0.0
+
+
+def _share_needed(chance: float) -> float:
+    """Share of the matches that has to agree, by the chance of each."""
     return _CHANCE * chance / (1.0 + (_CHANCE - 1.0) * chance)
+
+
+def chance_agreements(count: int, agreed: int, chance: float) -> float:
+    """Expected number of orientations on which so many of `count` false matches agree, each with this chance (a
+    contrario; Moisan & Stival 2004): of the orientations that any five of them give, those with which so many of the
+    others agree, by the binomial law.
+    """
+    from scipy.special import betainc  # slow to import
+
+    more = agreed - SAMPLE
+    if more <= 0:
+        return float("inf")
+    return float(math.comb(count, SAMPLE) * betainc(more, count - SAMPLE - more + 1, chance))
 
 
 def corrected_scene(
@@ -206,7 +234,9 @@ def corrected_scene(
     tolerance = _TOLERANCE * step
     step_taken, fits = consensus(found, tolerance, scene.ground.height_sigma, rng)
     agreed, count = int(np.count_nonzero(fits)), len(fits)
-    if agreed < max(_LEAST, count * _share_needed(found, tolerance, scene.ground.height_sigma, radius)):
+    chance = _chance(found, tolerance, scene.ground.height_sigma, radius)
+    few = agreed < max(_LEAST, count * _share_needed(chance))
+    if few or chance_agreements(count, agreed, chance) > _FALSE:
         raise NoAgreement(
             f"images {first.image.name} and {second.image.name}",
             f"of {count} matches on a coarse grid {agreed} agree on one orientation",

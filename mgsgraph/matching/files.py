@@ -5,18 +5,19 @@ folder in which an interrupted run is kept.
 import errno
 import os
 import shutil
-import zipfile
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.control.binary import write_binary_network
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.ties import control_network
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import target_name
-from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.ties import control_network
+from mgsgraph.io.files import opened, sha256_of, understood
+from mgsgraph.io.records import FILES
 from mgsgraph.matching.coarse import Agreement
 from mgsgraph.matching.match import digest, match_scene
 from mgsgraph.matching.matches import Matches
@@ -25,6 +26,7 @@ from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.output.csv_json import picked, plain, write_json
 from mgsgraph.output.folders import MATCH, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table
+from mgsgraph.reports.archive_arrays import read_members
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.wording import many
@@ -46,10 +48,11 @@ class KeptTiles:
 
     def load(self, name: str) -> dict[str, NDArray[Any]] | None:
         """What an earlier run with the same inputs and choices kept under a name."""
+        path = self._path(name)
         try:
-            with self._path(name).open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-                found = {key: arrays[key] for key in arrays.files}
-        except (OSError, ValueError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile):
+            with opened(path) as file, understood(str(path), "a tile that was kept"):
+                found = read_members(file)
+        except InputError:  # none, or a damaged one: it is done again
             return None
         self.resumed += 1
         return found
@@ -104,10 +107,11 @@ def write_matches(
 ) -> list[str]:
     """Write networks, table, record and figure; the names of the files."""
     with fresh_folder(folder, MATCH) as aside:
-        write_json(aside / MATCH, _record(matches, scene, name, settings))
         network = control_network(matches.ties, "mgsgraph", target_name(scene.ground.body), name)
         write_pvl_network(network, aside / "network.pvl")
         write_binary_network(network, aside / "network.net")
+        digests = {one: sha256_of(aside / one) for one in ("network.pvl", "network.net")}
+        write_json(aside / MATCH, _record(matches, scene, name, settings) | {FILES: digests})
         matches_table(matches).write_csv(aside / "matches.csv")
         names = [MATCH, "network.pvl", "network.net", "matches.csv"]
         if not figures:
@@ -185,6 +189,7 @@ def match_statements(matches: Matches, scene: Scene) -> list[str]:
         for one in matches.agreements
     ]
     found += [f"Not brought together: {reason}" for reason in matches.refused]
+    found += matches.cautions
     loss = matches.losses
     found.append(
         f"{many(loss.linked, 'pair')} of features; of the surest {loss.tried} {loss.measured} could be measured, "

@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from typing import NamedTuple
@@ -15,6 +16,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.checks import cell_numbers, checked_measures, spread
 from mgsgraph.matching.coarse import Agreement, Together, brought_together, window
+from mgsgraph.matching.compression import require_unblocked
+from mgsgraph.matching.doubts import pair_signs
 from mgsgraph.matching.features import Window
 from mgsgraph.matching.least_squares import MatchStatus
 from mgsgraph.matching.matches import Losses, Matches, matches_of
@@ -25,6 +28,7 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, TileStore, features_on, kept_links, links_on, tiling, together
 from mgsgraph.stages import Progress, no_progress
+from mgsgraph.wording import listed
 
 _MARGIN = 64
 """pixels of the ground grid that tiles share with their neighbours."""
@@ -67,12 +71,14 @@ def match_scene(
     """
     settings = settings or MatchSettings()
     scene.require_contrast()
+    cautions = require_unblocked(scene)
     pairs = pairs_of(scene)
     step = settings.step or scene.step
     known = brought_together(scene, pairs, settings, step, store, progress)
     pairs = [pair for pair in pairs if known.group[pair.first] == known.group[pair.second]]
     found = _links(known, pairs, settings, step, store, workers, progress)
-    return _measured_matches(known, pairs, found, settings, step, progress)
+    matches = _measured_matches(known, pairs, found, settings, step, progress)
+    return replace(matches, cautions=cautions + matches.cautions)
 
 
 def digest(scene: Scene, settings: MatchSettings) -> str:
@@ -212,7 +218,24 @@ def _measured_matches(
             "matching", f"no match is left of {losses.linked} ({losses.measured} measured, {losses.coplanar} coplanar)",
             "images that look alike", "the pictures may be too different, or the ground bare",
         )
-    return _matches(known, kept, misfit, losses, step, cells)
+    returned = _alike(whole, settings) & whole.returns
+    signs = pair_signs(scene, known.agreements, pairs, cells.side, whole, returned, kept, misfit)
+    refused = [one for one in signs if one.refused]
+    if len(refused) == len(signs):
+        raise InputError(
+            f"images {refused[0].first} and {refused[0].other}",
+            f"{len(np.unique(kept.track))} matches that belong to no common ground: {listed(list(refused[0].signs))}",
+            "matches that bear each other out",
+            "the images may hardly overlap, show other ground, or be too noisy: check their orientations and pixels; a "
+            "wider search finds more false matches, not more ground",
+        )
+    out = {(one.first, one.other) for one in refused}
+    names = [picture.image.name for picture in scene.pictures]
+    stay = np.array([(names[i], names[j]) not in out for i, j in zip(kept.first, kept.other, strict=True)])
+    known = known._replace(refused=[*known.refused, *(f"{one.words}: no common ground" for one in refused)])
+    losses = losses._replace(kept=int(np.count_nonzero(stay)))
+    cautions = tuple(f"Doubtful are the matches of {one.words}." for one in signs if one.signs and not one.refused)
+    return replace(_matches(known, kept.some(stay), misfit[stay], losses, step, cells), cautions=cautions)
 
 
 def _surest(found: Links, tracks: list[list[int]], cells: _Cells, settings: MatchSettings) -> list[list[int]]:

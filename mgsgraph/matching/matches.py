@@ -62,6 +62,8 @@ class Matches:
     """m, side of a cell."""
     cells: tuple[int, int]
     """Cells of shared ground with a match, and all of them."""
+    cautions: tuple[str, ...] = ()
+    """What speaks against pictures or pairs without refusing them, in sentences."""
 
     def __post_init__(self) -> None:
         k = len(self.ties.measure_image)

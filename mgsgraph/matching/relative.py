@@ -15,7 +15,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.scene import Ground, Picture
 
-_SAMPLE = 5
+SAMPLE = 5
 """Matches of a trial: ten equations, and the prior."""
 _TRIALS = 400
 _UNKNOWN_ANGLE = 1e-2
@@ -121,8 +121,8 @@ def consensus(
     n = len(found.apart)
     sigmas = np.column_stack([np.full(n, tolerance), np.hypot(tolerance, height_sigma * found.parallax)])
     best, most = np.zeros(found.design.shape[2]), _fits(found, np.zeros(found.design.shape[2]), sigmas)
-    for _ in range(_TRIALS if n > _SAMPLE else 0):
-        some = rng.choice(n, _SAMPLE, replace=False)
+    for _ in range(_TRIALS if n > SAMPLE else 0):
+        some = rng.choice(n, SAMPLE, replace=False)
         trial = _solved(found.of(some), sigmas[some])
         fits = _fits(found, trial, sigmas)
         if np.count_nonzero(fits) > np.count_nonzero(most):

@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, frozen_mask, require_unique
+from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.crossovers import Crossovers
 from mgsgraph.network.records import (
@@ -68,7 +68,7 @@ class Network:
         n, m = len(self.points), len(self.images)
         if m == 0:
             raise InputError("network", "no images", "at least one")
-        require_unique(tuple(image.name for image in self.images), "images")
+        require_names(tuple(image.name for image in self.images), "images")
         if len(self.priors) != m:
             raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
         held = frozen_mask(self.held, "network, held", m)
@@ -99,7 +99,7 @@ class Network:
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()
         self._require_shots_covered()
-        require_unique(tuple(one.name for one in self.shared), "shared unknowns")
+        require_names(tuple(one.name for one in self.shared), "shared unknowns")
         for one in self.shared:
             for j in one.images[one.images >= m][:1]:
                 raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
@@ -115,7 +115,7 @@ class Network:
                 raise InputError("crossovers", "shots of no profile", "profiles with an unknown shift")
 
     def _require_considered(self) -> None:
-        require_unique(self.considered, "considered unknowns")
+        require_names(self.considered, "considered unknowns")
         known = (*self.shift_names, *(one.name for one in self.shared))
         for name in self.considered:
             if name not in known:
@@ -158,7 +158,7 @@ class Network:
         return replace(self, rays=rays_of, ranges=ranges_of, stereo=control)
 
     def _require_strips(self) -> None:
-        require_unique(tuple(strip.name for strip in self.strips), "strips")
+        require_names(tuple(strip.name for strip in self.strips), "strips")
         every = [j for strip in self.strips for j in strip.images.tolist()]
         for strip in self.strips:
             where = f"strip {strip.name!r}"

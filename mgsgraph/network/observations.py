@@ -5,13 +5,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import LaserProfile
+from mgsgraph.geometry.altimetry import LaserProfile, exchanged_units, require_lengths
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.network import Network
 from mgsgraph.network.parts import KnownImage, image_columns, joined
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, Ranges
 from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.units import KM
+
+_FAR_OFF = 0.1
+"""Part of the way from the camera by which a range may be another: orbits are known to a kilometre or so."""
+_LEAST_SIGMA = 0.02
+"""m; planetary altimeters range to 0.1 m and worse."""
 
 
 def observed(
@@ -62,6 +68,8 @@ def _of_shots(images: Mapping[str, KnownImage], profile: LaserProfile, sigma: fl
     classes, kinds = np.full(n, int(PointClass.LASER)), np.full(n, int(PointKind.CONSTRAINED))
     points = GroundPoints(profile.ids, classes, kinds, profile.footprints, profile.covariances)
     rays = ImageRays(profile.measure_shot, image[:k], profile.measures, np.full((k, 2), sigma))
+    require_ranges_of(profile, shot, [images[name].image for _, name in pairs])
+    require_range_sigmas(profile)
     ranges = Ranges(shot, image[k:], profile.times[shot], profile.ranges[shot], profile.range_sigmas[shot])
     return _network([images[name] for name in names], points, rays, ranges, profile.source)
 
@@ -122,3 +130,52 @@ def nominal_ground(images: Sequence[PushbroomImage], rays: ImageRays, heights: A
         lines, samples = rays.places[mine].T
         ground[mine], _ = image.image_to_ground(lines, samples, heights[mine])
     return ground
+
+
+# --- ranges that can't be
+
+
+def require_ranges_of(profile: LaserProfile, shots: Index, along: Sequence[PushbroomImage]) -> None:
+    """Raise InputError where ranges of shots (m,), by their numbers, are not the distances from the trajectories of the
+    images (m) that carry them, or are of times beyond these; see `require_ranges`.
+    """
+    of_image: dict[str, list[int]] = {}
+    for k, image in enumerate(along):
+        of_image.setdefault(image.name, []).append(k)
+    for members in of_image.values():
+        mine, image = shots[members], along[members[0]]
+        times, ground, ranges = profile.times[mine], profile.footprints[mine], profile.ranges[mine]
+        past, (start, stop) = times - image.trajectory.epoch, image.trajectory.coverage
+        worst = int(np.argmax(np.maximum(start - past, past - stop)))
+        where = f"{profile.source}, laser shot {profile.ids[int(mine[worst])]}, image {image.name}"
+        image.trajectory.require(past[[worst]], where)
+        require_ranges(image, times, ground, ranges, profile.source, [profile.ids[i] for i in mine.tolist()])
+
+
+def require_ranges(
+    image: PushbroomImage, times: Array, footprints: Array, ranges: Array, source: str, names: Sequence[str]
+) -> None:
+    """Raise InputError where ranges (n,) in m are not the distances from an image's trajectory: all of them by their
+    unit, or one of the shots, which have these names. Times at which the trajectory isn't known pass.
+    """
+    past, (start, stop) = times - image.trajectory.epoch, image.trajectory.coverage
+    known = np.flatnonzero((past >= start) & (past <= stop))
+    if not known.size:
+        return
+    distances = np.linalg.norm(footprints[known] - image.trajectory.pose(past[known]).position, axis=1)
+    require_lengths(ranges[known], distances, "ranges", source)
+    for k in np.flatnonzero(np.abs(ranges[known] / distances - 1.0) > _FAR_OFF)[:1].tolist():
+        found = f"a range of {ranges[known[k]] / KM:,.6g} km"
+        expected = f"about {distances[k] / KM:,.6g} km, the way from the trajectory of {image.name}"
+        remedy = exchanged_units(ranges[known[k]] / distances[k]) or "mend it, or take the shot out"
+        raise InputError(f"{source}, shot {names[known[k]]}", found, expected, remedy)
+
+
+def require_range_sigmas(profile: LaserProfile) -> None:
+    """Raise InputError for a sigma of a range that no altimeter reaches, or that is larger than the range."""
+    small, large = profile.range_sigmas < _LEAST_SIGMA, profile.range_sigmas > profile.ranges
+    for i in np.flatnonzero(small | large)[:1].tolist():
+        found = f"a range of {profile.ranges[i] / KM:,.6g} km with a sigma of {profile.range_sigmas[i]:g} m"
+        likely = "are sigmas in kilometres, where the format has metres?" if small[i] else "is its unit right?"
+        raise InputError(f"{profile.source}, shot {profile.ids[i]}", found, "a sigma in m, 0.02 or more",
+                         f"{likely} Mend them, or state range_sigma_m in [laser] of a case")  # fmt: skip

@@ -16,7 +16,7 @@ from mgsgraph.geometry.records import (
     frozen,
     frozen_index,
     require_covariances,
-    require_unique,
+    require_names,
 )
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.ties import PointKind
@@ -57,7 +57,7 @@ class GroundPoints:
 
     def __post_init__(self) -> None:
         n = len(self.ids)
-        require_unique(self.ids, "ground points")
+        require_names(self.ids, "ground points")
         kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
         places = np.array(self.places, dtype=np.float64)
         if places.shape != (n, 3):

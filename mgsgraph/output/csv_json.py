@@ -1,6 +1,5 @@
 """Arrays and names as JSON and CSV: no NaN in JSON, numbers of CSV read back bit for bit."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
@@ -11,6 +10,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.records import record_text
 
 _CHUNK = 2_000
 """Rows written at a time: so few that they stay in the cache."""
@@ -29,9 +29,8 @@ def plain(value: Any) -> Any:
 
 
 def write_json(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a record as strict JSON, as `plain` makes it."""
-    text = json.dumps(plain(record), indent=1, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8", newline="\n")
+    """Write a record as strict JSON, as `plain` makes it, which ends with its checksum."""
+    path.write_text(record_text(plain(record)), encoding="utf-8", newline="\n")
 
 
 def columns(names: Sequence[str], values: Array) -> dict[str, Array]:

@@ -1,17 +1,19 @@
-"""A result folder is there whole or not at all: it is written aside and renamed into place."""
+"""A result folder is there whole or not at all: it is written aside and takes its place in one step."""
 
 import errno
-import json
 import os
 import re
-import shutil
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from mgsgraph.aside import is_aside, made_beside, put_in_place, resolved, sweep
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import beside, is_aside, require_folder_above
+from mgsgraph.io.files import read_json
+from mgsgraph.io.records import MATCH as MATCH  # makes a folder without any of the others matches by this program
+from mgsgraph.io.writing import require_folder_above, require_writable
 
 PROGRAM = "mgsgraph"
 """What `program` in solution.json says; by it a folder is known as ours."""
@@ -25,8 +27,6 @@ ANALYSIS = "analysis.json"
 """File that makes a folder without any of them an analysis by this program."""
 NODES = "nodes.json"
 """File that makes a folder without any of them a study of orientation images by this program."""
-MATCH = "match.json"
-"""File that makes a folder without any of them matches by this program."""
 DEM = "dem.json"
 """File that makes a folder without any of them a terrain model by this program."""
 EXPORT = "export.json"
@@ -64,6 +64,7 @@ _OURS = re.compile(
     + r"|sigmas_[A-Za-z0-9._-]+\.(csv|png|svg)"  # of one image, whose name is in it
 )
 """Names of what results hold; a folder with anything else in it is not replaced."""
+_ELSEWHERE = "choose another --out"
 _REMEDIES = {
     errno.ENOSPC: "free some space, or choose another --out",
     errno.EDQUOT: "free some of your quota, or choose another --out",
@@ -95,55 +96,45 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
     InputError
         If `path` holds anything else, or can't be written.
     """
-    shown, target = str(path), Path(path).resolve()
     require_replaceable(path, record)
-    aside = beside(target)
+    target = resolved(path, _ELSEWHERE)
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        aside.mkdir()
-        yield aside
-        require_replaceable(path, record)
-        _warn_of_unrelated_files(aside, record)
-        _put_in_place(aside, target)
+        with made_beside(target, folder=True) as aside:
+            yield aside
+            require_replaceable(path, record)
+            _warn_of_unrelated_files(aside, record)
+            put_in_place(aside, target)
     except OSError as error:
-        raise _refusal(shown, error) from None
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        raise _refusal(str(path), error) from None
 
 
 def require_replaceable(path: str | Path, record: str = RECORD) -> None:
     """Raise InputError unless `path` is absent, an empty folder, or an earlier result known by the file `record`; to be
-    asked before long work.
+    asked before long work. What a killed process has left there is put right first.
     """
-    shown, target = str(path), Path(path).resolve()
+    shown, target = str(path), resolved(path, _ELSEWHERE)
     try:
+        sweep(target.parent)
         if not target.exists():
-            require_folder_above(target, shown, "choose another --out")
-            _require_writable(next(parent for parent in target.parents if parent.exists()))
+            if Path(path).is_symlink():
+                raise InputError(shown, "a link that leads nowhere", "a folder for the results", _ELSEWHERE)
+            require_folder_above(target, shown, _ELSEWHERE)
+            require_writable(next(parent for parent in target.parents if parent.exists()))
             return
         if not target.is_dir():
-            raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")
+            raise InputError(shown, "exists and is a file", "a folder for the results", _ELSEWHERE)
         if target in (Path.cwd(), *Path.cwd().parents):
-            raise InputError(shown, "is the folder you are in, and would be replaced", remedy="choose another --out")
+            found = "is the folder you are in" if target == Path.cwd() else "holds the folder you are in"
+            raise InputError(shown, f"{found}, and would be replaced", remedy=_ELSEWHERE)
         if any(target.iterdir()) and (kept := _kind(target)) != record:
             found = f"not a result of {PROGRAM}" if kept is None else f"another kind of result ({kept})"
-            raise InputError(shown, f"exists and is {found}", remedy="choose another --out")
+            raise InputError(shown, f"exists and is {found}", remedy=_ELSEWHERE)
         for other in _unrelated_files(target)[:1]:
             found = f"an earlier result that holds {other!r}, too, which would be lost"
             raise InputError(shown, found, remedy="move that away, or choose another --out")
-        _require_writable(target.parent)
+        require_writable(target.parent)
     except OSError as error:
         raise _refusal(shown, error) from None
-
-
-def _require_writable(folder: Path) -> None:
-    """Raise OSError unless a folder can be made in it, which alone shows permissions, quotas and full disks."""
-    trial = beside(folder / "trial")
-    try:
-        trial.mkdir()
-    finally:  # an interrupt may come between the two
-        with suppress(OSError):
-            trial.rmdir()
 
 
 def _warn_of_unrelated_files(folder: Path, record: str) -> None:
@@ -168,39 +159,21 @@ def _unrelated_files(folder: Path) -> list[str]:
 
 def _listed(folder: Path) -> set[str]:
     """Names that an export says it has made, in folders of it too."""
-    try:
-        names = json.loads((folder / EXPORT).read_text(encoding="utf-8"))["files"]
-        return {EXPORT, *map(str, names)}
-    except (OSError, ValueError, TypeError, KeyError):
-        return set()
+    names = _record(folder / EXPORT).get("files")
+    return {EXPORT, *map(str, names)} if isinstance(names, list) else set()
 
 
 def _kind(folder: Path) -> str | None:
     """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
-    return next((name for name in _KINDS if _is_ours(folder / name)), None)
+    return next((name for name in _KINDS if _record(folder / name).get("program") == PROGRAM), None)
 
 
-def _is_ours(path: Path) -> bool:
+def _record(path: Path) -> dict[str, Any]:
+    """A record, which may be anybody's: empty for a file that is none."""
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(record, dict) and record.get("program") == PROGRAM
-
-
-def _put_in_place(new: Path, target: Path) -> None:
-    """Rename `new` to `target`; an earlier result steps aside first, and comes back should that fail."""
-    if not target.exists():
-        new.rename(target)
-        return
-    old = new.with_suffix(".replaced")
-    target.rename(old)
-    try:
-        new.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+        return read_json(path)
+    except InputError:
+        return {}
 
 
 def _refusal(shown: str, error: OSError) -> InputError:

@@ -9,18 +9,18 @@ import numpy as np
 from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.assembly import laser_profile, shots_in_images
 from mgsgraph.case.case_file import decode, plain_image
-from mgsgraph.case.groups import in_images
+from mgsgraph.case.groups import in_images, with_sigmas
 from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.laser import ShotsInput
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput
+from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.geometry.twins import require_distinct
 from mgsgraph.incremental.state import ImagesByName
-from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
@@ -122,6 +122,7 @@ def read_addition(
             networks += [] if case is None else [store.with_known_grids(case.network)]
             sources += [] if case is None else case.networks
             notes += [] if case is None else case.notes
+    sigmas = settings.measures
     every = ImagesByName(store, [one.known for one in new])
     body = next((every[name].image.body for name in every), None)  # of the first image that is known
     tie_points = [read_tie_points(path, body) for path in ties]
@@ -135,11 +136,11 @@ def read_addition(
     if not {name for one in tie_points for name in one.measure_image}.issuperset(_names(alone)):
         _require_known(tie_points, known)  # an image that the ties don't name may be one that they call otherwise
     for k, one in enumerate(tie_points):
-        tie_points[k], left_out = in_images(one, known, "the project", store.bundles_of(one.ids))
+        held, left_out = in_images(one, known, "the project", store.bundles_of(one.ids))
+        tie_points[k] = with_sigmas(held, sigmas.tie_sigma_px, {}, factor=sigmas.tie_sigma_factor)
         notes += [left_out] if left_out else []
     mapping = ImagesByName(store, [one.known for one in new])
     profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
-    sigmas = settings.measures
     observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
     measures = observed(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
     if measures is not None and (measures := unknown_alone(measures, store)) is not None:
@@ -271,7 +272,7 @@ def _profile(
         raise InputError(str(path), "laser shots without an image", "an image that they belong to", "add it too")
     if path.suffix.lower() == ".json":
         lidar = read_lidar(path)
-        require_on_body(lidar.footprints, pictures[0].body.equatorial, lidar.source)
+        require_on_body(lidar.footprints, pictures[0].body, lidar.source, lidar.ids)
         return lidar
     shots, sigmas = read_shots(path), settings.measures
     seen, usable = shots_in_images(pictures, shots)

@@ -12,7 +12,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.case_file import decode
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.incremental.closing import Closing
 from mgsgraph.incremental.impact import Impact
 from mgsgraph.incremental.incremental import IncrementalAdjustment
@@ -81,7 +81,8 @@ def remove(project: Project, images: Sequence[str]) -> Impact | None:
 
 def check(project: Project) -> Closing:
     """The closing check against batch, without products; batch's result is taken over where it is needed."""
-    closing, solution = _incremental(project).close(project.name)
+    with errors_from(str(project.folder)):
+        closing, solution = _incremental(project).close(project.name)
     project.record("check", f"{len(solution.network.images)} images", _closing_facts(closing))
     project.record_batch(solution)
     return closing
@@ -108,17 +109,18 @@ class SolvedProject:
 def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
     """Adjust everything by batch, compare it with the incremental result, and keep its products."""
     name, settings, store = project.name, project.settings.solver.settings, project.store
-    closing: Closing | None = None
     if not store.members():
         found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"
         if project.case is not None:
             remedy = f"find tie points in them: mgsgraph match {project.folder}"
         raise InputError(str(project.folder), found, "tie points or laser shots", remedy)
-    if is_solved(project):
-        closing, solution = _incremental(project).close(name, progress)
-    else:
-        solution = adjust_network(store.network(), replace(settings, starts=0), name, progress)
-        _incremental(project).adopt(solution)
+    closing: Closing | None = None
+    with errors_from(str(project.folder)):
+        if is_solved(project):
+            closing, solution = _incremental(project).close(name, progress)
+        else:
+            solution = adjust_network(store.network(), replace(settings, starts=0), name, progress)
+            _incremental(project).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
     folder = project.keep_solution(solution, lambda to: write_results(solution, to, figures, networks=project.networks))

@@ -1,16 +1,23 @@
 """The SQLite file of a project, opened: one transaction, one writer, one clear line for whatever is wrong with it."""
 
+import functools
+import inspect
 import json
 import os
 import platform
+import re
 import sqlite3
 import sys
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
 from urllib.parse import quote
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
+from mgsgraph.io.files import read_json, understood
+from mgsgraph.io.writing import write_file
+from mgsgraph.project.checksum import checksum, held_open, note, noted, sign
 from mgsgraph.project.schema import APPLICATION, FORMAT, MIGRATIONS, TABLES
 
 FILE = "project.sqlite"
@@ -19,13 +26,17 @@ WRITER = "project.writer"
 """Who is changing the project, for the message to whom comes second; without meaning when nobody has the lock."""
 _READ_TIMEOUT, _COMMIT_TIMEOUT = 5_000, 60_000
 """ms that a reader waits for a commit, and a commit for readers."""
-_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT")
-_ELSEWHERE = "take a copy of the project's folder back; the results in its folder solutions are files of their own"
+A_PROJECT = "a project as mgsgraph writes it"
+ELSEWHERE = "take a copy of the project's folder back; the results in its folder solutions are files of their own"
+_Kind = TypeVar("_Kind")
+_FORMAT_NUMBER = re.compile(r"[1-9][0-9]{0,5}")
 
 
 @contextmanager
 def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sqlite3.Connection]:
     """The project's file inside one transaction, which is committed at the end and rolled back on any exception.
+
+    Its checksum is compared first, and written anew after a change.
 
     Parameters
     ----------
@@ -44,27 +55,47 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         full or can't be written.
     """
     path = _existing(folder)
+    with _refused(folder, sqlite3.Error), _readable(path, folder) as file:
+        with _refused(folder, UnicodeError):  # from the names in a damaged schema, which SQLite quotes
+            if not write:
+                _bring_up_to_date(path, folder)
+            connection = _opened(path, write, folder)
+        try:
+            with _refused(folder, UnicodeError):
+                version = _format(connection, folder)
+                _require_sound(connection, file, folder, thorough)
+                if write:
+                    # a read-only file lets even a transaction for writing begin, and complains at its first change
+                    note(connection, 0)
+                    _migrate(connection, version)
+            if write:
+                _say_who(folder)
+            yield connection
+            _commit(connection, folder)
+            if write:
+                _sign(connection, file)
+        finally:
+            _closed(connection, folder if write else None)
+
+
+@contextmanager
+def _refused(folder: Path, kind: type[sqlite3.Error | UnicodeError]) -> Iterator[None]:
+    """What SQLite has against a project, errors of a kind, as InputErrors."""
     try:
-        if not write:
-            _bring_up_to_date(path, folder)
-        connection = _opened(path, write, folder)
-    except sqlite3.Error as error:
-        raise refusal(folder, error) from error
-    try:
-        version = _format(connection, folder)
-        if thorough:
-            _require_sound(connection, folder)
-        if write:
-            # a read-only file lets even a transaction for writing begin, and complains at its first change
-            connection.execute("UPDATE meta SET value = value WHERE key = 'format'")
-            _migrate(connection, version)
-            _say_who(folder)
-        yield connection
-        _commit(connection, folder)
-    except sqlite3.Error as error:
-        raise refusal(folder, error) from error
-    finally:
-        _closed(connection, folder if write else None)
+        yield
+    except kind as error:
+        raise _refusal(folder, error) from error
+
+
+@contextmanager
+def _readable(path: Path, folder: Path) -> Iterator[BinaryIO]:
+    """The project's file, opened for its checksum."""
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(held_open(path))
+        except OSError as error:
+            raise _unreadable(folder, error) from None
+        yield file
 
 
 def _commit(connection: sqlite3.Connection, folder: Path) -> None:
@@ -77,23 +108,29 @@ def _commit(connection: sqlite3.Connection, folder: Path) -> None:
         raise InputError(str(folder), found, remedy="do it again when that has ended") from None
 
 
-def made(folder: Path) -> sqlite3.Connection:
-    """A new file with empty tables, inside a transaction that the caller commits."""
-    try:
-        connection = sqlite3.connect(folder / FILE, isolation_level=None)
+def _sign(connection: sqlite3.Connection, file: BinaryIO) -> None:
+    with suppress(sqlite3.Error, OSError):  # the change is whole: the next process does it
+        sign(connection, file)
+
+
+@contextmanager
+def made(folder: Path, shown: Path) -> Iterator[sqlite3.Connection]:
+    """A new file with empty tables, inside a transaction that is committed at the end; errors name what is `shown`."""
+    with _refused(shown, sqlite3.Error), closing(sqlite3.connect(folder / FILE, isolation_level=None)) as connection:
         _set_up(connection, write=True)
         connection.execute(f"PRAGMA application_id = {APPLICATION}")
         connection.execute("BEGIN IMMEDIATE")
         for statement in TABLES:
             connection.execute(statement)
         connection.execute("INSERT INTO meta VALUES ('format', ?)", (str(FORMAT),))
-    except sqlite3.Error as error:
-        raise refusal(folder, error) from error
-    return connection
+        yield connection
+        connection.execute("COMMIT")
+        with held_open(folder / FILE) as file:
+            _sign(connection, file)
 
 
-def refusal(folder: Path, error: sqlite3.Error) -> InputError:
-    """What SQLite has to say, in one line; what only a mistake of the program could bring about is raised again."""
+def _refusal(folder: Path, error: sqlite3.Error | UnicodeError) -> InputError:
+    """What SQLite has to say, in one line."""
     name = getattr(error, "sqlite_errorname", "")
     shown = str(folder)
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
@@ -108,9 +145,33 @@ def refusal(folder: Path, error: sqlite3.Error) -> InputError:
         return InputError(shown, "the disk is full; nothing was changed", remedy="free some space and do it again")
     if name.startswith("SQLITE_IOERR"):
         return InputError(shown, f"the disk can't be read or written ({error})", remedy="look at the disk")
-    if name.startswith(_DAMAGED) or (not name and isinstance(error, sqlite3.OperationalError)):
-        return InputError(shown, f"{FILE} is damaged ({error})", remedy=_ELSEWHERE)
-    raise error
+    said = "words that are not UTF-8" if isinstance(error, UnicodeError) else error
+    return InputError(shown, f"{FILE} is damaged ({said})", remedy=ELSEWHERE)
+
+
+def guarded_readings(kind: type[_Kind]) -> type[_Kind]:
+    """A class whose methods read what is in a project's file: what they stumble over becomes an InputError that names
+    its attribute `_where`. Public properties and methods that give something back are meant; others write.
+    """
+    for name, member in list(vars(kind).items()):
+        if name.startswith("_"):
+            continue
+        if isinstance(member, property):
+            setattr(kind, name, property(_guarded(member.fget), doc=member.__doc__))
+        elif inspect.isfunction(member) and member.__annotations__["return"] is not None:
+            setattr(kind, name, _guarded(member))
+    return kind
+
+
+def _guarded(method: Callable[..., Any] | None) -> Callable[..., Any]:
+    assert method is not None
+
+    @functools.wraps(method)
+    def guarded(self: Any, *arguments: Any) -> Any:
+        with errors_from(self._where), understood(self._where, A_PROJECT, ELSEWHERE):
+            return method(self, *arguments)
+
+    return guarded
 
 
 def _existing(folder: Path) -> Path:
@@ -120,15 +181,21 @@ def _existing(folder: Path) -> Path:
         if not folder.exists():
             raise InputError(str(folder), "no such project", remedy=start)
         if not folder.is_dir():
-            raise InputError(str(folder), "is a file", "the folder of a project", start)
+            raise InputError(str(folder), "is a file", "the folder of a project", "give the folder that it is in")
         if not path.is_file():
-            raise InputError(str(folder), f"is no project: there is no {FILE} in it", remedy=start)
-        empty = path.stat().st_size == 0  # more than a look would cost a lock: POSIX drops them when any reader closes
+            other = f"begin one in a folder of its own: mgsgraph init {folder / 'project'}"
+            remedy = f"give the folder of a project, or {other}" if any(folder.iterdir()) else start
+            raise InputError(str(folder), f"is no project: there is no {FILE} in it", remedy=remedy)
+        empty = path.stat().st_size == 0
     except OSError as error:
-        raise InputError(str(folder), f"can't be read ({error.strerror})", remedy="change its permissions") from None
+        raise _unreadable(folder, error) from None
     if empty:
-        raise InputError(str(folder), f"{FILE} is empty", remedy=_ELSEWHERE)
+        raise InputError(str(folder), f"{FILE} is empty", remedy=ELSEWHERE)
     return path
+
+
+def _unreadable(folder: Path, error: OSError) -> InputError:
+    return InputError(str(folder), f"can't be read ({error.strerror})", remedy="change its permissions")
 
 
 def _opened(path: Path, write: bool, folder: Path) -> sqlite3.Connection:
@@ -164,11 +231,14 @@ def _bring_up_to_date(path: Path, folder: Path) -> None:
             player.execute("SELECT 1 FROM sqlite_master")
         return
     try:
-        older = _format(reader, folder) < FORMAT
+        older, unsigned = _format(reader, folder) < FORMAT, not noted(reader)
     finally:
         reader.close()
     if older:
         with connected(folder, write=True):
+            pass
+    elif unsigned:
+        with suppress(InputError), connected(folder, write=True):  # it can be read all the same
             pass
 
 
@@ -178,9 +248,10 @@ def _format(connection: sqlite3.Connection, folder: Path) -> int:
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
         raise InputError(where, "is an SQLite file of another program", remedy="give the folder of a project")
     found = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
-    if found is None or not found[0].isdigit() or int(found[0]) < min(MIGRATIONS):
-        raise InputError(where, f"no known format ({found and found[0]})", f"1 to {FORMAT}", _ELSEWHERE)
-    version = int(found[0])
+    text = str(found[0]) if found else ""
+    version = int(text) if _FORMAT_NUMBER.fullmatch(text) else 0
+    if version < min(MIGRATIONS):
+        raise InputError(where, f"no known format ({text})", f"1 to {FORMAT}", ELSEWHERE)
     if version > FORMAT:
         made_by = connection.execute("SELECT value FROM meta WHERE key = 'version'").fetchone()
         by = f"mgsgraph {made_by[0]}" if made_by else "mgsgraph"
@@ -199,10 +270,17 @@ def _migrate(connection: sqlite3.Connection, version: int) -> None:
         connection.execute("UPDATE meta SET value = ? WHERE key = 'format'", (str(FORMAT),))
 
 
-def _require_sound(connection: sqlite3.Connection, folder: Path) -> None:
-    found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-    if found != "ok":
-        raise InputError(str(folder), f"{FILE} is damaged ({' '.join(found.split())})", remedy=_ELSEWHERE)
+def _require_sound(connection: sqlite3.Connection, file: BinaryIO, folder: Path, thorough: bool) -> None:
+    """Raise InputError where the file isn't as it was written; of one without a checksum, where its pages don't fit."""
+    expected = noted(connection)
+    if expected and checksum(file) != expected:
+        found = f"{FILE} is damaged, or another program has changed it (its checksum is another one)"
+        own = f"sqlite3 {folder / FILE} 'PRAGMA user_version = 0'"
+        raise InputError(str(folder), found, remedy=f"{ELSEWHERE}; if the change was yours, have it signed: {own}")
+    if thorough or not expected:
+        found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if found != "ok":
+            raise InputError(str(folder), f"{FILE} is damaged ({' '.join(found.split())})", remedy=ELSEWHERE)
 
 
 def _closed(connection: sqlite3.Connection, writer_of: Path | None) -> None:
@@ -217,14 +295,14 @@ def _closed(connection: sqlite3.Connection, writer_of: Path | None) -> None:
 
 def _say_who(folder: Path) -> None:
     me = {"pid": os.getpid(), "host": platform.node(), "command": " ".join(sys.argv)[:200]}
-    with suppress(OSError):
-        (folder / WRITER).write_text(json.dumps(me), encoding="utf-8")
+    with suppress(InputError):  # whole, and in the place of whatever is there: no link is followed
+        write_file(folder / WRITER, json.dumps(me))
 
 
 def _who(folder: Path) -> str:
     """Who holds the lock, where that is known."""
     try:
-        them = json.loads((folder / WRITER).read_text(encoding="utf-8"))
+        them = read_json(folder / WRITER)
         return f" (process {them['pid']} on {them['host']}: {them['command']})"
-    except (OSError, ValueError, LookupError, TypeError):
+    except (InputError, LookupError):
         return ""

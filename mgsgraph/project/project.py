@@ -6,16 +6,20 @@ import re
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.aside import made_beside, resolved
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import beside, sha256_of
-from mgsgraph.project.connection import WRITER, connected, made, refusal
+from mgsgraph.io.files import sha256_of, understood
+from mgsgraph.io.writing import writing_to
+from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 
@@ -23,6 +27,8 @@ SOLUTIONS = "solutions"
 """Folder of the results, one folder each, in a project's folder."""
 MATCHES = "matches"
 """Folder of the tie points found in its images, in a project's folder."""
+_ANOTHER = "choose another one"
+_Kind = TypeVar("_Kind")
 _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of these, whole or left over by a process that was killed."""
 
@@ -102,24 +108,19 @@ class Project:
         InputError
             If the folder exists and isn't empty, or can't be written.
         """
-        shown, target = str(folder), Path(folder).resolve()
-        aside = beside(target)
-        with _writing(shown):
-            _require_free(target, shown)
-            aside.mkdir(parents=True)
-        try:
-            with closing(made(aside)) as connection:
+        shown, target = str(folder), resolved(folder, _ANOTHER)
+        remedy = "choose another folder, where you may write"
+        with ExitStack() as stack:
+            with writing_to(shown, remedy=remedy):
+                _require_free(target, shown)
+                aside = stack.enter_context(made_beside(target, folder=True))
+            with made(aside, Path(folder)) as connection:
                 project = Project(aside, connection)
                 project._introduce(name or target.name, settings, case)
                 yield project
-                connection.execute("COMMIT")
-            with _writing(shown):
+            with writing_to(shown, remedy=remedy):
                 _require_free(target, shown)
                 aside.rename(target)
-        except sqlite3.Error as error:
-            raise refusal(Path(folder), error) from error
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
 
     def _introduce(self, name: str, settings: ProjectSettings, case: Path | None) -> None:
         version = importlib.metadata.version("mgsgraph")
@@ -133,7 +134,7 @@ class Project:
     def _fact(self, key: str) -> str:
         found = self._connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         if found is None:
-            raise InputError(str(self.folder), f"no {key} in the table meta", remedy="take a copy of the project back")
+            raise InputError(str(self.folder), f"no {key} in the table meta", remedy=ELSEWHERE)
         return str(found[0])
 
     @property
@@ -192,7 +193,7 @@ class Project:
     def networks(self) -> tuple[Path, ...]:
         """Files of tie points that it was given, where they were then."""
         found = self._connection.execute("SELECT value FROM meta WHERE key = 'networks'").fetchone()
-        return () if found is None else tuple(map(Path, json.loads(found[0])))
+        return () if found is None else tuple(map(Path, self._from_json(found[0], tuple[str, ...])))
 
     # --- history
 
@@ -208,7 +209,9 @@ class Project:
             "SELECT number, at, verb, what, summary FROM change ORDER BY number DESC LIMIT ?",
             (-1 if last is None else last,),
         ).fetchall()
-        return [Change(number, at, verb, what, json.loads(text)) for number, at, verb, what, text in reversed(rows)]
+        names = [field.name for field in fields(Change)]
+        cells = ((*row[:-1], self._from_json(row[-1], dict[str, Any])) for row in reversed(rows))
+        return [self._record(dict(zip(names, one, strict=True)), Change) for one in cells]
 
     def last_solution(self, kind: str | None = None) -> SolutionRow | None:
         """The latest one, of a kind or of any; None before the first."""
@@ -227,7 +230,19 @@ class Project:
         if row is None:
             return None
         found = dict(zip(columns, row, strict=True))
-        return SolutionRow(**found | {"converged": bool(found["converged"])})
+        return self._record(found | {"converged": found["converged"] == 1}, SolutionRow)
+
+    def _from_json(self, text: object, kind: type[_Kind]) -> _Kind:
+        """A cell of JSON as a value of a kind; InputError where it is none."""
+        with understood(str(self.folder), A_PROJECT, ELSEWHERE):
+            return self._record(json.loads(str(text)), kind)
+
+    def _record(self, value: object, kind: type[_Kind]) -> _Kind:
+        """A value as a record of a kind; InputError where it is none."""
+        try:
+            return msgspec.convert(value, kind)
+        except msgspec.ValidationError as error:
+            raise InputError(str(self.folder), f"{FILE} is damaged ({error})", remedy=ELSEWHERE) from None
 
     def record_incremental(self, converged: bool, message: str) -> int:
         """Note that the state is adjusted as far as the last change; the solution's number."""
@@ -308,24 +323,17 @@ def open_project(folder: str | Path, write: bool = False, thorough: bool = False
     """
     path = Path(folder)
     with connected(path, write, thorough) as connection:
-        yield Project(path, connection)
-
-
-@contextmanager
-def _writing(shown: str) -> Iterator[None]:
-    """One line for what the system has against a folder."""
-    try:
-        yield
-    except OSError as error:
-        found = f"can't be written ({error.strerror or error})"
-        raise InputError(shown, found, remedy="choose another folder, where you may write") from None
+        project = Project(path, connection)
+        with understood(str(folder), A_PROJECT, ELSEWHERE):
+            project.store.require_whole()
+        yield project
 
 
 def _require_free(target: Path, shown: str) -> None:
     if target.exists() and not target.is_dir():
-        raise InputError(shown, "exists and is a file", "a folder for the project", "choose another one")
+        raise InputError(shown, "exists and is a file", "a folder for the project", _ANOTHER)
     if target.is_dir() and any(entry.name != WRITER for entry in target.iterdir()):
-        raise InputError(shown, "exists and is not empty", "an absent or empty folder", "choose another one")
+        raise InputError(shown, "exists and is not empty", "an absent or empty folder", _ANOTHER)
 
 
 def _now() -> str:

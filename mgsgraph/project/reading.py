@@ -1,6 +1,5 @@
 """What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -12,9 +11,11 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.incremental import IncrementalAdjustment
+from mgsgraph.io.files import understood
+from mgsgraph.io.records import read_record
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
@@ -49,7 +50,8 @@ def comparison_with_truth(folder: Path) -> str:
     path = folder / _SUMMARY
     if not path.is_file():
         return ""
-    return next(iter(json.loads(path.read_text(encoding="utf-8")).get("statements", [])), "")
+    with understood(f"{path}, statements", "what mgsgraph demo writes"):
+        return str(next(iter(read_record(path).get("statements", [])), ""))
 
 
 def results_of(path: Path) -> Results:
@@ -143,8 +145,9 @@ def _state(project: Project, where: str) -> tuple[Network, _Values, Array]:
     """Everything as one network, its shared unknowns, and the places (n, 3) in m of its points."""
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
-    adjustment = IncrementalAdjustment(project.settings.solver.settings, project.store)
-    network = adjustment.network
-    names, found, _ = adjustment.points()
+    with errors_from(where):
+        adjustment = IncrementalAdjustment(project.settings.solver.settings, project.store)
+        network = adjustment.network
+        names, found, _ = adjustment.points()
     place = dict(zip(names, found, strict=True))
     return network, adjustment.values, np.array([place[name] for name in network.points.ids]).reshape(-1, 3)

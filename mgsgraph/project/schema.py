@@ -1,14 +1,15 @@
 """Tables of a project's SQLite file, and how the tables of older formats become those of this one.
 
 SQLite keeps the comments: `sqlite3 project.sqlite .schema` explains the file. SI units, body-fixed metres, times in
-seconds TDB past J2000. Numbers stand in columns without a type: one of type REAL loses the sign of zero. NaN is NULL.
+seconds TDB past J2000. The user version is a checksum (`checksum.py`): whoever changes the file otherwise damages it.
+Numbers stand in columns without a type: one of type REAL loses the sign of zero. NaN is NULL.
 Blobs named so hold float64, little-endian, row by row; the others are NumPy archives (.npz).
 
 The points, rays and ranges of a bundle are written together, one after the other: their numbers are a run without gaps,
 by which they are read and removed, so that only names need an index.
 """
 
-FORMAT = 4
+FORMAT = 5
 """Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -167,5 +168,6 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
         "ALTER TABLE profile ADD COLUMN considered INTEGER NOT NULL DEFAULT 0",
         "ALTER TABLE bundle ADD COLUMN terrain_considered INTEGER NOT NULL DEFAULT 0",
     ),
+    4: (),  # had no checksum, which every change writes
 }
 """Statements by which a format becomes the next one."""

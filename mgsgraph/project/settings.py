@@ -6,8 +6,9 @@ from typing import Any
 
 import msgspec
 
+from mgsgraph.aside import resolved
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.numbers import Sigma
+from mgsgraph.case.numbers import Factor, Sigma
 from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.io.decoding import read_toml, validated
@@ -18,6 +19,8 @@ class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     tie_sigma_px: Sigma = 1.0
     """Of a tie point's line and sample."""
+    tie_sigma_factor: Factor = 1.0
+    """Multiplies the sigmas of all tie points that are added, those that a network itself states among them."""
     shot_image_sigma_px: Sigma = 30.0
     """Of a laser shot's line and sample."""
     shot_range_sigma_m: Sigma | None = None
@@ -67,6 +70,7 @@ def settings_of_case(path: Path) -> ProjectSettings:
     usual = MeasuresInput()
     measures = MeasuresInput(
         next((group.sigma_px for group in case.tie_groups), usual.tie_sigma_px),
+        next((group.sigma_factor for group in case.tie_groups), usual.tie_sigma_factor),
         next((group.image_sigma_px for group in case.laser_groups), usual.shot_image_sigma_px),
         next((one for profile in case.shots if (one := profile.range_sigma_m) is not None), None),
         next((one for profile in case.shots if (one := profile.ground_sigma_m) is not None), None),
@@ -79,7 +83,7 @@ def _absolute(spice: SpiceInput | None, folder: Path) -> SpiceInput | None:
     """Kernels by paths that hold in whatever folder the next command is called."""
     if spice is None:
         return None
-    return SpiceInput(tuple(str((folder / kernel).resolve()) for kernel in spice.kernels), spice.sampling_s)
+    return SpiceInput(tuple(str(resolved(folder / kernel, "")) for kernel in spice.kernels), spice.sampling_s)
 
 
 def settings_to_json(settings: ProjectSettings) -> str:

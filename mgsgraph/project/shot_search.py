@@ -68,7 +68,7 @@ def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice
     """
     parts = [read_shots(path, version=choice.version) for path in files]
     for part in parts:
-        require_on_body(part.footprints, seen.images[0].body.equatorial, part.source)
+        require_on_body(part.footprints, seen.images[0].body, part.source)
     shots = joined_shots(parts)
     over = shots_over_images(seen.images, shots.chosen(choice.of(shots)), seen.corrections, choice.margin)
     return replace(over, inside=over.inside & (over.seconds == 0.0)) if choice.along else over

@@ -5,8 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from mgsgraph.io.files import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import groups
+from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
 from mgsgraph.project.project import Change, Project, SolutionRow
 from mgsgraph.wording import many, some
 
@@ -16,13 +18,17 @@ _HISTORY = 10
 
 def status(project: Project) -> str:
     """Images, points, measures, how they hang together, the last solution and the last changes; several lines."""
+    with understood(str(project.folder), A_PROJECT, ELSEWHERE):
+        return "\n".join(_lines(project))
+
+
+def _lines(project: Project) -> list[str]:
     names = project.store.image_names()
     lines = [f"{project.name}: a project of {many(len(names), 'image')}, made {project.created}"]
     lines += ["", *_contents(project)]
     lines += ["", *_connections(project, names)]
     lines += ["", *_solutions(project, bool(names))]
-    lines += ["", "History (UTC)", *(_change(change) for change in project.changes(_HISTORY))]
-    return "\n".join(lines)
+    return [*lines, "", "History (UTC)", *(_change(change) for change in project.changes(_HISTORY))]
 
 
 def _contents(project: Project) -> list[str]:

@@ -1,6 +1,5 @@
 """The state of an incremental adjustment in a project's file: what `InMemory` does, on an open connection."""
 
-import hashlib
 import json
 import sqlite3
 from collections import OrderedDict
@@ -16,6 +15,8 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.network import TERRAIN, Network, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
+from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
+from mgsgraph.project.grids import StoredGrids
 from mgsgraph.project.rows import (
     Run,
     StoredPoints,
@@ -41,6 +42,7 @@ _AT_HAND = 100
 _SHARED = ("prior", "motion", "ground", "value", "covariance")
 
 
+@guarded_readings
 class ProjectStore:
     """Implements `mgsgraph.incremental.state.StateStore`.
 
@@ -50,8 +52,7 @@ class ProjectStore:
     def __init__(self, connection: sqlite3.Connection, where: str) -> None:
         self._connection, self._where = connection, where
         self._images = dict[str, KnownImage]()
-        self._grids = dict[int, TerrainGrid]()
-        self._numbers = dict[int, tuple[TerrainGrid, int]]()
+        self._grids = StoredGrids(connection, where)
         self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
         self._stereo = StoredStereo(connection, where)
 
@@ -65,7 +66,9 @@ class ProjectStore:
         """An image by its name."""
         if name not in self._images:
             (record,) = self._one("SELECT record FROM image WHERE name = ?", name)
-            self._images[name] = unpack(record, KnownImage, f"{self._where}, image {name}")
+            known = unpack(record, KnownImage, f"{self._where}, image {name}")
+            self._require(known.image.name == name, f"the image {name} is called {known.image.name}")
+            self._images[name] = known
         return self._images[name]
 
     def put_image(self, known: KnownImage) -> None:
@@ -171,8 +174,8 @@ class ProjectStore:
             rays_of(self._connection, Run(first_ray, rays), read.numbers, numbers),
             ranges_of(self._connection, Run(first_range, ranges), read.numbers, numbers),
             self._shifts(read),
-            None if terrain is None else Surface(self._grid(terrain), read.surface_sigmas, shift_sigma),
-            None if areoid is None else self._grid(areoid),
+            None if terrain is None else Surface(self._grids.grid(terrain), read.surface_sigmas, shift_sigma),
+            None if areoid is None else self._grids.grid(areoid),
             stereo=self._stereo.control(Run(first, points), read.numbers, numbers, read.places),
         ).considering([*self._considered_profiles, *([TERRAIN] if stays else [])])
         system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
@@ -222,10 +225,10 @@ class ProjectStore:
             f"INSERT INTO bundle (members, {', '.join(_BUNDLE)}) VALUES ({', '.join('?' * (1 + len(_BUNDLE)))})",
             (
                 _text(members), number, *points, *rays, *ranges,
-                None if surface is None else self._number(surface.grid),
+                None if surface is None else self._grids.number(surface.grid),
                 None if surface is None else surface.shift_sigma,
                 int(TERRAIN in network.considered),
-                None if network.areoid is None else self._number(network.areoid),
+                None if network.areoid is None else self._grids.number(network.areoid),
                 *_reduced_row(bundle.reduced),
             ),
         )  # fmt: skip
@@ -275,31 +278,24 @@ class ProjectStore:
         found = self._ask("SELECT DISTINCT terrain, terrain_shift_sigma FROM bundle WHERE terrain IS NOT NULL")
         if len(found) > 1:
             raise InputError(self._where, f"{len(found)} terrain models", "one for all points")
-        return (self._grid(found[0][0]), found[0][1]) if found else None
+        return (self._grids.grid(found[0][0]), found[0][1]) if found else None
 
     @property
     def areoid(self) -> TerrainGrid | None:
         """The areoid, where heights are to be above it."""
         found = self._ask("SELECT min(areoid) FROM bundle")
-        return None if found[0][0] is None else self._grid(found[0][0])
+        return None if found[0][0] is None else self._grids.grid(found[0][0])
 
     def with_known_grids(self, network: Network) -> Network:
         """The network with this store's terrain grids in place of equal ones: parts of one network share one grid."""
         surface, areoid = network.surface, network.areoid
         if surface is not None:
-            surface = replace(surface, grid=self._equal(surface.grid))
+            surface = replace(surface, grid=self._grids.equal(surface.grid))
             if (known := self.terrain) is not None and known[0] is not surface.grid:
                 found = "a terrain model that is not the project's, or another part of it"
                 remedy = "leave [terrain] out: the project's serves its ties, too, as far as it reaches"
                 raise InputError(surface.grid.source, found, "the project's own", remedy)
-        return replace(network, surface=surface, areoid=None if areoid is None else self._equal(areoid))
-
-    def _equal(self, grid: TerrainGrid) -> TerrainGrid:
-        """The store's grid with the same content, or the one given where there is none; nothing is written."""
-        if id(grid) in self._numbers:
-            return grid
-        found = self._ask("SELECT id FROM terrain WHERE sha256 = ?", hashlib.sha256(pack(grid)).hexdigest())
-        return self._grid(found[0][0]) if found else grid
+        return replace(network, surface=surface, areoid=None if areoid is None else self._grids.equal(areoid))
 
     # --- numbers and names
 
@@ -336,26 +332,25 @@ class ProjectStore:
         rows = [self._one("SELECT name, sigma FROM profile WHERE id = ?", int(number)) for number in used[first:]]
         return ProfileShifts(tuple(name for name, _ in rows), profile - first, np.array([sigma for _, sigma in rows]))
 
-    def _grid(self, number: int) -> TerrainGrid:
-        if number not in self._grids:
-            source, record = self._one("SELECT source, record FROM terrain WHERE id = ?", number)
-            grid = unpack(record, TerrainGrid, f"{self._where}, terrain {source}")
-            self._grids[number], self._numbers[id(grid)] = grid, (grid, number)
-        return self._grids[number]
+    def require_whole(self) -> None:
+        """Raise InputError where tables contradict each other: images that bundles depend on, and shared unknowns."""
+        seen = set(self._ask("SELECT bundle, name FROM bundle_image JOIN image ON image.id = image"))
+        sizes = {Unknown(*name): size for *name, size in self._ask("SELECT kind, name, length(prior) FROM shared")}
+        held = {Unknown("image", name) for (name,) in self._ask("SELECT name FROM image WHERE held")}
+        for number, text, own, size in self._ask("SELECT id, members, unknowns, length(at) FROM bundle"):
+            members, unknowns = _members(text), _members(own or "[]")
+            images = {(number, unknown.name) for unknown in members if unknown.kind == "image"}
+            self._require(images <= seen, f"a bundle lacks its images ({text})")
+            self._require(set(unknowns) <= set(members), f"a bundle was reduced to others' unknowns ({text})")
+            self._require(not held.intersection(unknowns), f"a bundle adjusts an image that is held ({text})")
+            solved = all(unknown in sizes for unknown in unknowns)  # others wait for a solution
+            right = not solved or sum(int(sizes[unknown]) for unknown in unknowns) == (size or 0)
+            self._require(right, f"a bundle has other unknowns than there are ({text})")
 
-    def _number(self, grid: TerrainGrid) -> int:
-        """Number of a grid in its table, where it is written unless an equal one is there."""
-        if id(grid) not in self._numbers:
-            record = pack(grid)
-            digest = hashlib.sha256(record).hexdigest()
-            self._connection.execute(
-                "INSERT INTO terrain (sha256, source, record) VALUES (?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
-                (digest, grid.source, record),
-            )
-            (number,) = self._one("SELECT id FROM terrain WHERE sha256 = ?", digest)
-            self._numbers[id(grid)] = grid, number  # held, so that its id stays its own
-            self._grids.setdefault(number, grid)
-        return self._numbers[id(grid)][1]
+    def _require(self, good: bool, found: str) -> None:
+        """Raise InputError unless `good`: tables contradict each other."""
+        if not good:
+            raise InputError(self._where, f"{FILE} is damaged ({found})", remedy=ELSEWHERE)
 
     def _ask(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         return self._connection.execute(statement, values).fetchall()
@@ -372,7 +367,10 @@ def _text(members: Members) -> str:
 
 
 def _members(text: str) -> Members:
-    return tuple(Unknown(kind, name) for kind, name in json.loads(text))
+    found = tuple(Unknown(kind, name) for kind, name in json.loads(text))
+    if not all(isinstance(word, str) for unknown in found for word in unknown):
+        raise ValueError("an unknown that is no pair of names")
+    return found
 
 
 def _vector(blob: bytes) -> Array:
@@ -386,10 +384,8 @@ def _shared(considered: bool, prior: bytes, motion: bytes, ground: bytes, value:
 
 
 def _reduced(unknowns: Members, at: bytes, normal: bytes, gradient: bytes, cost: float, slack: float) -> ReducedSystem:
-    place = _vector(at)
-    return ReducedSystem(
-        unknowns, place, _vector(normal).reshape(place.size, -1), _vector(gradient), cost, slack
-    )
+    place, cost, slack = _vector(at), float(cost), float(slack)
+    return ReducedSystem(unknowns, place, _vector(normal).reshape(place.size, -1), _vector(gradient), cost, slack)
 
 
 def _reduced_row(reduced: ReducedSystem | None) -> tuple[object, ...]:

@@ -4,6 +4,7 @@ import numpy as np
 
 from mgsgraph.altimetry.time_scales import utc_of_tdb
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.io.writing import begins
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.registration.crossings import Crossing, ShotsOverImages
 from mgsgraph.units import DEG, MILLISECOND
@@ -34,6 +35,10 @@ def crossings_table(found: tuple[Crossing, ...]) -> Table:
             text=">12.3f", label="from image",
         ),
     ))  # fmt: skip
+
+
+SELECTION = begins("a selection of mgsgraph shots", "altimeter,profile,utc,images,simultaneous,orbit,")
+"""Tables of `selection_table`, by their columns."""
 
 
 def selection_table(over: ShotsOverImages) -> Table:

@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.records import Array
-from mgsgraph.reports.archive_arrays import BROKEN, Arrays, from_arrays, read_members, to_arrays
+from mgsgraph.io.files import opened, understood
+from mgsgraph.reports.archive_arrays import Arrays, from_arrays, read_members, record_of, to_arrays
 
 FORMAT = 2
 """Version of the layout, raised whenever an older reader would misread it: 2 holds the joint covariance by blocks."""
 ARCHIVE = "solution.npz"
 """Name of the file in a result folder."""
+_LARGEST = 1 << 40
+"""bytes; every member is held against the file's size."""
 
 _NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
 _OLDER = "adjust the case again, or read it with the older version of mgsgraph that wrote it"
@@ -49,23 +52,19 @@ def read_solution(path: str | Path) -> Solution:
     """
     path = Path(path)
     path = path / ARCHIVE if path.is_dir() else path
-    if not path.is_file():
+    if not path.exists():
         raise InputError(str(path), "no such file", remedy=_ANEW)
-    try:
-        arrays = read_members(path)
+    where = str(path)
+    with errors_from(where), understood(where, "an archive of mgsgraph", _ANEW), opened(path, _LARGEST) as file:
+        arrays = read_members(file)
         version = int(arrays["format"])
-        if version == FORMAT:
-            record = json.loads(arrays["record"].tobytes().decode())
-            record.pop("terrain_cells", None)  # patches that were held, before the terrain model was one smooth surface
-            solution: Solution = from_arrays(record, Solution, "", arrays)
-            _require_shapes(solution)
-            return solution
-    except InputError as error:
-        raise error.within(str(path)) from None
-    except BROKEN as error:
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise InputError(str(path), f"no archive of mgsgraph, or a damaged one ({reason})", remedy=_ANEW) from None
-    raise InputError(f"{path}, format", f"{version}", f"{FORMAT}", _NEWER if version > FORMAT else _OLDER)
+        if version != FORMAT:
+            raise InputError("format", f"{version}", f"{FORMAT}", _NEWER if version > FORMAT else _OLDER)
+        record = record_of(arrays)
+        record.pop("terrain_cells", None)  # patches that were held, before the terrain model was one smooth surface
+        solution: Solution = from_arrays(record, Solution, "", arrays)
+        _require_shapes(solution)
+        return solution
 
 
 def _require_shapes(solution: Solution) -> None:

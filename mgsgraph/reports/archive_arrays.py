@@ -7,21 +7,19 @@ Names within are those of the records' fields, and their declared types say what
 import io
 import json
 import math
-import struct
+import re
 import types
 import zipfile
-import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
 from functools import cache
-from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.distortion import MODELS, Distortion
 from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import ExteriorOrientation
@@ -30,6 +28,7 @@ from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.io.files import json_object, understood
 from mgsgraph.network import JointNodePrior, NodePrior
 
 Arrays = dict[str, NDArray[Any]]
@@ -46,13 +45,16 @@ _KINDS: dict[Any, dict[str, Any]] = {
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
 _KIND_NAMES |= {one.__name__ for one in (NodePrior, JointNodePrior, PackedSurface)}
-BROKEN = (
-    OSError, EOFError, LookupError, AttributeError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError,
-    struct.error, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""What zipfile, NumPy and json raise on files that are damaged or no archives."""
 _NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
 _ANEW = "write it anew with the program that made it"
+_HEADER = re.compile(
+    rb"\x93NUMPY\x01\x00(..)\{'descr': '([<|][biufU]\d{1,9})', 'fortran_order': (True|False), "
+    rb"'shape': \(([\d, ]{0,200})\), \} *\n",
+    re.DOTALL,
+)
+"""What NumPy writes before the numbers of an array, of the kinds that records have."""
+_VERSION, _RECORD = "format", "record"
+"""Members beside the arrays that the record names."""
 
 
 def pack(record: Any) -> bytes:
@@ -66,32 +68,62 @@ def pack(record: Any) -> bytes:
 
 def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
     """The record of a kind that `pack` made the bytes of; InputError naming `where` for anything else."""
-    try:
+    with errors_from(where), understood(where, f"a record of kind {kind.__name__}", _ANEW):
         arrays = read_members(io.BytesIO(data))
-        record: Kind = from_arrays(json.loads(arrays["record"].tobytes().decode()), kind, "", arrays)
-    except InputError as error:
-        raise error.within(where) from None
-    except BROKEN as error:
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise InputError(where, f"no {kind.__name__}, or a damaged one ({reason})", remedy=_ANEW) from None
+        record: Kind = from_arrays(record_of(arrays), kind, "", arrays)
+        return record
+
+
+def record_of(arrays: Arrays) -> dict[str, Any]:
+    """What the text in an archive says; InputError where an array is there that it does not name."""
+    record = json_object(arrays[_RECORD].tobytes(), _RECORD)
+    for name in sorted(arrays.keys() - set(_named(record)) - {_VERSION, _RECORD})[:1]:
+        raise InputError(name, "an array that the archive's record does not name", remedy=_ANEW)
     return record
 
 
-def read_members(file: Path | BinaryIO) -> Arrays:
-    """All arrays of an archive, read-only; checksums first, so that NumPy parses nothing that was damaged."""
+def _named(value: Any) -> Iterator[str]:
+    """Paths of the arrays in a record as `to_arrays` gives it."""
+    if isinstance(value, dict):
+        if value.keys() == {"array"}:
+            yield str(value["array"])
+        for item in value.values():
+            yield from _named(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _named(item)
+
+
+def read_members(file: BinaryIO) -> Arrays:
+    """All arrays of an archive, read-only, each after its checksum; InputError for members that are none, or that say
+    they hold more than the file has, before anything of them is read.
+    """
+    size = file.seek(0, io.SEEK_END)
     with zipfile.ZipFile(file) as archive:
-        damaged = archive.testzip()
-    if damaged is not None:
-        raise InputError(damaged.removesuffix(".npy"), "a wrong checksum", remedy=_ANEW)
-    if not isinstance(file, Path):
-        file.seek(0)
-    with np.load(file, allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray):  # NumPy hands other members out as bytes
-            raise InputError(name, "no NumPy array", remedy=_ANEW)
-        array.flags.writeable = False
+        members = archive.infolist()
+        whole = sum(member.file_size for member in members)
+        if whole > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+            found = f"members of {whole / 1e6:.1f} MB in a file of {size / 1e6:.1f} MB, or packed ones"
+            raise InputError(members[0].filename, found, "arrays as NumPy's savez writes them", _ANEW)
+        arrays = dict[str, NDArray[Any]]()
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            try:
+                arrays[name] = _from_npy(archive.read(member), name)
+            except zipfile.BadZipFile as error:
+                raise InputError(name, f"a wrong checksum ({error})", remedy=_ANEW) from None
     return arrays
+
+
+def _from_npy(content: bytes, name: str) -> NDArray[Any]:
+    """An array out of the bytes of an .npy file, without a copy; nothing in it is evaluated."""
+    head = _HEADER.match(content)
+    if head is None or head.end() != 10 + int.from_bytes(head[1], "little"):
+        raise InputError(name, "no NumPy array of numbers or names", remedy=_ANEW)
+    kind, shape = np.dtype(head[2].decode()), tuple(int(size) for size in head[4].split(b",") if size.strip())
+    if math.prod(shape) * kind.itemsize != len(content) - head.end():
+        raise InputError(name, f"{len(content) - head.end()} bytes", f"an array of shape {shape}", _ANEW)
+    return np.ndarray(shape, kind, content, head.end(), order="F" if head[3] == b"True" else "C")
 
 
 # --- taking a record apart

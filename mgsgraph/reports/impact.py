@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+from mgsgraph.aside import resolved
 from mgsgraph.errors import InputError
 from mgsgraph.incremental.impact import Impact
-from mgsgraph.io.files import beside, fresh_file
+from mgsgraph.io.writing import begins, fresh_file, require_free, writing_to
+from mgsgraph.io.writing import require_writable as require_writable_folder
 
-_FIRST = "point,new,move_x_m,"
-"""How every table of `Impact.points_table` begins as CSV: its first columns, by which an earlier one is known."""
+_IMPACT = begins("an earlier impact", "point,new,move_x_m,")
+"""Tables of `Impact.points_table`, by their first columns."""
 _WRITABLE = "a file that may be written"
 
 
@@ -23,18 +25,11 @@ def require_writable(path: Path, project: Path) -> None:
         raise InputError(str(path), "is no file", wanted)
     if not path.parent.is_dir():
         raise InputError(str(path), f"no folder {path.parent}", wanted, "make it first")
-    if path.resolve().is_relative_to(project.resolve()):
+    if resolved(path, "choose another name").is_relative_to(resolved(project, "")):
         raise InputError(str(path), "lies in the project's folder", wanted)
-    if path.is_file() and path.stat().st_size:
-        with path.open("rb") as file:
-            if not file.read(len(_FIRST)) == _FIRST.encode():
-                raise InputError(str(path), "a file that is no earlier impact", wanted, "choose another name")
-    trial = beside(path)
-    try:
-        trial.touch(exist_ok=False)
-        trial.unlink()
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror})", _WRITABLE) from None
+    require_free(path, _IMPACT, wanted)
+    with writing_to(path, _WRITABLE):
+        require_writable_folder(path.parent)
 
 
 def write_impact(impact: Impact, path: Path) -> None:
@@ -42,5 +37,5 @@ def write_impact(impact: Impact, path: Path) -> None:
 
     Raises InputError if the file can't be written.
     """
-    with fresh_file(path, _WRITABLE) as aside:
+    with fresh_file(path, _WRITABLE, over=_IMPACT) as aside:
         impact.points_table().write_csv(aside)

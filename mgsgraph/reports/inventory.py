@@ -12,7 +12,7 @@ from mgsgraph.case.images import read_images
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.strips import members as members_of_strips
-from mgsgraph.errors import WeakNetwork
+from mgsgraph.errors import Unmeasured, WeakNetwork
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.footprint import footprint, overlaps
@@ -31,7 +31,7 @@ from mgsgraph.network.connectivity_words import (
 from mgsgraph.network.terrain_control import coverage
 from mgsgraph.registration.crossing_tables import crossing_sentences
 from mgsgraph.registration.crossings import shots_over_images
-from mgsgraph.reports.readings import reading_statements
+from mgsgraph.reports.readings import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
@@ -82,13 +82,19 @@ def inventory(case: Case) -> str:
     return "\n\n".join(parts)
 
 
-def images_inventory(path: Path) -> str | None:
+def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | None:
     """The images of a case without measures, which of them overlap, and the laser shots in them; None of a case that
     has measures. InputError where a file of shots can't be used.
+
+    A case has none either whose tie points are still to be matched (the folder of their network isn't there yet), or
+    of which reading has found so: `unmeasured`, which is raised again where it names tie points.
     """
     wanted = decode(path)
-    if wanted.measured:
+    matched = [group.network for group in wanted.tie_groups if (path.parent / group.network).parent.is_dir()]
+    if unmeasured is None and wanted.measured and (matched or not wanted.tie_groups or wanted.ground_control):
         return None
+    if unmeasured is not None and matched:
+        raise unmeasured
     names = [image.name for image in wanted.images]
     images, _ = read_images(wanted, wanted.orientations, members_of_strips(wanted.strips, names, str(path)), path)
     found = overlaps([footprint(image) for image in images])
@@ -97,13 +103,18 @@ def images_inventory(path: Path) -> str | None:
         for (i, j), area, share in zip(found.pairs.tolist(), found.areas.tolist(), found.shares.tolist(), strict=True)
     ]
     bare = [entry.name for entry in wanted.images if picture_of(entry, path.parent) is None]
-    what = f"mgsgraph match {path} --out MATCHES" if pairs else "an image that overlaps, as well (mgsgraph new)"
+    folder = next((f"{path.parent / group.network}" for group in wanted.tie_groups), None)
+    into = "MATCHES" if folder is None else str(Path(folder).parent)
+    what = f"mgsgraph match {path} --out {into}" if pairs else "an image that overlaps, as well (mgsgraph new)"
     what = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {what}' if bare and pairs else what
     return "\n".join([
         f"{wanted.name}: {many(len(images), 'image')}, no measures in them\n", "Images",
         *(line for image in images for line in _image(image)),
         *(f"  {sentence}" for sentence in reading_statements(images)), "", "Overlaps", *(pairs or ["  none"]), "",
         *_laser_files(wanted, images, path.parent),
+        *([f"Its tie points, {folder}, are not there yet."] if folder is not None else []),
+        *([f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}."]
+          if pairs and not bare else []),
         f"To be adjusted it needs tie points, ground control, or laser shots measured in images; next: {what}",
     ])
 
@@ -113,7 +124,7 @@ def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Pa
     said, body = list[str](), images[0].body
     for entry in wanted.shots:
         shots = read_profile(entry, folder)
-        require_on_body(shots.footprints, body.equatorial, shots.source)
+        require_on_body(shots.footprints, body, shots.source)
         over = shots_over_images(images, shots.chosen(shots.ground))
         said.append(f"  {entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
         said += [f"    {sentence}" for sentence in crossing_sentences(over, over.crossings())]
@@ -246,12 +257,16 @@ def _points(network: Network, prediction: Prediction) -> str:
             f"  {members.size} {point_class.name.lower()} points ({kinds}), {counts[members].min()} to "
             f"{counts[members].max()} rays each"
         )
-        expected = np.nanmean(sigmas[members], axis=0)
+        known = members[np.all(np.isfinite(sigmas[members]), axis=1)]
+        if not known.size:
+            lines.append("    nothing determines the place of any of them: their rays are parallel, or single")
+            continue
+        expected = sigmas[known].mean(axis=0)
         lines.append(f"    expected mean sigma in x, y, z: {expected[0]:.2f}, {expected[1]:.2f}, {expected[2]:.2f} m")
-        mine = np.isin(network.rays.point, members)
+        mine = np.isin(network.rays.point, known)
         if np.any(mine):
             misfit = prediction.residuals[mine]
-            rms = root_mean_square(misfit, 0)
+            rms = root_mean_square(misfit[np.all(np.isfinite(misfit), axis=1)], 0)
             lines.append(
                 f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms"
             )
@@ -311,7 +326,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
     if flat.size:
         names = some_of(network.points.ids, flat, _NAMED)
         found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {names}")
-    found += [*_poor_images(network), *bare_nodes(network)]
+    found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
     angle = _convergence(network)
     if np.any(angle < _NARROW):
         found.append(
@@ -331,7 +346,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
 
 def _doubtful_observations(network: Network, prediction: Prediction) -> list[str]:
     """Ranges far from what the nominal orientation says, and laser points without any."""
-    found = []
+    found = range_statements(network, prediction.range_residuals)
     wild = wild_ranges(network, prediction.range_residuals)
     if wild.size:
         names = some_of(network.points.ids, network.ranges.point[wild], _NAMED)

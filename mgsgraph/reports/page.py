@@ -10,13 +10,15 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
+from mgsgraph.io.writing import require_free
 from mgsgraph.network import PointClass
-from mgsgraph.output.page import write_page
+from mgsgraph.output.page import page_of, write_page
 from mgsgraph.output.table import NONE
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
 from mgsgraph.reports.likelihood import linearity_figure
 from mgsgraph.reports.page_comparison import compare
 from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
+from mgsgraph.reports.soundness import state_of
 from mgsgraph.reports.summary import statements
 
 _TEMPLATE = "reports/templates/report.html"
@@ -38,7 +40,7 @@ def write_report(
     solution : Solution
         Converged or not; one that is not is marked as no result.
     path : path
-        HTML file; an earlier one is replaced.
+        HTML file; an earlier report is replaced.
     case : Case, optional
         What was adjusted: with its images' pixels and its laser profiles, footprints are shown on the images.
     earlier : Solution, optional
@@ -64,10 +66,11 @@ def write_report(
 
 
 def require_page(path: str | Path) -> Path:
-    """The path if it is that of an HTML file; InputError for any other: a page must not replace a solution."""
+    """The path if it is that of an HTML file, absent or an earlier report; InputError for any other."""
     path = Path(path)
     if path.suffix.lower() not in _ENDINGS:
         raise InputError(str(path), f"the ending {path.suffix!r}", "a page (.html)", "choose another --out")
+    require_free(path, page_of(_TEMPLATE), remedy="choose another --out")
     return path
 
 
@@ -132,7 +135,7 @@ def _key_figures(solution: Solution) -> list[tuple[str, str]]:
     network, fit = solution.network, solution.fit
     sigma0 = f"{fit.sigma0:.3g}" if np.isfinite(fit.sigma0) else "not defined"
     return [
-        ("state", "converged" if solution.converged else "NOT CONVERGED"),
+        ("state", state_of(solution)),
         ("sigma0", sigma0),
         *linearity_figure(solution.linearity),
         ("cost", f"{solution.cost_initial:.4g} → {solution.cost_final:.4g}"),

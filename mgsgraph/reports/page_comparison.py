@@ -12,6 +12,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.table import Column, Table, cut
 from mgsgraph.reports.page_tables import MOST_IMAGES
+from mgsgraph.reports.soundness import state_of
 from mgsgraph.wording import NAMED, many, root_mean_square, some
 
 _MOST_POINTS = 200
@@ -92,7 +93,7 @@ def _fit_figures(solution: Solution, earlier: Solution) -> Table:
         ("images", len(earlier.network.images), len(solution.network.images)),
         ("ground points", len(earlier.network.points), len(solution.network.points)),
     ]
-    states = ["converged" if one.converged else "NOT CONVERGED" for one in (earlier, solution)]
+    states = [state_of(one) for one in (earlier, solution)]
     numbers = np.array([(before, after, after - before) for _, before, after in both])
     texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column] for column in numbers.T]
     note = "" if earlier.fit.observations == solution.fit.observations else (

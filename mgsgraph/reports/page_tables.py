@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.group_fits import group_fits
 from mgsgraph.analysis.statistics import (
     PLACES,
     range_statistics,
@@ -14,6 +15,7 @@ from mgsgraph.analysis.statistics import (
 from mgsgraph.geometry.records import Index
 from mgsgraph.output.csv_json import picked
 from mgsgraph.output.table import Column, Table, cut
+from mgsgraph.reports.group_fits import group_fits_table
 from mgsgraph.reports.minima import minima_table
 from mgsgraph.reports.shared import ON_PAGE, shared_table
 from mgsgraph.reports.strips import strips_table
@@ -30,7 +32,8 @@ _MOST_MEASURES = 300
 def tables(solution: Solution) -> list[Table]:
     """All tables of a solution that have rows."""
     found = [
-        _images(solution), _points_by_class(solution), _ranges(solution), _shifts(solution),
+        _images(solution), group_fits_table(group_fits(solution)), _points_by_class(solution), _ranges(solution),
+        _shifts(solution),
         minima_table(solution.minima), shared_table(solution).pick(*ON_PAGE), strips_table(solution),
         _measures(solution), _points(solution),
     ]  # fmt: skip

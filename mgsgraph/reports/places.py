@@ -8,12 +8,13 @@ import numpy as np
 
 from mgsgraph.analysis.places import Places, State, View, on_surface
 from mgsgraph.analysis.statistics import local_sigmas
+from mgsgraph.control.table_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
 from mgsgraph.errors import require
 from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.io.control.table_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
 from mgsgraph.io.place_table import PlaceTable
+from mgsgraph.io.writing import begins
 from mgsgraph.output.table import Column, Table
 from mgsgraph.units import DEG, ISIS_OFFSET
 from mgsgraph.wording import many
@@ -30,6 +31,11 @@ class Surface(NamedTuple):
     """m, by which the ellipsoid's radii are larger."""
 
 
+PLACES = begins(
+    "a table of mgsgraph project",
+    r"([^\n]*,)?state,(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
+)
+"""Tables that the verb writes, by the columns that it adds."""
 _GIVEN = "given_"
 """What the name of a given column gets before it where a projected one has the same."""
 

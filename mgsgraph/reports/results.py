@@ -1,7 +1,6 @@
 """All files of one adjustment, in one folder; and the record of all figures of merit, solution.json."""
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from mgsgraph.analysis.statistics import (
 )
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import sha256_of
+from mgsgraph.io.records import read_record
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json
 from mgsgraph.network.records import PointClass
@@ -29,9 +29,11 @@ from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import ARCHIVE, write_archive
 from mgsgraph.reports.control import control_json
+from mgsgraph.reports.group_fits import fits_json
 from mgsgraph.reports.likelihood import linearity_json
 from mgsgraph.reports.minima import minima_json
 from mgsgraph.reports.shared import shared_table
+from mgsgraph.reports.soundness import soundness_json
 from mgsgraph.reports.strips import nodes_table, strips_table
 from mgsgraph.reports.summary import statements
 from mgsgraph.reports.tables import (
@@ -119,11 +121,8 @@ def case_of(folder: str | Path) -> Path:
         A folder that is no result, or doesn't know its case.
     """
     path = Path(folder) / RECORD
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        record = {}
-    if "case" not in record:
+    record = read_record(path) if path.exists() else {}
+    if not isinstance(record.get("case"), str):
         raise InputError(
             str(path), "no word of the case that was adjusted", "the result of `mgsgraph adjust CASE`",
             f"give the case: mgsgraph coregister CASE --solution {folder}",
@@ -154,6 +153,8 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "cost_final": solution.cost_final,
         "sigma0": solution.sigma0,
         "degrees_of_freedom": fit.degrees_of_freedom,
+        "fits": fits_json(solution),
+        "soundness": soundness_json(solution),
         "linearity": linearity_json(solution.linearity),
         "minima": minima_json(solution.minima),
         "observations": fit.observations,

@@ -15,7 +15,7 @@ from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.files import file_stem, fresh_file
+from mgsgraph.io.writing import file_stem, fresh_file
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.output.geotiff import geotiff
 from mgsgraph.output.table import Column, Table

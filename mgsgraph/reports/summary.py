@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.group_fits import ODDS, group_fits
 from mgsgraph.analysis.statistics import (
     PLACES,
     RayStatistics,
@@ -17,25 +18,24 @@ from mgsgraph.analysis.statistics import (
     solution_connectivity,
     used_ray_counts,
 )
+from mgsgraph.analysis.strained import strained_orientations
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_statements
 from mgsgraph.reports.control import control_statements
+from mgsgraph.reports.group_fits import group_fits_table, weight_unit
 from mgsgraph.reports.likelihood import linearity_statements
 from mgsgraph.reports.minima import minima_statements
-from mgsgraph.reports.readings import reading_statements
+from mgsgraph.reports.readings import range_statements, reading_statements
 from mgsgraph.reports.shared import IN_TEXT, shared_statements, shared_table
+from mgsgraph.reports.soundness import soundness_statements, state_of
 from mgsgraph.reports.strips import strips_statements, strips_table
 from mgsgraph.reports.tables import classes_table, images_table
 from mgsgraph.ties import PointKind
 from mgsgraph.units import MRAD
 from mgsgraph.wording import NAMED, listed, many, short, some_of, span, three
 
-_ODDS = 0.0027
-"""Chance (three sigma) of taking mere noise for something worth a sentence, in a whole solution."""
-_STRAINED = 5.0
-"""A-priori sigmas; of 10,000 coefficients none is off by so many by chance."""
 _PIXELS = 0.5
 """Size of a mean residual below which it does no harm."""
 _FEW_RAYS = 8
@@ -51,7 +51,8 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
     rays = ray_statistics(solution)
     return [
         *_ending(solution),
-        _weight_unit(solution),
+        *soundness_statements(solution),
+        *weight_unit(solution),
         *_strained(solution),
         *linearity_statements(solution.linearity),
         *minima_statements(solution.minima),
@@ -79,50 +80,21 @@ def _ending(solution: Solution) -> list[str]:
     ]
 
 
-def _weight_unit(solution: Solution) -> str:
-    sigma0, freedom = solution.sigma0, solution.fit.degrees_of_freedom
-    if math.isnan(sigma0):
-        return (
-            f"There are {freedom} degrees of freedom: nothing checks the observations, sigma0 is not defined, and the "
-            "sigmas rest on the a-priori ones alone."
-        )
-    head = f"sigma0 is {sigma0:.3g} with {freedom} degrees of freedom"
-    # the chi-square law: sigma0 scatters by 1 / sqrt(2 f) about 1 when the stated sigmas are right
-    if abs(sigma0 - 1.0) <= _limit(1) / math.sqrt(2.0 * freedom):
-        return f"{head}: the observations fit as well as their stated sigmas say, and the quoted sigmas hold."
-    if sigma0 < 1.0:
-        better = f"{_times(1.0 / sigma0)} times better than" if sigma0 > 0.0 else "without any error, against"
-        return (
-            f"{head}: the observations fit {better} their stated sigmas. All sigmas are quoted for sigma0 = 1 and "
-            f"are cautious; multiply them by {sigma0:.3g} if you trust the fit."
-        )
-    return (
-        f"{head}: the observations fit {_times(sigma0)} times worse than their stated sigmas. All sigmas are quoted "
-        "for sigma0 = 1 and are too small by that factor, unless blunders are to blame: look at the largest residuals."
-    )
-
-
 def _strained(solution: Solution) -> list[str]:
-    """Orientations that were moved by far more than is said to be known of them: sigma0 hides it behind many rays."""
-    net, found = solution.network, list[tuple[float, str]]()
-    for j in np.flatnonzero(~net.held):
-        moved, sigmas = solution.correction(int(j)).coefficients, net.priors[j].sigmas
-        if moved.shape == sigmas.shape and (most := float(np.abs(moved / sigmas).max())) > _STRAINED:
-            found.append((most, net.images[j].name))
+    """Orientations that were moved too far, and ranges that no orbit within its sigmas explains."""
+    net, found = solution.network, strained_orientations(solution)
+    ranges = range_statements(net, solution.range_residuals_before)
+    said = [f"With the nominal orientation {sentence}." for sentence in ranges]
     if not found:
-        return []
-    found.sort(reverse=True)
-    names, most = some_of([name for _, name in found], np.arange(len(found))), found[0][0]
+        return said
+    names = some_of([net.images[one.image].name for one in found], np.arange(len(found)))
     return [
-        f"Moved by up to {most:.2g} of their a-priori sigmas are the orientations of {names}: these sigmas are too "
-        "small, or an input is wrong (images or columns interchanged, a focal length, control), and then none of the "
-        "quoted sigmas holds. `analyze` tests it."
+        *said,
+        f"Moved by up to {found[0].most:.2g} of their a-priori sigmas are the orientations of {names}: an input is "
+        "wrong (ranges, images or columns interchanged, a focal length, control), or these sigmas are too small; "
+        "either way none of the quoted sigmas holds. Look at the inputs with `mgsgraph check` before making these "
+        "sigmas larger, which hides what is wrong. `analyze` tests it.",
     ]
-
-
-def _times(factor: float) -> str:
-    """A factor over one in two digits, near one in three: "1 times better" says nothing."""
-    return f"{factor:.2g}" if factor >= 2.0 else f"{factor:.3g}"
 
 
 def _fits(solution: Solution, rays: RayStatistics) -> list[str]:
@@ -222,8 +194,8 @@ def _constant_residuals(solution: Solution, rays: RayStatistics) -> list[str]:
 
 
 def _limit(trials: int) -> float:
-    """Standard deviations that noise exceeds once in 1 / _ODDS solutions with so many trials each."""
-    return NormalDist().inv_cdf(1.0 - 0.5 * _ODDS / max(trials, 1))
+    """Standard deviations that noise exceeds once in 1 / ODDS solutions with so many trials each."""
+    return NormalDist().inv_cdf(1.0 - 0.5 * ODDS / max(trials, 1))
 
 
 def _means(means: Array, marked: np.ndarray, names: list[str], unit: str) -> str:
@@ -291,6 +263,7 @@ def summary_table(solution: Solution) -> str:
         "\n".join([*images, f"  (residuals: rms; corrections: means over {PLACES} lines)"]),
         "\n".join([*points, "  (sigmas for sigma0 = 1)"]),
         _range_lines(solution),
+        "\n".join(group_fits_table(group_fits(solution)).text(indent=2)),
     ]
     if solution.network.strips:
         strips = strips_table(solution).text(_ROWS, "more strip: see solution.json", indent=2)
@@ -302,7 +275,7 @@ def summary_table(solution: Solution) -> str:
 
 
 def _head(solution: Solution) -> str:
-    fit, state = solution.fit, "converged" if solution.converged else "NOT CONVERGED"
+    fit, state = solution.fit, state_of(solution)
     sigma0 = "not defined" if math.isnan(fit.sigma0) else f"{fit.sigma0:.4g}"
     return (
         f"{short(solution.name, 60)}: {state}, {many(solution.iterations, 'iteration')}\n"

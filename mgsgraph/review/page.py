@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.writing import require_free
 from mgsgraph.matching.chips import REACH, SIDE
-from mgsgraph.output.page import write_page
+from mgsgraph.output.page import page_of, write_page
 from mgsgraph.review.selection import MatchReview
 from mgsgraph.review.verdicts import Verdict, Verdicts
 from mgsgraph.ties import PointKind
@@ -23,8 +24,13 @@ _MARKED = 0.75
 _TEMPLATE = "review/templates/review.html"
 
 
+def require_page(path: Path) -> None:
+    """Raise InputError unless a review may be written there: nothing is there, or an earlier one."""
+    require_free(path, page_of(_TEMPLATE), remedy="choose another --out")
+
+
 def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = None) -> None:
-    """Write the page to an HTML file; an earlier one is replaced. InputError if it can't be written.
+    """Write the page to an HTML file; an earlier review is replaced. InputError if it can't be written.
 
     The page begins with earlier verdicts; of points that it doesn't show they are kept in what it saves.
     """

@@ -17,16 +17,20 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from mgsgraph.aside import resolved
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import in_images
+from mgsgraph.control.binary import write_binary_network
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.record import ControlNetwork
+from mgsgraph.control.table import read_whole, table_text
+from mgsgraph.control.ties import tie_points
 from mgsgraph.errors import InputError
+from mgsgraph.export import Format
+from mgsgraph.export.earlier import earlier_network
 from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
-from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.record import ControlNetwork
-from mgsgraph.io.control.table import read_whole, table_text
-from mgsgraph.io.control.ties import tie_points
-from mgsgraph.io.files import read_text, write_file
+from mgsgraph.io.files import read_text
+from mgsgraph.io.writing import require_free, write_file
 from mgsgraph.ties import TiePoints
 from mgsgraph.wording import some
 
@@ -34,7 +38,7 @@ COLUMNS = ("id", "verdict", "note")
 """Of a file of verdicts; the last one may be left out."""
 _NETWORK = re.compile(r"#\s*network\s+([0-9a-f]{16})[\s,;]*$")
 _DIGITS = 16
-_TABLE = ".csv"
+_TABLE, _BINARY = ".csv", ".net"
 
 
 class Verdict(StrEnum):
@@ -190,11 +194,13 @@ def write_kept(
     Raises
     ------
     InputError
-        If the network or the verdicts can't be used (`apply_verdicts`), or `out` is the network itself or can't be
-        written.
+        If the network or the verdicts can't be used (`apply_verdicts`), or `out` is the network itself, a file
+        that is no network of this form, or can't be written.
     """
-    if out.resolve() == network.resolve():
+    if resolved(out, "choose another --out") == resolved(network, ""):
         raise InputError(str(out), "the network that was reviewed", "another file", "it is kept as it was")
+    form = {_BINARY: Format.NET, _TABLE: Format.CSV}.get(out.suffix.lower(), Format.PVL)
+    require_free(out, earlier_network(form, out), remedy="choose another --out")
     table = [path.suffix.lower() == _TABLE for path in (network, out)]
     if table == [False, True]:
         raise InputError(str(out), f"a table, of a network in another form ({network})", ".pvl or .net",
@@ -207,15 +213,15 @@ def write_kept(
     kept = ignore_rejected(record, ties, verdicts)
     if table == [True, False]:
         kept = with_head(kept, out, setting)
-    _write(kept, out)
+    _write(kept, out, form)
     return sum(point.ignore for point in kept.points), len(kept.points)
 
 
-def _write(network: ControlNetwork, out: Path) -> None:
-    match out.suffix.lower():
-        case ".net":
+def _write(network: ControlNetwork, out: Path, form: Format) -> None:
+    match form:
+        case Format.NET:
             write_binary_network(network, out)
-        case ".csv":
+        case Format.CSV:
             write_file(out, table_text(network))
         case _:
             write_pvl_network(network, out)

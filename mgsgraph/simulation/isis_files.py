@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.control import pvl_writing
+from mgsgraph.control.ties import control_network
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.control import pvl_writing
-from mgsgraph.io.control.ties import control_network
 from mgsgraph.io.isd_layout import J2000, RotationTable, SunTable
 from mgsgraph.io.isd_writing import rotation_table, state_table, support_fields
 from mgsgraph.io.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text

@@ -110,10 +110,10 @@ def record(seconds: float, *spots: tuple[float, float, float, int], selenoid: fl
     content = bytearray(b"\x55" * 256)
     whole = int(seconds)
     struct.pack_into("<2I", content, 8, whole, round((seconds - whole) * 2**32))
-    struct.pack_into("<I", content, 36, round(selenoid * 1e3))
+    struct.pack_into("<2I", content, 32, 0, round(selenoid * 1e3))  # no place of the spacecraft
     for k, (longitude, latitude, radius, flag) in enumerate(spots):
         angles = (round(longitude * 1e7), round(latitude * 1e7))
-        struct.pack_into("<3i", content, 40 + 40 * k, *angles, round(radius * 1e3) if radius > 0.0 else -1)
+        struct.pack_into("<3iI", content, 40 + 40 * k, *angles, round(radius * 1e3) if radius > 0.0 else -1, 0)
         struct.pack_into("<I", content, 76 + 40 * k, flag)
     return bytes(content)
 
@@ -161,7 +161,7 @@ def test_records_that_are_refused(tmp_path: Path, content: bytes, said: str) -> 
 
 
 def test_a_packed_file_cut_short_is_refused(tmp_path: Path) -> None:
-    assert "unpacked" in refusal(product(tmp_path, gzip.compress(ORBIT)[:-20]))
+    assert "cut short" in refusal(product(tmp_path, gzip.compress(ORBIT)[:-20]))
 
 
 # --- PEDR

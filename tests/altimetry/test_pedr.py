@@ -14,9 +14,11 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 
 LABEL = (
     "CCSD3ZF0000100000001NJPL3IF0PDSX00000001\r\nPDS_VERSION_ID = PDS3\r\nRECORD_TYPE = FIXED_LENGTH\r\n"
-    "RECORD_BYTES = 776\r\nFILE_RECORDS = 12\r\nLABEL_RECORDS = 10\r\n^PEDR_TABLE = 11\r\n"
+    "RECORD_BYTES = 776\r\nLABEL_RECORDS = 10\r\n^PEDR_TABLE = 11\r\n"
     'PRODUCT_ID = "AP18933L.B"\r\nSOFTWARE_NAME = "MOLA_PPROC;V7.25"\r\nEND\r\n'
 )
+COUNTED = LABEL.replace("LABEL_RECORDS", "FILE_RECORDS = 13\r\nLABEL_RECORDS")
+"""Of three frames."""
 
 
 def header(text: str = LABEL) -> bytes:
@@ -220,9 +222,16 @@ def test_version_comes_from_name_label_or_caller(tmp_path: Path) -> None:
         (header() + frame() + frame()[:400], r"1 frames and 400 bytes more"),
         (header() + frame()[:-1], r"0 frames and 775 bytes more"),
         (header(), "no frames"),
+        (header(COUNTED) + frame(), r"FILE_RECORDS: 13, and 11 records in the file"),
+        (header(COUNTED) + 4 * frame(), r"FILE_RECORDS: 13, and 14 records in the file"),
+        (header() + frame() + frame(lat=91_000_000), r"frame 2, latitude: 91 degrees; expected -90 \.\. 90"),
+        (header() + frame(lon=-2_000_000_000), r"frame 1, longitude: -2000 degrees"),
+        (header() + frame(sc_lat=-2_000_000_000), r"frame 1, spacecraft's latitude: -2000 degrees"),
+        (header() + frame(clock=99_996_232 + 2**22), r"frame 1: a clock of 104190536 Hz"),
         (header()[:5000], r"5000 bytes; expected a label of 7760 bytes"),
         (header(LABEL.replace("776", "780")) + frame(), r"RECORD_BYTES: 780; expected 776"),
         (header() + frame(radius=[12345] * 20), r"frame 1: a radius of 123 m"),
+        (header() + frame(range=[-37900000] * 20), r"range -379000.0 m; expected a positive range"),
         (header() + frame() + frame(clock=0), r"frame 2: a clock of 0 Hz"),
         (header() + frame(radius=[0] * 20), r"without a single shot"),
         (header() + b"\0" * 8 + frame() + b"\0" * 768, r"frame 1: "),
@@ -237,6 +246,12 @@ def test_what_is_no_pedr(tmp_path: Path, content: bytes, message: str) -> None:
         read_pedr(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_as_many_frames_as_the_label_counts(tmp_path: Path) -> None:
+    """With the label's own records, as the archive counts them, or without."""
+    for count in (3, 13):
+        assert read(tmp_path, *[frame(orbit=k) for k in range(count)], label=header(COUNTED)).times.size == 20 * count
 
 
 def test_missing_file(tmp_path: Path) -> None:

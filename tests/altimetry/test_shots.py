@@ -5,6 +5,7 @@ import re
 import struct
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -194,7 +195,7 @@ def test_text_by_its_label(tmp_path: Path) -> None:
 
 
 def test_bytes_by_label_and_structure(tmp_path: Path) -> None:
-    rows = [struct.pack("<diii", 354699676.5 + k, 2215000000 - 2**31, 632500000, 1737000000 + k) for k in range(2)]
+    rows = [struct.pack("<diii", 254699676.5 + k, 2215000000 - 2**31, 632500000, 1737000000 + k) for k in range(2)]
     (tmp_path / "t.dat").write_bytes(b"".join(rows))
     columns = [
         ("EPHEMERIS_TIME", "PC_REAL", 1, 8, "SECONDS"), ("SURFACE_LONGITUDE", "LSB_INTEGER", 9, 4, "DEGREES"),
@@ -211,11 +212,62 @@ def test_bytes_by_label_and_structure(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         [longitude / DEG, latitude / DEG, radius], [(2215000000 - 2**31) * 1e-7, 63.25, 1737000.001], rtol=1e-12
     )
-    assert shots.times.tolist() == [354699676.5, 354699677.5]
+    assert shots.times.tolist() == [254699676.5, 254699677.5]
     structure = tmp_path / "TABLE.FMT"
     structure.write_text(structure.read_text().replace("BYTES = 8", "BYTES = 10"))
     with pytest.raises(InputError, match="pc_real of 10 bytes; expected 4 or 8"):
         read_shots(label)
+
+
+def table(folder: Path, row: bytes, rows: int = 2, **changed: str) -> Path:
+    """A binary table of `rows` such rows (time, longitude, latitude, radius), whose label counts two."""
+    (folder / "t.dat").write_bytes(row * rows)
+    columns = [
+        ("EPHEMERIS_TIME", "PC_REAL", 1, 8, "SECONDS"), ("SURFACE_LONGITUDE", "PC_REAL", 9, 8, "DEGREES"),
+        ("SURFACE_LATITUDE", "PC_REAL", 17, 8, "DEGREES"), ("RADIUS", "PC_REAL", 25, 8, "KM"),
+    ]  # fmt: skip
+    text = LABEL.format(data="t.dat", form="BINARY", row=32, columns="\n".join(column(*one) for one in columns))
+    for old, new in changed.values():
+        text = text.replace(old, new)
+    return written(folder, text, name="t.lbl")
+
+
+ROW = (254699676.5, 221.5, 63.25, 1737.0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ({"rows": 1}, "ROWS: 2, and 1 rows in the file"),
+        ({"rows": 3}, "ROWS: 2, and 3 rows in the file"),
+        ({"row": (np.nan, *ROW[1:])}, "row 1, ephemeristime: nan; expected a number that can be"),
+        ({"row": (*ROW[:2], np.nan, ROW[3])}, "row 1, surfacelatitude: nan"),
+        ({"row": (*ROW[:3], np.inf)}, "row 1, radius: inf"),
+        ({"row": (*ROW[:3], 1e306)}, "row 1, radius: inf"),
+        ({"row": (ROW[0], 1e3, *ROW[2:])}, "row 1, longitude: 1000 degrees"),
+        ({"change": ("START_BYTE = 25", "START_BYTE = 26")}, "bytes 26 .. 33 of a row; expected 1 .. 32"),
+        ({"change": ("BYTES = 32", "BYTES = 123456789")}, "64 bytes; expected whole rows"),
+        ({"change": ('"t.dat"', '("t.dat", 3)')}, "a table from 3 on in its file"),
+    ],
+)
+def test_tables_that_are_not_what_their_label_says(tmp_path: Path, fault: dict[str, Any], said: str) -> None:
+    assert read_shots(table(tmp_path, struct.pack("<4d", *ROW), 1, of_one=("ROWS = 2", "ROWS = 1"))).times[0] == ROW[0]
+    changed = {"change": fault["change"]} if "change" in fault else {}
+    label = table(tmp_path, struct.pack("<4d", *fault.get("row", ROW)), fault.get("rows", 2), **changed)
+    with pytest.raises(InputError) as caught:
+        read_shots(label)
+    assert said in str(caught.value)
+
+
+def test_lola_cut_between_records_is_known_by_the_label_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "LOLARDR_092490702.DAT"
+    path.write_bytes(lola_record(305495504.25, 50e3) + lola_record(305495504.5, 50.5e3))
+    counted = "PDS_VERSION_ID = PDS3\nRECORD_BYTES = 256\nFILE_RECORDS = {}\nEND"
+    written(tmp_path, counted.format(2), name="LOLARDR_092490702.LBL")
+    assert read_shots(path).times.size == 10
+    written(tmp_path, counted.format(3), name="LOLARDR_092490702.LBL")
+    with pytest.raises(InputError, match="FILE_RECORDS: 3, and 2 records in the file"):
+        read_shots(path)
 
 
 # --- times, and what is refused
@@ -275,7 +327,7 @@ LOLA_HEADER = "Pt_Longitude,Pt_Latitude,Pt_Radius,Pt_Range,Flg,S,Frm,Mission_ET,
         ("3,26,1736,50,0.5,1,2,209501234,305495504.25", "line 2, flg: 0.5; expected a whole number"),
         ("3,26,1736,50,0,1e40,2,209501234,305495504.25", "line 2, s: 1e+40; expected a whole number"),
         ("3,26,1736,50,0,1,2,209501234,3.05495504e11", "a time of 3.05496e+11 s past J2000; expected"),
-        ("3,26,1736,50,0,1,2,209501234,1e300", "a time of 1e+300 s past J2000; expected"),
+        ("3,26,1736,50,0,1,2,209501234,1e40", "a time of 1e+40 s past J2000; expected"),
     ],
 )
 def test_numbers_that_can_not_be(tmp_path: Path, row: str, said: str) -> None:
@@ -299,6 +351,60 @@ def test_what_is_refused(tmp_path: Path, lines: list[str], said: str) -> None:
     with pytest.raises(InputError) as caught:
         read_shots(written(tmp_path, *lines))
     assert said in str(caught.value)
+
+
+SELECTION = "longitude_deg,latitude_deg,radius_m,range_m,time_s,altimeter,spacecraft_x_m,spacecraft_y_m,spacecraft_z_m"
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("0,0,3.2e6,380000,0,MOLA,,,", r"shot 0:7:1: a radius of 3200 km; expected 3274\.\d+ "),
+        ("0,0,3390000,380000,1e9,MOLA,,,", "shot 0:7:1: a time of 1e[+]09 s"),
+        ("0,0,3390000,3.8e8,0,MOLA,,,", "a range of 380000 km; .*metres stand where the format has kilometres"),
+        ("0,0,3390000,1e45,0,MOLA,,,", "shot 0:7:1: a range of 1e[+]42 km"),
+        ("0,0,3390000,1e299,0,MOLA,,,", "line 7, range_m: '1e299'; expected a finite number"),
+        ("721,0,3390000,380000,0,MOLA,,,", "line 7, longitude: 721 degrees"),
+        ("0,0,3390000,-380000,0,MOLA,,,", "range -380000.0 m; expected a positive range"),
+        ("0,0,3390000,380000,0,MOLA,3.79e6,0,0", "shot 0:7:1: a range of 380 km; expected about 400 km, the way"),
+    ],
+)
+def test_one_shot_that_can_not_be_among_many(tmp_path: Path, row: str, said: str) -> None:
+    """Medians don't see it."""
+    good = [f"{0.01 * k},0,3390000,380000,{k},MOLA,,," for k in range(1, 6)]
+    path = written(tmp_path, SELECTION, *good, row)
+    with pytest.raises(InputError, match=said):
+        read_shots(path)
+    assert read_shots(written(tmp_path, SELECTION, *good, "0,0,3390000,380000,0,MOLA,3.77e6,0,0")).times.size == 6
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ((SELECTION + "\u2028", "0,0,3390000,380000,0,MOLA,,,"), None),
+        ((SELECTION, '0,0,"3390000",380000,0,"MOLA",,,'), None),
+        ((SELECTION, '0,0,3390000,380000,0,MOLA,",,'), "line 2: no row of a CSV file"),
+        (('"' + SELECTION, "0,0,3390000,380000,0,MOLA,,,"), "line 1: no row of a CSV file"),
+        ((MLA_HEADER, *2 * [mla_row(0, 354699676.0)], mla_row(0, 354699677.0, -2438.9)), "radius: .2.4389e.06 m"),
+        ((MLA_HEADER, mla_row(0, 354699676.0), mla_row(0, 354699677.0, flight=-5e6)), "range -749481.1"),
+    ],
+)
+def test_rows_end_at_line_feeds_and_quotes_are_those_of_csv(
+    tmp_path: Path, lines: tuple[str, ...], said: str | None
+) -> None:
+    path = written(tmp_path, *lines)
+    if said is None:
+        assert read_shots(path).times.size == 1
+        return
+    with pytest.raises(InputError, match=said):
+        read_shots(path)
+
+
+def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "shots.csv.gz"
+    path.write_bytes(gzip.compress(b"longitude_deg\n" + b"1\n" * (1 << 23), 1))
+    with pytest.raises(InputError, match="unpacks without an end"):
+        read_shots(path)
 
 
 def test_the_table_of_altimeters() -> None:

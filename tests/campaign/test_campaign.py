@@ -12,6 +12,7 @@ import pytest
 
 import mgsgraph
 from mgsgraph.adjustment.cluster import Lost
+from mgsgraph.aside import beside
 from mgsgraph.campaign import AS_WRITTEN, Campaign, CampaignEntry, Overrides, run_campaign
 from mgsgraph.campaign import run as campaign_run
 from mgsgraph.campaign.record import RECORD
@@ -148,7 +149,7 @@ def test_a_fault_of_the_program_is_one_failed_case(run: Run, monkeypatch: pytest
 
 
 def test_leftovers_of_a_killed_worker_are_swept(run: Run, tmp_path: Path) -> None:
-    leftover, foreign = ".north.0a1b2c3d.unfinished", ".other.0a1b2c3d.unfinished"
+    leftover, foreign = beside(Path("north")).name, ".north.0a1b2c3d.mine"
     run()
     for name in (leftover, foreign):
         (tmp_path / "out" / name).mkdir()

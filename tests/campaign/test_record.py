@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from mgsgraph.campaign import CampaignEntry, Overrides
@@ -71,9 +72,12 @@ def test_a_record_of_which_nothing_came_goes(tmp_path: Path) -> None:
     [
         ("{}\n", "line 1: no head of a campaign's record"),
         ("thesis\n", "line 1: no head"),
-        ('{"program": "mgsgraph", "record": "campaign", "format": 2}\n', "line 1: no head"),
+        ('{"program": "mgsgraph", "record": "campaign", "format": 3}\n', "line 1: no head"),
         ('{"program": "mgsgraph", "record": "campaign", "format": 1}\n{"case": 1}\n', "line 2: no entry"),
         ('{"program": "mgsgraph", "record": "campaign", "format": 1}\n\xff\n', "line 2: no entry"),
+        ('{"program": "mgsgraph", "record": "campaign", "format": 1}\n{"case": "\xff"}\n', "line 2: no entry"),
+        ('{"program": "mgsgraph", "record": "campaign", "format": 2}\n{"case": 1}\n', "line 2: a damaged entry"),
+        ("\xff\n", "line 1: no head"),
     ],
 )
 def test_a_record_that_is_none_is_refused_and_kept(text: str, said: str, tmp_path: Path) -> None:
@@ -81,6 +85,44 @@ def test_a_record_that_is_none_is_refused_and_kept(text: str, said: str, tmp_pat
     with pytest.raises(InputError, match=said):
         open_record(tmp_path)
     assert (tmp_path / RECORD).read_text(encoding="latin-1") == text
+
+
+def test_a_flipped_bit_is_found(tmp_path: Path) -> None:
+    """Refused, or taken for a line that was cut short, whose case is done again."""
+    with open_record(tmp_path / "whole") as record:
+        record.append(entry("a.toml"))
+        record.append(entry("b.toml", sigma0=1.0))
+        whole = record.entries
+    text = (tmp_path / "whole" / RECORD).read_bytes()
+    (tmp_path / "flipped").mkdir()
+    for place in range(len(text)):
+        broken = bytearray(text)
+        broken[place] ^= 1 << place % 8
+        (tmp_path / "flipped" / RECORD).write_bytes(broken)
+        try:
+            with open_record(tmp_path / "flipped") as record:
+                assert record.entries.items() < whole.items()
+                assert place == len(text) - 1
+        except InputError as error:
+            assert str(tmp_path) in str(error)  # noqa: PT017
+
+
+def test_a_record_without_checksums_goes_on(tmp_path: Path) -> None:
+    """As the first format had them."""
+    head = '{"program": "mgsgraph", "record": "campaign", "format": 1}\n'
+    (tmp_path / RECORD).write_bytes(head.encode() + msgspec.json.encode(entry("a.toml")) + b"\n")
+    for case in ("b.toml", "c.toml"):
+        with open_record(tmp_path) as record:
+            assert record.entries["a.toml"] == entry("a.toml")
+            record.append(entry(case))
+    with open_record(tmp_path) as record:
+        assert list(record.entries) == ["a.toml", "b.toml", "c.toml"]
+
+
+def test_a_record_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / RECORD)
+    with pytest.raises(InputError, match="is no file"):
+        open_record(tmp_path)
 
 
 def test_foreign_folders_are_refused(tmp_path: Path) -> None:

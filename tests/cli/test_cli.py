@@ -217,15 +217,85 @@ cli.main()
 """
 
 
-def test_an_interrupt_in_a_finalizer_is_not_lost() -> None:
-    """Python can't raise it there, and would print a traceback and go on."""
-    done = subprocess.run(
-        [sys.executable, "-c", _INTERRUPTED_IN_A_FINALIZER], capture_output=True, text=True, check=False, timeout=20
-    )
+_SWALLOWED = """
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except BaseException:
+        pass
+"""
+
+
+@pytest.mark.parametrize("lost", ["    Finalized()\n", _SWALLOWED])
+def test_an_interrupt_is_not_lost(lost: str) -> None:
+    """Python can't raise it in a finalizer, and would print a traceback and go on; a library may swallow it."""
+    program = _INTERRUPTED_IN_A_FINALIZER.replace("    Finalized()\n", lost)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=20)
     assert done.returncode == 130
     assert "Traceback" not in done.stderr
 
 
+_CLEANING_UP = """
+import signal, sys, time
+import click
+from mgsgraph import cli
+
+def work():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    finally:
+        time.sleep(0.7)
+        print("cleaned up", flush=True)
+
+cli.group = click.Command("work", callback=work)
+sys.argv = ["mgsgraph"]
+cli.main()
+"""
+
+
+def test_what_cleans_up_behind_an_interrupt_is_let_do_so() -> None:
+    done = subprocess.run([sys.executable, "-c", _CLEANING_UP], capture_output=True, text=True, check=False, timeout=20)
+    assert (done.returncode, done.stdout) == (130, "cleaned up\n")
+
+
+def test_too_little_memory_for_the_libraries_is_said_before_they_are_loaded(case_file: Path) -> None:
+    """With 512 MB, OpenBLAS or numba would spin, and heed no signal."""
+    command = ["bash", "-c", 'ulimit -v 512000; exec "$@"', "bash", *COMMAND, "check", str(case_file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
+    refused(done, "ulimit -v")
+
+
+_FAILING = r"""
+import sys
+import click
+from mgsgraph import cli
+
+def work():
+    print("a\x1b[2J\u202e\udc80z")
+    raise {raised}
+
+cli.group = click.Command("work", callback=work)
+sys.argv = ["mgsgraph"]
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("raised", "said"),
+    [(r"OSError(5, 'Input/output error', 'a\x1b.img')", "a\\x1b.img"), ("OSError('odd')", "odd"),
+     ("type('error', (Exception,), {'code': -4})()", "memory")],
+)  # fmt: skip
+def test_stray_errors_name_their_file_and_output_is_printable(raised: str, said: str) -> None:
+    program = _FAILING.format(raised=raised)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=20)
+    refused(done, said)
+    assert done.stderr.strip().isprintable()
+    assert "standard output" not in done.stderr
+    assert done.stdout == "" or done.stdout.strip().isprintable()
+
+
 def test_a_loss_that_forgets_blunders_converges(case_file: Path, tmp_path: Path) -> None:
+    """On 2 of its 20 ties: that is no result."""
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-figures", "--loss", "tukey")
-    assert done.returncode == 0, done.stdout
+    assert done.returncode == 1, done.stdout
+    assert "converged, but NO RESULT" in done.stdout
+    assert "18 of 20 tie points (90%)" in done.stdout

@@ -15,10 +15,10 @@ from rasterio.warp import transform
 
 import mgsgraph
 from mgsgraph.cli import group
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.ties import control_network
 from mgsgraph.dem import production
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.ties import control_network
 
 
 def call(*arguments: str | Path) -> int:

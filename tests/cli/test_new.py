@@ -1,6 +1,8 @@
 """`mgsgraph new`: the case that it writes is one that `check` accepts, or it says why there can be none."""
 
+import errno
 import json
+import os
 import re
 import tomllib
 from collections import Counter
@@ -232,6 +234,20 @@ def test_what_can_t_be_read_gets_no_name(case_file: Path, tmp_path: Path, monkey
     assert not (tmp_path / "case.toml").exists()
 
 
+def test_what_the_case_reads_is_not_what_is_written(
+    case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that fails below a kernel says nothing against --out."""
+
+    def failing(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error", "a.bsp")
+
+    monkeypatch.setattr(draft, "case_of", failing)
+    with pytest.raises(OSError, match=r"a\.bsp"):
+        draft_case([case_file.parent], tmp_path / "case.toml")
+    assert not list(tmp_path.glob("*case.toml*"))
+
+
 def test_images_are_read_once_however_many_tables_fail(
     case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,6 +281,14 @@ def test_a_case_is_called_as_its_file_or_as_the_folder_of_its_data(case_file: Pa
         assert decode(tmp_path / out).name == name
 
 
+def test_replace_is_for_case_files(case_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "case.toml"
+    out.write_text("[tool.black]\n", encoding="utf-8")
+    with pytest.raises(InputError, match="exists and is not a case file"):
+        draft_case([case_file.with_name("image_A.isd")], out, replace=True)
+    assert out.read_text(encoding="utf-8") == "[tool.black]\n"
+
+
 def test_the_cause_comes_first(case_file: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.isd"
     cut.write_bytes(case_file.with_name("image_A.isd").read_bytes()[:-100])
@@ -279,3 +303,26 @@ def test_a_cube_of_one_pixel_is_said(shared_data: Path, tmp_path: Path) -> None:
     made = draft_case([cube], tmp_path / "case.toml")
     assert any("one pixel" in line for line in made.said)
     assert re.search("^image = .*one pixel", made.text, re.MULTILINE)
+
+
+def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
+    """Pipes, loops, names that are no text, records of ours, files without an end: left out, and most of them said."""
+    folder = case_file.parent
+    os.mkfifo(folder / "pipe.json")
+    (folder / "loop.isd").symlink_to(folder / "loop.isd")
+    (folder / "zero.cub").symlink_to("/dev/zero")
+    Path(os.fsdecode(bytes(folder) + b"/image_\xff.isd")).write_bytes((folder / "image_A.isd").read_bytes())
+    (folder / "export.json").write_text('{"program": "mgsgraph", "files": []}', encoding="utf-8")
+    with (folder / "huge.img").open("wb") as file:
+        file.truncate(1 << 40)
+    for k in range(300):
+        (folder / f"noise_{k}.bin").write_bytes(b"\0\1")
+    made = draft_case([folder], tmp_path / "case.toml")
+    assert [image.name for image in decode(tmp_path / "case.toml").images] == ["SIM/A", "SIM/B"]
+    said = "\n".join(made.said)
+    assert "export.json: a record of mgsgraph itself" in said
+    assert "a name that is no Unicode text" in said
+    named = sorted(folder.glob("*.isd*"))[:2]
+    assert len(draft_case([*named, folder / "export.json"], tmp_path / "other.toml").text) > 100
+    with pytest.raises(InputError, match="a pipe; expected a file"):
+        draft_case([*named, folder / "pipe.json"], tmp_path / "third.toml")

@@ -131,6 +131,16 @@ def test_a_profile_from_a_file_of_shots(adjusted: Path, tmp_path: Path) -> None:
     assert one["bits"] > 0.0
 
 
+def test_shots_on_another_body_are_refused(adjusted: Path, tmp_path: Path) -> None:
+    table = json.loads((adjusted / "lidar.json").read_text(encoding="utf-8"))
+    for shot in table["points"]:
+        shot["radius"] *= 1737.4 / 3396.19
+    (tmp_path / "moon.json").write_text(json.dumps(table), encoding="utf-8")
+    text = f'[[profiles]]\nname = "again"\nfile = "{tmp_path}/moon.json"\nground_sigma_m = 5.0\n'
+    with pytest.raises(InputError, match=r"moon\.json: radii of 1,7"):
+        call("plan", adjusted / "results", candidates(adjusted, text))
+
+
 def test_nothing_worth_anything_is_no_error(adjusted: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = '[[control]]\nname = "far"\nlongitude_deg = 0.0\nlatitude_deg = 60.0\nradius_m = 3.39e6\n'
     assert call("plan", adjusted / "results", candidates(adjusted, text)) == 0

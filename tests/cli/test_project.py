@@ -50,6 +50,12 @@ def test_a_table_there_and_back_and_nothing_is_left_out(case_file: Path) -> None
         )
     assert [row["state"] for row in again] == ["seen", "seen", "no ground"]
     refused("--into ground", "project", case_file, SIM, "--points", ground)
+    before = given.read_bytes()
+    refused("given.csv: exists and is not a table of mgsgraph project", "project", case_file, SIM, "--points", given,
+            "--out", given)  # fmt: skip
+    assert given.read_bytes() == before
+    for source, into, out in ((given, "ground", ground), (ground, "image", back)):  # earlier ones are replaced
+        call("project", case_file, SIM, "--points", source, "--into", into, "--out", out)
 
 
 def test_single_places_and_conventions(case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from commands import refused, run
 
-from mgsgraph.io.control.network_file import read_control_network, read_network
-from mgsgraph.io.control.table import table_text
+from mgsgraph.control.network_file import read_control_network, read_network
+from mgsgraph.control.table import table_text
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.project.oriented import oriented_images
+from mgsgraph.registration.crossing_tables import SELECTION
 
 
 def call(*arguments: object) -> None:
@@ -25,6 +26,13 @@ def test_a_selection_takes_the_archives_place_in_a_case(case_file: Path, tmp_pat
     done = run("shots", case.with_name("profile.csv"), "--case", case, "--image", "SIM/A", "--along", "--out", found)
     assert done.returncode == 0, done.stderr
     assert "18933 taken along" in done.stdout
+
+    assert SELECTION.known(found)
+    mine = tmp_path / "mine.csv"
+    mine.write_text("years,of,work\n", encoding="utf-8")
+    said = "mine.csv: exists and is not a selection of mgsgraph shots"
+    refused(run("shots", case.with_name("profile.csv"), "--case", case, "--out", mine), said)
+    assert mine.read_text(encoding="utf-8") == "years,of,work\n"
 
     before = mgsgraph.read_case(case).network
     case.write_text(case.read_text(encoding="utf-8").replace('"profile.csv"', f'"{found}"'), encoding="utf-8")

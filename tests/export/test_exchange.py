@@ -2,23 +2,18 @@
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec import structs
 
-from mgsgraph.errors import InputError
-from mgsgraph.export import Format
-from mgsgraph.export.exchange import Lossy, convert, format_of, read_networks
-from mgsgraph.export.exchange_losses import losses
-from mgsgraph.export.exchange_setting import ExchangeSetting, setting_of
-from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.asp.match import read_match, read_match_text
-from mgsgraph.io.asp.nvm import read_offsets
-from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.record import (
+from mgsgraph.control.asp.match import read_match, read_match_text
+from mgsgraph.control.asp.nvm import read_offsets
+from mgsgraph.control.binary import write_binary_network
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -26,7 +21,13 @@ from mgsgraph.io.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.io.control.table import read_tie_points
+from mgsgraph.control.table import read_tie_points
+from mgsgraph.errors import InputError
+from mgsgraph.export import Format
+from mgsgraph.export.exchange import Lossy, convert, format_of, read_networks
+from mgsgraph.export.exchange_losses import losses
+from mgsgraph.export.exchange_setting import ExchangeSetting, setting_of
+from mgsgraph.geometry.body import Ellipsoid
 
 SIZES = {"one": (2001, 1024), "two": (5000, 672)}
 MARS = Ellipsoid(3396190.0, 3376200.0)
@@ -68,6 +69,20 @@ def test_one_place_in_every_count(table: Path) -> None:
     assert [float(text) for text in fields[9:11]] == [CENTRE[1] - 1.0 - 512.0, CENTRE[0] - 1.0 - 1000.5]
     assert read_offsets(folder / "x_offsets.txt") == {"one": (1000.5, 512.0), "two": (2500.0, 336.0)}
     assert (folder / "x.gcp").read_text().splitlines()[1].split()[-4:] == ["9.0", "8.0", "2.0", "1.0"]
+
+
+@pytest.mark.parametrize("name", ["x.pvl", "x.net", "x.csv", "run.match", "run.txt", "x.nvm", "x.gcp"])
+def test_nothing_but_an_earlier_network_of_the_format_is_replaced(table: Path, name: str) -> None:
+    done = convert(table, table.parent / name, SETTING)
+    before = [path.read_bytes() for path in done.written]
+    assert convert(table, table.parent / name, SETTING).written == done.written
+    for path in done.written:
+        path.write_bytes(b"years of work")
+        with pytest.raises(InputError, match=f"{path.name}: exists and is not .*say --replace"):
+            convert(table, table.parent / name, SETTING)
+        assert path.read_bytes() == b"years of work"
+        convert(table, table.parent / name, SETTING, anything=True)
+        assert [path.read_bytes() for path in done.written] == before
 
 
 def test_a_round_through_the_pipeline_and_back(table: Path) -> None:
@@ -175,11 +190,12 @@ def test_nothing_is_lost_to_isis_nor_said_of_what_a_table_holds(table: Path) -> 
 
 def test_strict_writes_nothing_and_keeps_what_is_there(table: Path) -> None:
     folder = table.parent
-    (folder / "x.gcp").write_text("old")
+    old = "# id latitude longitude height sigma_x sigma_y sigma_z, and so on"
+    (folder / "x.gcp").write_text(old)
     with pytest.raises(Lossy, match=r"x.gcp: it can't hold 2 kinds of things \(2 free points; \.\.\.\)") as caught:
         convert(table, folder / "x.gcp", SETTING, strict=True)
     assert caught.value.lost[0] == "2 free points"
-    assert (folder / "x.gcp").read_text() == "old"
+    assert (folder / "x.gcp").read_text() == old
     assert sorted(path.name for path in folder.iterdir()) == ["points.csv", "x.gcp"]
 
 
@@ -244,10 +260,10 @@ def test_options_become_a_setting(case_file: Path) -> None:
         setting_of(None, (), None, "", ("a=b", "a=c"), None, True)
 
 
-def named(folder: Path, target: str, **more: object) -> Path:
+def named(folder: Path, target: str, radius: float = 3396190.0, **more: object) -> Path:
     """A network with a head, and one point that is called as its body."""
     path = folder / f"{target or 'none'}.net"
-    point = free(target or "a", apriori=(3396190.0, 0.0, 0.0))
+    point = free(target or "a", apriori=(radius, 0.0, 0.0))
     write_binary_network(ControlNetwork(f"of {target}", target, (point,), **more), path)  # type: ignore[arg-type]
     return path
 
@@ -267,7 +283,9 @@ def test_networks_of_two_bodies_are_never_one(tmp_path: Path) -> None:
     convert(mars, out, ExchangeSetting(target="MARS", ellipsoid=MARS))
     assert read_network(out).target_name == "Mars"
     odd = ExchangeSetting(target="BENNU", ellipsoid=Ellipsoid(282.4, 249.3))  # of whose size nothing is known
-    convert(named(tmp_path, ""), out, odd)
+    with pytest.raises(InputError, match=r"none.net: radii of points of 3,396"):
+        convert(named(tmp_path, ""), out, odd)
+    convert(named(tmp_path, "", 280.0), out, odd)
     assert read_network(out).target_name == "BENNU"
 
 
@@ -303,6 +321,20 @@ def test_files_that_cannot_be_meant_are_refused(table: Path) -> None:
 def test_a_case_names_the_body(case_file: Path) -> None:
     assert setting_of(case_file, (), None, "", (), None, True).target == "MARS"
     assert setting_of(case_file, (), None, "OTHER", (), None, True).target == "OTHER"
+
+
+def test_measures_beyond_their_images_are_refused(table: Path) -> None:
+    """Of images whose sizes are known, by the names in the file; up to the edges they are let be."""
+    with pytest.raises(InputError, match=r"point a, image two: line 70, sample 80 .*; expected places inside 50 lines"):
+        read_networks(table, ExchangeSetting({"two": (50, 672)}, MARS))
+    renamed = ExchangeSetting({"new": (90, 1024)}, MARS, renamed={"one": "new"})
+    with pytest.raises(InputError, match=r"point a, image one: line 100\.25"):
+        convert(table, table.with_suffix(".pvl"), replace(renamed, target="MARS"))
+    assert not table.with_suffix(".pvl").exists()
+    edge = table.with_name("edge.csv")
+    edge.write_text(TABLE.replace("100.25,33.5", "2001.5,0.5"))
+    assert read_networks(edge, SETTING)[0].points
+    assert read_networks(table, ExchangeSetting({"other": (5, 5)}, MARS))[0].points
 
 
 def test_only_files_are_replaced(table: Path) -> None:

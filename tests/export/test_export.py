@@ -87,17 +87,21 @@ def test_a_solution_that_cannot_be_noted_in_is_exported(
     record, sound = solution / "solution.json", (solution / "solution.json").read_text()
     for damaged in ("[]", '{"exports": ["csm"]}', "{", ""):
         record.write_text(damaged)
-        done = export_solution(solution, "isis", tmp_path / "out")
+        done = export_solution(solution, "csm", tmp_path / "out")
         assert not done.noted
         assert "could not be noted" in done.statement
         assert record.read_text() == damaged
+    for damaged in ("[]", "{", sound.replace('"name"', '"nome"'), sound.replace('"crc32": "', '"crc32": "0')):
+        record.write_text(damaged)
+        with pytest.raises(InputError, match=r"solution\.json"):  # it knows the networks whose content is kept
+            export_solution(solution, "isis", tmp_path / "isis")
     record.write_text(sound)
 
     def refused(path: Path, content: str) -> None:
         raise InputError(str(path), "can't be written (Read-only file system)")
 
     monkeypatch.setattr(exports, "write_file", refused)
-    assert not export_solution(solution, "isis", tmp_path / "out").noted
+    assert not export_solution(solution, "isis", tmp_path / "noted").noted
     assert record.read_text() == sound
 
 

@@ -307,7 +307,7 @@ def test_a_missing_or_damaged_file_is_named(tables: Written, tmp_path: Path) -> 
     with pytest.raises(InputError, match="m_t0Quat"):
         csm_differences(tmp_path, tables.wanted)
     (tmp_path / path.name).write_text("{ not JSON }")
-    with pytest.raises(InputError, match="malformed JSON"):
+    with pytest.raises(InputError, match="malformed or truncated JSON"):
         csm_differences(tmp_path, tables.wanted)
 
 

@@ -12,13 +12,13 @@ from msgspec import structs
 import mgsgraph
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.record import AprioriSource, ControlMeasure, ControlNetwork, ControlPoint, MeasureType
 from mgsgraph.errors import InputError
 from mgsgraph.export.isis import adjusted_network
 from mgsgraph.export.kept_content import with_content
 from mgsgraph.export.solution_export import ExportSettings, export_solution
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.record import AprioriSource, ControlMeasure, ControlNetwork, ControlPoint, MeasureType
 from mgsgraph.project.changes import begin, solve
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import results_of

@@ -8,12 +8,26 @@ import shutil
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import flaky_archive
 import numpy as np
 import pytest
-from flaky_archive import Flaky, cut, daf, elsewhere, longer, redirect, some_at_a_time, stall, status, web_page
+from flaky_archive import (
+    Flaky,
+    cut,
+    daf,
+    elsewhere,
+    endless,
+    longer,
+    redirect,
+    said_length,
+    some_at_a_time,
+    stall,
+    status,
+    web_page,
+)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +35,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch import part as parts
 from mgsgraph.fetch.download import NotInArchive, Remote, RetryPolicy
 from mgsgraph.fetch.part import RemoteSource
-from mgsgraph.fetch.store import require_content
+from mgsgraph.fetch.redirects import led_to
+from mgsgraph.fetch.store import limit_of, require_content
 
 CONTENT = np.random.default_rng(1).bytes(200_000)
 NAME = "spk/big.img"
@@ -354,26 +369,14 @@ def test_content_that_is_refused_leaves_what_was_there(archive: Flaky, tmp_path:
 
 def test_a_full_disk(archive: Flaky, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "big.img").write_bytes(b"earlier")
-    real = Path.open
+    real = parts._write
 
-    class Full:
-        def __init__(self, file: object) -> None:
-            self.file = file
-
-        def __enter__(self) -> "Full":
-            return self
-
-        def __exit__(self, *how: object) -> None:
-            self.file.close()  # type: ignore[attr-defined]
-
-        def write(self, more: bytes) -> None:
+    def full(path: Path, how: int, content: bytes) -> None:
+        if how == os.O_APPEND:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(path, how, content)
 
-    def opened(self: Path, mode: str = "r", *more: object, **other: object) -> object:
-        file = real(self, mode, *more, **other)  # type: ignore[call-overload]
-        return Full(file) if mode == "ab" else file
-
-    monkeypatch.setattr(Path, "open", opened)
+    monkeypatch.setattr(parts, "_write", full)
     with pytest.raises(InputError, match=r"No space left on device.*free some space") as error:
         bring(archive, tmp_path)
     said(error)
@@ -453,3 +456,97 @@ def test_the_real_image_is_whole_by_its_label(shared_data: Path) -> None:
     for name in ("moc20.ti", "pck00009.tpc", "naif0012.tls", "MGS_SCLKSCET.00061.tsc", "m0402852.ale_1.bsp",
                  "mgs_sc_map2_1_sliced_-94000.bc"):  # fmt: skip
         require_content(shared_data / "mgs_moc_m0402852" / name, f"kernels/{name}")
+
+
+# --- a hostile archive, and a hostile folder
+
+
+def test_an_endless_file_is_not_brought(archive: Flaky, tmp_path: Path) -> None:
+    """Neither one that says how long it is nor one that doesn't, which is cut off where a file of its kind ends."""
+    remote = Remote(QUICK)
+    with pytest.raises(InputError, match=r"a file of 0 MB; expected at most 0 MB of one of its kind"):
+        remote.download(archive.url(NAME), tmp_path / "big.img", nothing, limit=len(CONTENT) - 1)
+    assert not list(tmp_path.iterdir())
+    archive.stays[NAME] = endless(CONTENT)
+    with pytest.raises(InputError, match="a file of no end; expected at most 1 MB"):
+        remote.download(archive.url(NAME), tmp_path / "big.img", nothing, limit=1_000_000)
+    assert not list(tmp_path.iterdir())
+    archive.stays.clear()
+    remote.download(archive.url(NAME), tmp_path / "big.img", nothing, limit=len(CONTENT))
+    assert whole(tmp_path)
+    remote.close()
+
+
+def test_every_kind_of_file_has_its_end() -> None:
+    assert limit_of("kernels/mgs_map2.lbl") == limit_of("index/mgsc_1068.LBL") == 1_000_000
+    assert limit_of("index/mgsc_1068.tab") < limit_of("pedr/ap12058l.b") < limit_of("images/m0402852.imq")
+
+
+def test_a_redirect_s_own_content_is_not_read(archive: Flaky, tmp_path: Path) -> None:
+    """It may have no end, or unpack to one that has none."""
+    archive.files["moved/here"] = CONTENT
+    archive.stays[NAME] = endless(b"x" * 65536, 302, Location=archive.url("moved/here"), Content_Encoding="gzip")
+    bring(archive, tmp_path)
+    assert whole(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "to", ["http://[::1", "http://[", "//", "https://a:b:c/", "gopher://x/", "http://name:word@127.0.0.1/x",
+           "javascript:1", "http://" + 70 * "a" + ".example/", "\u0663", "http://\x7f/"]
+)  # fmt: skip
+def test_a_redirect_to_what_is_no_address(archive: Flaky, tmp_path: Path, to: str) -> None:
+    archive.stays[NAME] = redirect(to)
+    with pytest.raises(InputError, match=r"big\.img"):
+        bring(archive, tmp_path, QUICK)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_redirect_from_the_world_into_a_private_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    hosts = {"archive.example": "8.8.8.8", "inside.example": "10.1.2.3", "127.0.0.1": "127.0.0.1",
+             "mirror.example": "192.168.0.4"}  # fmt: skip
+    monkeypatch.setattr(socket, "getaddrinfo", lambda host, port: [(0, 0, 0, "", (hosts[host], 0))])
+    begun = "http://archive.example/x"
+    assert led_to(begun, begun, "y/z?q=1") == "http://archive.example/y/z?q=1"
+    for to in ("http://inside.example/x", "http://127.0.0.1:8080/x", "//mirror.example/x"):
+        with pytest.raises(InputError, match="redirected into a private network"):
+            led_to(begun, begun, to)
+    inner = "http://mirror.example/x"
+    assert led_to(inner, inner, "http://inside.example/x") == "http://inside.example/x"
+
+
+def test_lengths_that_are_no_numbers(archive: Flaky, tmp_path: Path) -> None:
+    for said in ("9" * 5000, "-1", "\u0663", "1e3"):
+        archive.faults[NAME].append(said_length(said))
+        bring(archive, tmp_path)
+        assert whole(tmp_path)
+        (tmp_path / "big.img").unlink()
+
+
+@pytest.mark.parametrize("linked", ["big.img.part", "big.img.part.json", "big.img"])
+@pytest.mark.parametrize("hard", [False, True])
+def test_planted_links_lead_nowhere(archive: Flaky, tmp_path: Path, linked: str, hard: bool) -> None:
+    folder, victim = tmp_path / "folder", tmp_path / "victim"
+    folder.mkdir()
+    victim.write_bytes(b"precious")
+    source = RemoteSource(archive.url(NAME), len(CONTENT), "", "")
+    if linked != "big.img.part.json":
+        (folder / "big.img.part.json").write_text(json.dumps(asdict(source)))
+    if linked != "big.img.part":
+        (folder / "big.img.part").write_bytes(CONTENT[:10])
+    (folder / linked).unlink(missing_ok=True)
+    (os.link if hard else os.symlink)(victim, folder / linked)
+    bring(archive, folder)
+    assert whole(folder)
+    assert victim.read_bytes() == b"precious"
+    assert not (folder / "big.img").is_symlink()
+
+
+@pytest.mark.parametrize("said", [
+    {"total": "much"}, {"total": -1}, {"total": True}, {"etag": 5}, {"modified": None}, {"url": ["x"]}, {"more": 1},
+])  # fmt: skip
+def test_a_part_with_other_values_is_begun_anew(archive: Flaky, tmp_path: Path, said: dict[str, object]) -> None:
+    source = asdict(RemoteSource(archive.url(NAME), len(CONTENT), "", "")) | said
+    (tmp_path / "big.img.part.json").write_text(json.dumps(source))
+    (tmp_path / "big.img.part").write_bytes(b"else")
+    bring(archive, tmp_path)
+    assert whole(tmp_path)

@@ -23,8 +23,8 @@ from mgsgraph.fetch.case_file import camera_focal_length
 from mgsgraph.fetch.download import RetryPolicy
 from mgsgraph.fetch.folder import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
-from mgsgraph.io.files import claimed
 from mgsgraph.io.labelled_image import read_labelled_image
+from mgsgraph.io.writing import claimed
 
 QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"
@@ -299,6 +299,27 @@ def test_a_lock_that_is_none(archive: Flaky, tmp_path: Path, text: str) -> None:
     assert not archive.asked
 
 
+@pytest.mark.parametrize("change", [{"box": ["nan", 1, 2, 3]}, {"image": 5}, {"kernels": 5}, {"product": "Q"}])
+def test_an_entry_of_an_image_that_is_none(archive: Flaky, tmp_path: Path, change: dict[str, object]) -> None:
+    fetch(archive, tmp_path, terrain="none")
+    path = tmp_path / "fetch.lock"
+    content = json.loads(path.read_text())
+    content.pop("crc32", None)
+    content["images"]["M04/02852"] |= change
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"fetch\.lock"):
+        Lock.read(tmp_path)
+
+
+@pytest.mark.parametrize("value", ["++1", "1e999", "-", "0", "13.0", "1e400", " " * 100_000])
+def test_an_instrument_kernel_with_a_pixel_that_is_none(tmp_path: Path, value: str) -> None:
+    (tmp_path / "kernels").mkdir()
+    kernel = tmp_path / "kernels" / "mgs_moc_v20.ti"
+    kernel.write_text(f"INS-94031_PIXEL_SIZE = ( {value} )\n")
+    with pytest.raises(InputError, match=r"mgs_moc_v20\.ti"):
+        camera_focal_length(tmp_path)
+
+
 def test_folders_that_are_not_ours(archive: Flaky, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(InputError, match=r"has no fetch\.lock"):
@@ -328,6 +349,61 @@ def test_a_case_that_the_user_has_changed_stays(archive: Flaky, tmp_path: Path) 
         fetch(archive, tmp_path / "d")
     case.rmdir()
     assert len(decode(fetch(archive, tmp_path / "d").case).images) == 2
+
+
+def test_a_meta_kernel_that_the_user_has_changed_stays(archive: Flaky, tmp_path: Path) -> None:
+    fetch(archive, tmp_path / "d", terrain="none")
+    kernel, lock = tmp_path / "d" / "kernels/mgs.tm", tmp_path / "d" / "fetch.lock"
+    before = kernel.read_text()
+    kernel.write_text(mine := before + "\nmine\n")
+    fetched = fetch(archive, tmp_path / "d", LATE, terrain="none")
+    assert [note for note in fetched.notes if "mgs.tm is not as it was written here" in note]
+    assert kernel.read_text() == mine
+    kernel.write_text(before)  # of an earlier version, whose lock knows nothing of it
+    content = json.loads(lock.read_text())
+    del content["written"]["kernels/mgs.tm"], content["crc32"]
+    lock.write_text(json.dumps(content))
+    fetch(archive, tmp_path / "d", terrain="none")
+    assert "mgs_ext12.bsp" in kernel.read_text()
+
+
+@pytest.mark.parametrize("name", ["images", "index", "kernels", "shots"])
+def test_a_folder_with_planted_links_is_refused(archive: Flaky, tmp_path: Path, name: str) -> None:
+    fetch(archive, tmp_path / "d", terrain="none")
+    (tmp_path / "victim").mkdir()
+    inside = tmp_path / "d" / name
+    if inside.exists():
+        inside.rename(tmp_path / "d" / "aside")
+    inside.symlink_to(tmp_path / "victim")
+    with pytest.raises(InputError, match=f"d/{name}: a link, and what it leads to would be written into"):
+        fetch(archive, tmp_path / "d", OTHER, terrain="none")
+    assert not list((tmp_path / "victim").iterdir())
+
+
+def test_a_file_that_is_a_link_is_fetched_again(archive: Flaky, tmp_path: Path) -> None:
+    fetch(archive, tmp_path / "d", terrain="none")
+    kernel, victim = tmp_path / "d" / "kernels/naif0012.tls", tmp_path / "victim"
+    kernel.rename(victim)
+    kernel.symlink_to(victim)
+    fetched = fetch(archive, tmp_path / "d", terrain="none")
+    assert any("naif0012.tls was not as fetch.lock has it (a link)" in note for note in fetched.notes)
+    assert not kernel.is_symlink()
+    assert kernel.read_bytes() == victim.read_bytes()
+
+
+def test_words_of_an_archive_go_to_the_terminal_as_text(archive: Flaky, tmp_path: Path) -> None:
+    said = list[str]()
+    name = "kernels/pck/pck00009.tpc"
+
+    def busy(one: flaky_archive.Handler, content: bytes) -> None:
+        one.send_response(503, "\x1b[31mred\x1b]0;title\x07")
+        one.send_header("Content-Length", "0")
+        one.end_headers()
+
+    archive.faults[name].append(busy)
+    fetch(archive, tmp_path / "d", terrain="none", say=said.append)
+    assert len(said) == 1
+    assert all(one.isprintable() for one in said)
 
 
 def test_a_survey_writes_nothing(archive: Flaky, tmp_path: Path) -> None:

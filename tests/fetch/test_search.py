@@ -75,7 +75,7 @@ def test_mirrors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("images = \"file:///etc\"", "an address such as"),
         ("images = \"https://x.org/a?b\"", "an address such as"),
         ("images = \"https://x.org:x/\"", "an address such as"),
-        ("images", "no TOML"),
+        ("images", "malformed TOML"),
     ],
 )
 def test_mirrors_that_are_none(tmp_path: Path, text: str, said: str) -> None:

@@ -219,6 +219,16 @@ def test_an_outline_is_closed_and_finite() -> None:
 # --- of images
 
 
+@pytest.mark.parametrize(("equatorial", "polar"), [(MARS.equatorial, 1e-3), (MARS.equatorial, 1e200), (1e300, 1.0)])
+def test_an_ellipsoid_that_is_no_bodys(equatorial: float, polar: float) -> None:
+    """The sphere of its area has no place for the outline: GEOS would be given NaN."""
+    outline = equatorial * np.array([[1.0, 0.0, 0.0], [1.0, 0.1, 0.0], [1.0, 0.1, 0.1], [1.0, 0.0, 0.0]])
+    one = Footprint("A", outline, Ellipsoid(equatorial, polar))
+    for question in (lambda: one.area, lambda: overlaps([one, one]), lambda: gaps([one, one], np.array([[0, 1]]))):
+        with pytest.raises(InputError, match="footprint of A: an ellipsoid of"):
+            question()
+
+
 def test_the_outline_projects_to_the_edges() -> None:
     for image in PAIR.images:
         one = footprint(image, 500.0)

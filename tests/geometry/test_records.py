@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import frozen, frozen_index, require_covariances, require_unique
+from mgsgraph.geometry.records import frozen, frozen_index, require_covariances, require_names
 
 
 def test_frozen_copies_and_can_not_be_written() -> None:
@@ -66,9 +66,9 @@ def test_what_is_no_index_is_refused(value: list[object], said: str) -> None:
 
 
 def test_ids_are_unique() -> None:
-    require_unique(("a", "b", ""), "file")
+    require_names(("a", "b", ""), "file")
     with pytest.raises(InputError, match="file: the id 'b' twice"):
-        require_unique(("a", "b", "c", "b"), "file")
+        require_names(("a", "b", "c", "b"), "file")
 
 
 def test_covariances_where_they_are_needed() -> None:
@@ -81,3 +81,10 @@ def test_covariances_where_they_are_needed() -> None:
         with pytest.raises(InputError, match="file, point bad: an a-priori covariance that is not positive definite"):
             require_covariances(stack, np.array([True, True]), ("good", "bad"), "file")
     require_covariances(np.zeros((0, 3, 3)), np.zeros(0, dtype=bool), (), "file")
+
+
+@pytest.mark.parametrize("name", ["a\x1b[2Jb", "a\nb", "a\u202eb", "\udc80", "a" * 501])
+def test_names_that_no_terminal_should_be_given(name: str) -> None:
+    require_names(("é", "image 2"), "images")
+    with pytest.raises(InputError, match="images"):
+        require_names(("é", name), "images")

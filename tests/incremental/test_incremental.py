@@ -26,10 +26,12 @@ from increments import (
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import SolverError
 from mgsgraph.incremental import engine
 from mgsgraph.incremental.closing import EXACT
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.incremental.state import Bundle, InMemory
+from mgsgraph.incremental.tree import Tree
 from mgsgraph.network import TERRAIN, Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown
 from mgsgraph.ties import TiePoints
@@ -369,13 +371,14 @@ def test_points_that_batch_could_not_place_are_no_blunders() -> None:
     """Nadir images alone: many rays are parallel. Images that converge come later, and make good points of them."""
     made = strip(4, 30, 5)
     few = IncrementalAdjustment()
-    for k in (0, 2):
+    for k in (0, 2, 1):
         take_alone(few, made, k)
-    again = IncrementalAdjustment.of(by_batch(few))
+    solution = by_batch(few)
+    assert 0 < np.count_nonzero(~solution.determined) < solution.determined.size
+    again = IncrementalAdjustment.of(solution)
     rejected = [again.store.bundle(members).network.rays.rejected for members in again.store.members()]
     assert not any(np.any(marks) for marks in rejected)
-    for k in (1, 3):
-        take_alone(again, made, k)
+    take_alone(again, made, 3)
     assert distances(again, by_batch(again)).within()
 
 
@@ -411,3 +414,18 @@ def test_batch_that_does_not_converge_is_not_taken_over() -> None:
     assert not closing.adopted
     assert "did not converge" in closing.sentence()
     assert all(np.array_equal(before[unknown], value) for unknown, value in adjustment.values.items())
+
+
+def test_what_the_tree_cannot_solve_is_an_error_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Failing:
+        def update(self, *_: object) -> None:
+            raise RuntimeError("Indeterminate linear system")
+
+        def calculateEstimate(self) -> None:  # GTSAM's name
+            raise RuntimeError("Indeterminate linear system")
+
+    tree = Tree()
+    monkeypatch.setattr(tree, "_isam", Failing())
+    for asked in (tree.change, tree.values):
+        with pytest.raises(SolverError):
+            asked()

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mgsgraph.control.asp.gcp import ground_control_text, read_ground_control, read_ground_control_network
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic
-from mgsgraph.io.asp.gcp import ground_control_text, read_ground_control, read_ground_control_network
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.units import DEG
 
 MARS = Ellipsoid(3396190.0, 3376200.0)

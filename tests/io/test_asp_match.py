@@ -11,10 +11,10 @@ from control_networks import IMAGES, SINGLE, as_set, free_networks
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mgsgraph.control.asp.match import MatchFile, joined, match_files, read_match, read_match_text
+from mgsgraph.control.asp.match_names import images_of
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.errors import InputError
-from mgsgraph.io.asp.match import MatchFile, joined, match_files, read_match, read_match_text
-from mgsgraph.io.asp.match_names import images_of
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 
 PAIR = ("one", "two")
 IN_ISIS = SINGLE.map(lambda place: place + 1.0)

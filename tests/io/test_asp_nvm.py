@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
+from mgsgraph.control.asp.nvm import half_sizes, nvm_files, offsets_path, read_nvm
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.errors import InputError
-from mgsgraph.io.asp.nvm import half_sizes, nvm_files, offsets_path, read_nvm
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 
 SIZES = dict(zip(IMAGES, [(4864, 672), (5001, 1023), (10_000, 2048), (1, 1)], strict=True))
 GRID = st.integers(512, 12_000 * 1024).map(lambda k: k / 1024.0)
@@ -115,6 +115,7 @@ FAULTS = {
     "NaN": (TEXT.replace("-3.5", "nan"), "line 6, point 1: 'nan'; expected a finite number"),
     "a second model": (TEXT + "2\n", "line 8: more after the last point; expected one model"),
     "cut short": (TEXT[:-30], "it ends before point 2; expected a whole NVM file"),
+    "cut within a point": (TEXT[: TEXT.index("0 0 0 0 0 0 2 0 1") + 5], "line 7, point 2: 3 fields; expected X Y Z"),
 }
 
 

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from isis_networks import contents, grid, labelled, networks, wire
 
-from mgsgraph.errors import InputError
-from mgsgraph.io.control.binary import binary_network, parse_binary_network, write_binary_network
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.record import (
+from mgsgraph.control.binary import binary_network, parse_binary_network, write_binary_network
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -21,7 +20,8 @@ from mgsgraph.io.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.io.control.ties import tie_points
+from mgsgraph.control.ties import tie_points
+from mgsgraph.errors import InputError
 
 SMALL = ControlNetwork(
     network_id="small",
@@ -264,7 +264,7 @@ def test_any_prefix_is_refused(tmp_path: Path) -> None:
 
 
 def test_damaged_files_are_refused_or_networks(tmp_path: Path) -> None:
-    """Some hundreds here; scripts/fuzz_exchange.py does tens of thousands."""
+    """Some hundreds here; scripts/fuzz.py does tens of thousands."""
     rng = random.Random(8)
     path = tmp_path / "damaged.net"
     refusals = 0

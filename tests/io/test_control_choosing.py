@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
+from mgsgraph.control.choosing import in_images, used_images, with_measures
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, MeasureType, PointType
+from mgsgraph.control.thinning import thinned
+from mgsgraph.control.uniting import united
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import connected_parts
-from mgsgraph.io.control.choosing import in_images, used_images, with_measures
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, MeasureType, PointType
-from mgsgraph.io.control.thinning import thinned
-from mgsgraph.io.control.uniting import united
 
 PLACES = st.floats(1.0, 5000.0)
 NETWORKS = free_networks(PLACES, least=1)

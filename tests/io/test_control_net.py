@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG
 
@@ -197,6 +197,13 @@ def test_planetocentric_place_is_the_one_isis_gives(tmp_path: Path) -> None:
     got = read(tmp_path, re.sub(r"AprioriX.*\n.*\n.*AprioriZ.*", place, SMALL))
 
     np.testing.assert_allclose(got.places[0], [1485514.8494536, -2937138.2000946, 829401.90409959], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("longitude", ["1000 <degrees>", "6.9 <rad>"])
+def test_a_longitude_beyond_a_turn_is_refused(tmp_path: Path, longitude: str) -> None:
+    place = f"AprioriLatitude = 14.1 <degrees>\nAprioriLongitude = {longitude}\nAprioriRadius = 3390000"
+    text = re.sub(r"AprioriX.*\n.*\n.*AprioriZ.*", place, SMALL)
+    assert "a positive radius" in assert_refused(tmp_path, text)
 
 
 def test_units_are_heeded(tmp_path: Path) -> None:

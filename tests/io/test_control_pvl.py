@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from isis_networks import contents, networks
 
+from mgsgraph.control.binary import binary_network, parse_binary_network, write_binary_network
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.pvl import parse_pvl_network
+from mgsgraph.control.pvl_writing import network_text, write_pvl_network
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.binary import binary_network, parse_binary_network, write_binary_network
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.pvl import parse_pvl_network
-from mgsgraph.io.control.pvl_writing import network_text, write_pvl_network
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.io.pvl import Document
 
 OF_ISIS = """\

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from isis_networks import labelled, wire
 
+from mgsgraph.control.binary import write_binary_network
+from mgsgraph.control.network_file import read_control_network, read_network
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.control.ties import control_network, tie_points
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.network_file import read_control_network, read_network
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.io.control.ties import control_network, tie_points
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.ties import PointKind, TiePoints
 
 FIELDS = ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas")
@@ -127,3 +128,76 @@ def test_a_fault_in_a_binary_network_names_the_point(tmp_path: Path, fault: str)
     with pytest.raises(InputError) as caught:
         read_control_network(path)
     assert str(caught.value).startswith(f"{path}, {said}")
+
+
+MARS, PHOBOS, MOON = Ellipsoid(3396.19e3, 3376.2e3), Ellipsoid(13.0e3, 9.1e3), 1737.4e3
+
+
+def network(target: str = "", radii: tuple[float, ...] = (), *, kind: PointType = PointType.FREE,
+            scale: float = 1.0, wild: float = 1.0) -> ControlNetwork:  # fmt: skip
+    """Three points on Mars, scaled; the last one once more."""
+    points = tuple(
+        ControlPoint(
+            f"p{k}", kind, (ControlMeasure("A", MeasureType.MANUAL, 1.0, 1.0),),
+            apriori=(3396e3 * scale * (wild if k == 2 else 1.0), 1e3 * scale * k, 0.0),
+            apriori_covariance=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0) if kind == PointType.CONSTRAINED else (),
+        )
+        for k in range(3)
+    )  # fmt: skip
+    return ControlNetwork("n", target, points, target_radii=radii)
+
+
+@pytest.mark.parametrize("write", [write_pvl_network, write_binary_network])
+@pytest.mark.parametrize(
+    ("given", "body", "said"),
+    [
+        (network("Moon"), MARS, "TargetName: the target body Moon; expected MARS"),
+        (network("Mars", scale=PHOBOS.equatorial / 3396e3), PHOBOS, "TargetName: the target body Mars"),
+        (network("", (MOON, MOON, MOON)), MARS, "TargetRadii: 1737400 m; expected 3396190 m"),
+        (network("", (3396190.0, 3396190.0, 1e4)), MARS, "TargetRadii: 10000 m"),
+        (network("Mars", scale=MOON / 3396e3), MARS, "radii of points of 1,737"),
+        (network("Mars", scale=1e-3), MARS, "radii of points of 3.396 km .*kilometres stand where"),
+        (network("Mars", kind=PointType.FIXED, wild=0.8), MARS, "point p2: 2.7168e[+]06 m from the body's centre"),
+        (network("Mars", kind=PointType.CONSTRAINED, wild=1.3), MARS, "point p2: 4.4148e[+]06 m from"),
+    ],
+)
+def test_a_network_of_another_body(
+    tmp_path: Path, write: Any, given: ControlNetwork, body: Ellipsoid, said: str
+) -> None:
+    """Whatever says so: its name, its radii, or where its points lie, known ones each."""
+    path = tmp_path / "network"
+    write(given, path)
+    assert len(read_control_network(path).ids) == 3
+    with pytest.raises(InputError, match=said):
+        read_control_network(path, body)
+
+
+def test_networks_of_this_body(tmp_path: Path) -> None:
+    """A first guess may be wild; of a body of unknown size any other name may be its own."""
+    path = tmp_path / "network.net"
+    for given, body in (
+        (network(" mars ", (3396190.0, 3396190.0, 3376200.0)), MARS), (network(wild=2.0), MARS),
+        (network("Phobos", scale=11.0 / 3396.0), PHOBOS), (network("Deimos", scale=11.0 / 3396.0), PHOBOS),
+    ):  # fmt: skip
+        write_binary_network(given, path)
+        assert len(read_control_network(path, body).ids) == 3
+
+
+@pytest.mark.parametrize("write", [write_pvl_network, write_binary_network])
+@pytest.mark.parametrize("part", ["p0", "A"])
+@pytest.mark.parametrize("name", ["\x1b[2Jx", "a\u202eb", "x" * 100_000])
+def test_names_that_no_terminal_should_be_given(tmp_path: Path, write: Any, part: str, name: str) -> None:
+    path = tmp_path / "network"
+    write(network(), path)
+    data = path.read_bytes()
+    if write is write_binary_network:
+        point = network().points[0]
+        measures = (msgspec.structs.replace(point.measures[0], serial_number=name),)
+        point = msgspec.structs.replace(point, **({"id": name} if part == "p0" else {"measures": measures}))
+        write(msgspec.structs.replace(network(), points=(point,)), path)
+    else:
+        path.write_bytes(data.replace(f"= {part}\n".encode(), f'= "{name}"\n'.encode()))
+    with pytest.raises(InputError, match=r"an id|an image's name") as caught:
+        read_network(path)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1500

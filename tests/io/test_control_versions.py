@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from isis_networks import contents, first_binary, labelled, networks, older, pvl_text
 
+from mgsgraph.control.binary import binary_network, parse_binary_network
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.pvl import parse_pvl_network
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.control.ties import tie_points
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric_jacobian
-from mgsgraph.io.control.binary import binary_network, parse_binary_network
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.pvl import parse_pvl_network
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.io.control.ties import tie_points
 from mgsgraph.io.pvl import Document
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG

@@ -9,11 +9,11 @@ import pytest
 import spiceypy
 from cubes import LINES, PERIOD, START, tables, written
 
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.io.aberration import Aberration
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.isis_cube import read_isis_cube
@@ -177,6 +177,20 @@ def clocked(folder: Path, start: float, *changes: tuple[str, str], **more: objec
     return folder / "image.isd"
 
 
+def test_tables_of_another_clock_count_are_refused(tmp_path: Path) -> None:
+    """The label beside them is another image's; without any count, as older cubes, the tables' own times are taken."""
+    path = clocked(tmp_path, START)
+    content = json.loads(path.read_text())
+    keywords = content["naif_keywords"]
+    keywords["CLOCK_ET_-94_101:0_COMPUTED"] = keywords.pop("CLOCK_ET_-94_100:0_COMPUTED")
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="CLOCK_ET_-94_101:0_COMPUTED; expected CLOCK_ET_-94_100:0_COMPUTED"):
+        read_isis_cube(path)
+    del keywords["CLOCK_ET_-94_101:0_COMPUTED"]
+    path.write_text(json.dumps(content))
+    assert read_isis_cube(path).trajectory.epoch > START
+
+
 PERIOD_OF_LABEL = "LineExposureDuration = 0.482100"
 
 
@@ -196,7 +210,9 @@ def test_tables_agree_within_a_part_of_a_line(tmp_path: Path) -> None:
     label = (PERIOD_OF_LABEL, "LineExposureDuration = 0.037")
     for late, refused in ((0.0, False), (5e-5, True)):
         times = START + np.array([0.0, 0.5, 1.0])[:, None] * (LINES * 74e-6 + late)
-        cube = written(tmp_path, label, other={"InstrumentPosition": (fields, np.hstack([rows[:, :6], times]))})
+        faster = np.ptp(rows[:, 6]) / np.ptp(times) * rows[:, 3:6]
+        table = np.hstack([rows[:, :3], faster, times])
+        cube = written(tmp_path, label, other={"InstrumentPosition": (fields, table)})
         if refused:
             with pytest.raises(InputError, match="the table is not of this image"):
                 read_isis_cube(cube)

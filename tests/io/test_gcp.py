@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mgsgraph.control.asp.gcp import read_ground_control
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.ties import PointKind, TiePoints
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
@@ -93,6 +93,7 @@ def test_a_hash_inside_a_name_is_no_comment(tmp_path: Path) -> None:
 FAULTS = {
     "a field short": ("x 1 2 3 1 1", "point x: 6 fields; expected 7, and 5 more for each image"),
     "a measure short": ("x 1 2 3 1 1 1 one 1 2 1", "point x: 11 fields"),
+    "beyond a turn": ("x 1 361 3 1 1 1", "point x, longitude: 361 degrees; expected -360 .. 360"),
     "latitude": ("x north 2 3 1 1 1", "point x, latitude: 'north'; expected a finite number"),
     "NaN height": ("x 1 2 nan 1 1 1", "point x, height: 'nan'"),
     "infinite longitude": ("x 1 inf 3 1 1 1", "point x, longitude: 'inf'"),

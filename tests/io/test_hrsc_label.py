@@ -221,6 +221,7 @@ def test_the_mean_of_a_label(tmp_path: Path) -> None:
 first, second, third = CHANGES
 WRONG: dict[str, tuple[tuple[tuple[float, float, float], ...], str]] = {
     "rates in ms": (((first[0], 12.8, 1),), "a line rate of 12800 ms per line from line 1 on; expected 1 .. 500 ms"),
+    "an endless rate": (((first[0], 1.7e290, 1),), "a line rate of 1.7e+293 ms per line"),
     "no rate": ((first, (second[0], 0.0, 6665)), "a line rate of 0 ms per line from line 6665 on"),
     "negative rate": (((first[0], -0.0128, 1),), "a line rate of -12.8 ms"),
     "lines back": ((first, third, second), "changes at lines 1, 6666, 6665; expected lines from 1 up to 15088"),
@@ -246,6 +247,7 @@ def test_line_times_that_make_no_sense(tmp_path: Path, fault: str) -> None:
         ("", "the columns none"),
         ("EphemerisTime,ExposureTime,LineStart\n255744599.0,fast,1\n", "line 2, ExposureTime: 'fast'; expected"),
         ("EphemerisTime,ExposureTime,LineStart\n255744599.0\n", "line 2, ExposureTime: ''"),
+        ("EphemerisTime,ExposureTime,LineStart\n1," + 140_000 * "1" + ",1\n", "is not a table of line times"),
         ("EphemerisTime,ExposureTime,LineStart\nnan,0.0128,1\n", "'nan'; expected a finite number"),
     ],
 )
@@ -264,6 +266,28 @@ def test_prefixes_that_are_none(tmp_path: Path) -> None:
     bare = written(tmp_path, ("LINE_PREFIX_BYTES  = 68", "LINE_PREFIX_BYTES = 0"))
     assert "a label without the times" in refused(bare)
     assert "a label without the times" in refused(written(tmp_path, ("LINES              = 20", "LINES = 21")))
+
+
+@pytest.mark.parametrize(
+    ("field", "content"),
+    [
+        (0, b"\xff" * 8), (0, b"\0" * 6 + b"\xf0\x7f"), (0, b"\xff" * 6 + b"\xef\x7f"), (8, b"\1\0\x80\x7f"),
+        (8, b"\0" * 4), (8, b"\0\0\x80\xbf"),
+    ],
+)  # fmt: skip
+def test_damaged_prefixes_are_told_without_numpys_warnings(tmp_path: Path, field: int, content: bytes) -> None:
+    """NaN, a signalling one, infinities, times of 1e308 s: warnings are errors here."""
+    path = written(tmp_path)
+    damaged = bytearray(path.read_bytes())
+    at = 4 * 512 + 7 * 512 + field
+    damaged[at : at + len(content)] = content
+    path.write_bytes(damaged)
+    assert "prefix of line 8" in refused(path, stop=STOP)
+
+
+def test_a_table_of_times_far_from_any_mission(tmp_path: Path) -> None:
+    said = refused(cube(tmp_path), times_file(tmp_path, ((1.7e290, 0.0128, 1), (-1.7e290, 0.0128, 5000))))
+    assert "the time 1.7e+290 s for line 1" in said
 
 
 def test_a_mean_needs_two_lines_and_a_sensible_span(tmp_path: Path) -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import spiceypy
 
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.geometry.distortion import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.io.aberration import Aberration
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.units import KM

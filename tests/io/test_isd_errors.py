@@ -1,13 +1,16 @@
 """Image support data that can't be used: one line that names the file and the key, never a traceback."""
 
+import copy
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support_data import IDENTITY, ISD, Keys, edited, read
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.plausibility import require_plausible
 from mgsgraph.io.aberration import Aberration
 
 
@@ -166,3 +169,77 @@ def test_what_a_record_refuses_names_the_file(tmp_path: Path, keys: Keys, value:
 
 def test_the_sun_in_another_frame_is_refused(tmp_path: Path) -> None:
     assert_refused(tmp_path, edited(("sun_position", "reference_frame"), 17))
+
+
+# --- what the file says twice
+
+KEYWORDS = ISD["naif_keywords"] | {
+    "BODY_CODE": 499, "BODY499_RADII": [3396.19, 3396.19, 3376.2], "INS-94031_FOCAL_LENGTH": 3500.0,
+    "INS-94031_PIXEL_SAMPLES": 512,
+}  # fmt: skip
+CONTRADICTIONS: dict[str, tuple[dict[str, object], str]] = {
+    "semimajor": ({"radii": {"semimajor": 3390.0, "semiminor": 3376.2}}, "radii.semimajor: 3390 km"),
+    "semiminor": ({"radii": {"semimajor": 3396.19, "semiminor": 3396.19}}, "radii.semiminor: 3396.19 km"),
+    "another body": ({"naif_keywords": KEYWORDS | {"BODY_CODE": 301}}, "those of MOON"),
+    "focal length": ({"focal_length_model": {"focal_length": 3400.0}}, "focal_length_model: 3400 mm"),
+    "summing": ({"detector_sample_summing": 2}, "detector_sample_summing: 512 samples of 2 pixels"),
+    "no number": ({"naif_keywords": KEYWORDS | {"INS-94031_FOCAL_LENGTH": "long"}}, "INS-94031_FOCAL_LENGTH: 'long'"),
+}
+
+
+def test_a_calibration_may_differ_from_the_keywords(tmp_path: Path) -> None:
+    read(tmp_path, ISD | {"naif_keywords": KEYWORDS})
+    read(tmp_path, ISD | {"naif_keywords": KEYWORDS, "focal_length_model": {"focal_length": 3502.0}})
+
+
+@pytest.mark.parametrize("what", CONTRADICTIONS)
+def test_what_contradicts_the_keywords_is_named(tmp_path: Path, what: str) -> None:
+    changes, said = CONTRADICTIONS[what]
+    assert said in assert_refused(tmp_path, ISD | {"naif_keywords": KEYWORDS} | changes)
+
+
+RADII = [(3396190.0, 3376200.0), (3.39619, 3.3762), (1e9, 1e9), (1e-9, 1e-9), (3300.0, 3290.0), (3396.19, 3000.0),
+         (3376.2, 3396.19)]  # fmt: skip
+
+
+@pytest.mark.parametrize("radii", RADII, ids=str)
+def test_radii_of_no_body_are_refused(tmp_path: Path, radii: tuple[float, float]) -> None:
+    """Without a keyword that tells; those too small for it by where the camera is, when the case reads the image."""
+    isd = ISD | {"radii": dict(zip(("semimajor", "semiminor"), radii, strict=True))}
+    if radii[0] < 1000.0:
+        image = read(tmp_path, isd)
+        with pytest.raises(InputError, match="from the body's centre"):
+            require_plausible(image, "image")
+        return
+    assert "radii" in assert_refused(tmp_path, isd)
+
+
+# --- keys that nothing reads
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [(("detector_line_suming",), "detector_line_summing"), (("naif_keyword",), "naif_keywords"),
+     (("radii", "units"), "unit"), (("body_rotation", "constant_rotations"), "constant_rotation")],
+)  # fmt: skip
+def test_a_slip_in_a_key_is_refused(tmp_path: Path, keys: Keys, said: str) -> None:
+    """A default would take its place."""
+    isd = edited((*keys[:-1], said), ...) if keys[-1] != "detector_line_suming" else ISD
+    assert f"did you mean '{said}'?" in assert_refused(tmp_path, _put(isd, keys))
+
+
+def _put(isd: dict[str, object], keys: Keys) -> dict[str, object]:
+    isd = copy.deepcopy(isd)
+    inner: Any = isd
+    for key in keys[:-1]:
+        inner = inner[key]
+    inner[keys[-1]] = "km" if keys[-1] == "units" else 1.0
+    return isd
+
+
+def test_keys_that_nothing_reads_are_said(tmp_path: Path) -> None:
+    """Those of ALE that say nothing new are not."""
+    known = read(tmp_path, ISD | {"reference_height": {"maxheight": 1000}, "isis_camera_version": 2}).remarks
+    remarks = read(tmp_path, ISD | {"colour": "red", "reference_height": {}}).remarks
+    assert len(remarks) == len(known) + 1
+    assert "colour" in remarks[0]

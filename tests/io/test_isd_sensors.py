@@ -151,7 +151,7 @@ METRES = {"positions": [[3796e3, 0.0, 3e3], [3796e3, 0.0, 0.0], [3796e3, 0.0, -3
         (
             {"radii": {"semimajor": 3396.19, "semiminor": 3376.2, "unit": "m"},
              "naif_keywords": ISD["naif_keywords"] | {"BODY499_RADII": [3396.19, 3396.19, 3376.2]}},
-            "a body of 3.39619 km, where BODY499_RADII says 3396.19 km",
+            "radii.semimajor: 3.39619 km, where BODY499_RADII says 3396.19 km",
         ),
     ],
 )  # fmt: skip

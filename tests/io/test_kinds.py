@@ -2,7 +2,9 @@
 
 import gzip
 import json
+import os
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -115,3 +117,37 @@ def test_what_a_simulation_writes(case_file: Path) -> None:
     assert kinds["network.pvl"] is Kind.NETWORK
     assert kinds["lidar.json"] is Kind.LIDAR
     assert kinds["image_A.isd"] is Kind.SUPPORT_DATA
+
+
+def test_what_is_no_file_or_has_no_end_is_nothing(tmp_path: Path) -> None:
+    """And nobody waits for it, or reads all of what is unknown."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with (tmp_path / "huge").open("wb") as file:  # sparse
+        file.write(b"\1\0\2")
+        file.truncate(1 << 40)
+    (tmp_path / "braces.json").write_bytes(b'{"a":' * 200_000)
+    (tmp_path / "digits.json").write_bytes(b'{"points": [' + b"1" * 5000 + b"]}")
+    (tmp_path / "label.cub").write_bytes(b"Object = IsisCube\nStartByte = " + b"9" * 5000 + b"\nEnd\n")
+    (tmp_path / "list").write_bytes(b"a\n" * 30_000)
+    (tmp_path / "bomb.gz").write_bytes(gzip.compress(bytes(1 << 24)))
+    for name in ("pipe", "loop", "huge", "braces.json", "digits.json", "list", "bomb.gz"):
+        assert kind_of(tmp_path / name) is None
+    assert kind_of(tmp_path / "label.cub") is Kind.CUBE
+    assert kind_of(Path("/dev/zero")) is None
+
+
+@pytest.mark.parametrize("head", [b"\n", b"\t\n", b" ", b"#\n", b'"', b",", b"1 "])
+def test_a_head_is_looked_through_at_once(tmp_path: Path, head: bytes) -> None:
+    """Not by the square of its length: 16 MB would take days."""
+    path = tmp_path / "a"
+    path.write_bytes(head * (65536 // len(head)))
+    started = time.process_time()
+    assert kind_of(path) is None
+    assert time.process_time() - started < 2.0
+
+
+def test_records_of_ours_are_known(tmp_path: Path) -> None:
+    path = tmp_path / "export.json"
+    path.write_text('{"program": "mgsgraph", "files": []}', encoding="utf-8")
+    assert kind_of(path) is Kind.OWN_RECORD

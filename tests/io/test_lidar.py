@@ -169,3 +169,20 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, constant: str) 
 
     with pytest.raises(InputError, match=r"lidar\.json"):
         read_lidar(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "said"),
+    [
+        (("id",), "a\x1b[2J", "an id with control characters"), (("id",), "x" * 5000, "an id of 5000 characters"),
+        (("measures", 0, "serialNumber"), "\u202e", "an image's name with control characters"),
+        (("simultaneousImages",), ["a\nb"], "an image's name with control characters"),
+        (("time",), 3.2e11, "a time of 3.2e+11 s past J2000"), (("longitude",), 5678.0, "longitude 5678 degrees"),
+    ],
+)  # fmt: skip
+def test_names_times_and_places_that_can_not_be(
+    tmp_path: Path, keys: tuple[str | int, ...], value: object, said: str
+) -> None:
+    with pytest.raises(InputError, match="points") as caught:
+        read(tmp_path, edited(keys, value))
+    assert said in str(caught.value)

@@ -1,6 +1,10 @@
 """MEGDR grids and GeoTIFF terrain: where posts lie, by label, by name, and against the altimeter's own shots."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +13,8 @@ from mgsgraph.altimetry.pedr_text import read_pedr_text
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.terrain import areoid_grid, areoid_heights
+from mgsgraph.io import megdr
+from mgsgraph.io.files import opened
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.terrain_file import read_terrain
 
@@ -30,14 +36,38 @@ def label(
     return "\r\n".join(f"{key} = {value}" for key, value in values.items()) + "\r\nEND\r\n"
 
 
+def radii(lines: int = 720, samples: int = 1440, north: float = 90.0, resolution: float = 4.0) -> np.ndarray:
+    """Counts of hills on a planet whose polar radius is 20 km less."""
+    latitude = (north - (0.5 + np.arange(lines)) / resolution) * DEG
+    hills = np.random.default_rng(1).integers(-2000, 2000, (lines, samples))
+    return (hills - 20e3 * np.sin(latitude)[:, None] ** 2).astype(int)
+
+
 def image(folder: Path, name: str, counts: np.ndarray) -> Path:
     path = folder / name
     counts.astype(">i2").tofile(path)
     return path
 
 
+def test_the_file_that_was_looked_at_is_the_one_that_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not another one that has its name by then."""
+    counts = radii()
+    path = image(tmp_path, "megr90n000cb.img", counts)
+
+    @contextmanager
+    def gone(path: Path, limit: int) -> Iterator[BufferedReader]:
+        with opened(path, limit) as file:
+            path.unlink()
+            yield file
+
+    monkeypatch.setattr(megdr, "opened", gone)
+    grid = read_megdr(path)
+    assert grid is not None
+    np.testing.assert_array_equal(grid.radii, counts + 3396000)
+
+
 def test_label_and_name_agree(tmp_path: Path) -> None:
-    counts = np.random.default_rng(1).integers(-8000, 21000, (720, 1440))
+    counts = radii()
     path = image(tmp_path, "megr90n000cb.img", counts)
     by_name = read_megdr(path)
     (tmp_path / "MEGR90N000CB.LBL").write_text(label())
@@ -78,7 +108,7 @@ def test_the_archives_own_offset_of_a_southern_tile(tmp_path: Path) -> None:
 
 def test_only_what_lies_around_points_is_read(tmp_path: Path) -> None:
     """Across the seam of the whole body, too; nothing, where there is nothing."""
-    path = image(tmp_path, "megr90n000cb.img", np.random.default_rng(1).integers(-8000, 21000, (720, 1440)))
+    path = image(tmp_path, "megr90n000cb.img", radii())
     whole = read_megdr(path)
     for longitude in (0.0, 100.0):
         places = np.array([[longitude - 0.7, 12.0, 3390e3], [longitude + 0.9, 12.6, 3390e3]]) * [DEG, DEG, 1.0]
@@ -88,17 +118,17 @@ def test_only_what_lies_around_points_is_read(tmp_path: Path) -> None:
         assert not part.wraps
         assert part.vertical_sigma == 10.0
         np.testing.assert_allclose(part.at(near), whole.at(near), rtol=0, atol=1e-3)
-    tile = image(tmp_path, "megr90n180gb.img", np.zeros((90 * 64, 180 * 64)))
+    tile = image(tmp_path, "megt90n180gb.img", np.zeros((90 * 64, 180 * 64)))
     assert read_megdr(tile, near=from_planetocentric(np.array([[0.5, 0.2, 3390e3]]))) is None
 
 
 def test_sixteen_pixels_areoid_and_offset_in_the_label(tmp_path: Path) -> None:
-    path = image(tmp_path, "grid.img", np.full((4, 8), 1200))
+    path = image(tmp_path, "grid.img", radii(4, 8, 90.0, 1.0 / 45.0))
     (tmp_path / "grid.lbl").write_text(label(4, 8, 1.0 / 45.0, "MEGA90N000EB.IMG", OFFSET=3396000, SCALING_FACTOR=1))
     grid = read_megdr(path)
 
     assert grid.kind == "areoid"
-    assert np.all(grid.radii == 3397200.0)
+    np.testing.assert_array_equal(grid.radii, 3396000.0 + radii(4, 8, 90.0, 1.0 / 45.0))
 
 
 @pytest.mark.parametrize(("kind", "bits"), [("u1", 8), (">u2", 16)])
@@ -124,6 +154,9 @@ def test_counts_of_shots_have_one_byte_or_two(tmp_path: Path, kind: str, bits: i
         ({"PRODUCT_ID": '"MEGX90N000CB.IMG"'}, "the product 'MEGX90N000CB.IMG'"),
         ({"PRODUCT_ID": '"MEGC90N000CB.IMG"', "SAMPLE_BITS": 32}, "MSB_INTEGER 32"),
         ({"CENTER_LATITUDE": 10.0}, "CENTER_LATITUDE: 10"),
+        ({"LINE_PROJECTION_OFFSET": 1e290}, "latitudes from"),
+        ({"SCALING_FACTOR": 1e290}, "1e[+]290 m per count"),
+        ({"OFFSET": -1e290}, "from -1e[+]290 m on"),
     ],
 )
 def test_labels_that_cannot_be_followed(tmp_path: Path, changed: dict[str, object], message: str) -> None:
@@ -145,6 +178,26 @@ def test_a_missing_keyword_a_short_file_a_strange_name(tmp_path: Path) -> None:
         read_megdr(image(tmp_path, "terrain.img", np.zeros((3, 3))))
     with pytest.raises(InputError, match="no such file"):
         read_megdr(tmp_path / "megt90n000cb.img")
+
+
+@pytest.mark.parametrize(("true", "said"), [("r", "t"), ("t", "r"), ("t", "a")])
+@pytest.mark.parametrize("part", [(0, 720), (0, 360), (360, 720)])
+def test_heights_tell_radii_from_topography(shared_data: Path, tmp_path: Path, true: str, said: str, part: Any) -> None:
+    """A file under another one's name, whole or by hemispheres, of which the real ones pass."""
+    top, bottom = part
+    rows = slice(top * 2880, bottom * 2880)
+    north = 90 - top // 4
+    values = np.frombuffer((shared_data / "mola_megdr" / f"meg{true}90n000cb.img").read_bytes()[rows], ">i2")
+    values = values.reshape(-1, 1440)
+    for name, good in ((true, True), (said, False)):
+        product = f"MEG{name.upper()}90N000CB.IMG"
+        (tmp_path / "a.lbl").write_text(label(values.shape[0], product=product, LINE_PROJECTION_OFFSET=4 * north + 0.5))
+        path = image(tmp_path, "a.img", values)
+        if good:
+            assert read_megdr(path).radii.shape == values.shape
+        else:
+            with pytest.raises(InputError, match="km from the equator to the poles"):
+                read_megdr(path)
 
 
 @pytest.mark.parametrize(("site", "largest"), [("insight", 10.0), ("opportunity", 15.0)])
@@ -229,5 +282,5 @@ def test_rasters_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_terrain(tmp_path / "none.tif")
     (tmp_path / "text.tif").write_text("no raster")
-    with pytest.raises(InputError, match="can't be read"):
+    with pytest.raises(InputError, match="no raster that is known"):
         read_terrain(tmp_path / "text.tif")

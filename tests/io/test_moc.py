@@ -1,6 +1,7 @@
 """MOC images: labels of both kinds, geometry against SPICE and ISIS's formulas, pixels; faults said in one line."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.image_label import read_label
 from mgsgraph.io.kernels import clock_time, loaded
 from mgsgraph.io.labelled_image import read_labelled_image
-from mgsgraph.io.moc_pixels import pixel_area
+from mgsgraph.io.moc_pixels import PixelArea, pixel_area, require_fragments
 from mgsgraph.io.pictures import read_moc_pixels
 
 PITCH, FOCAL = 0.0131240578522949e-3, 3.5
@@ -188,7 +189,7 @@ def test_a_projected_cube_of_the_real_pair_is_refused(shared_data: Path) -> None
 def test_no_file_and_a_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_moc_pixels(tmp_path / "gone.img")
-    with pytest.raises(InputError, match="can't be read"):
+    with pytest.raises(InputError, match="a folder"):
         read_moc_pixels(tmp_path)
 
 
@@ -319,7 +320,7 @@ def test_compressed_pixels_are_those_of_the_decompressed_file(shared_data: Path)
 
 
 def test_compressed_pixels_without_pdr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pdr", None)
+    monkeypatch.setitem(sys.modules, "pdr.formats.mgs_moc", None)
     path = written(tmp_path, ("OBJECT = IMAGE\n", "OBJECT = IMAGE\n  ENCODING_TYPE = MOC-PRED-X-5\n"))
     with pytest.raises(InputError, match=r'compressed as MOC-PRED-X-5.*pip install "mgsgraph\[moc\]"'):
         read_moc_pixels(path)
@@ -329,6 +330,52 @@ def test_a_compressed_file_cut_short(shared_data: Path, tmp_path: Path) -> None:
     path = tmp_path / "M0100115.imq"
     path.write_bytes((shared_data / "mgs_moc_pair" / "M0100115.imq").read_bytes()[:900_000])
     with pytest.raises(InputError, match="900000 bytes; expected 1908736"):
+        read_moc_pixels(path)
+
+
+def fragment(length: int = 9, size: tuple[int, int] = (2, 3), status: int = 0, bits: int = 1) -> bytes:
+    """A fragment of a compressed image of `size` cells of 16 lines and samples."""
+    head = bytearray(62)
+    head[6:8] = head[40:42] = size[0].to_bytes(2, "little")
+    head[13], head[43], head[44], head[58:62] = status, size[1], bits, length.to_bytes(4, "little")
+    return bytes(head) + bytes(length + 1)
+
+
+@pytest.mark.parametrize(
+    ("content", "good"),
+    [
+        (fragment() + fragment(status=2), True),
+        (fragment(bits=4, size=(1, 3)) * 2, True),
+        (fragment() + fragment(), False),  # none is the last
+        (fragment() + fragment(status=2)[:-3], False),
+        (fragment(size=(65535, 3)) + fragment(status=2), False),  # 17 GB of pixels
+        (fragment(size=(2, 255)) + fragment(status=2), False),
+        (fragment(0) + fragment(status=2), False),
+        (fragment(bits=4, size=(1, 3)) * 3, True),
+        (fragment(bits=4, size=(3, 3)), False),
+        (b"", False),
+    ],
+)
+def test_fragments_of_compressed_images(tmp_path: Path, content: bytes, good: bool) -> None:
+    """By their headers: before anything is decompressed."""
+    path = tmp_path / "a.imq"
+    path.write_bytes(bytes(2048) + content)
+    area = PixelArea(path, 2048, 0, 0, "MOC-PRED-X-5", 0)
+    if good:
+        require_fragments(area, 32, 48)
+    else:
+        with pytest.raises(InputError, match="fetch it again"):
+            require_fragments(area, 32, 48)
+    with pytest.raises(InputError, match="after 4096 bytes"):
+        require_fragments(replace(area, offset=4096), 32, 48)
+
+
+def test_a_real_compressed_image_whose_stream_is_damaged(shared_data: Path, tmp_path: Path) -> None:
+    content = bytearray((shared_data / "mgs_moc_pair" / "M0100115.imq").read_bytes())
+    content[2048 + 58] ^= 1
+    path = tmp_path / "M0100115.imq"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="expected one of those of 4864 x 672"):
         read_moc_pixels(path)
 
 
@@ -386,7 +433,7 @@ def test_cube_pixels(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pixel_type", "cut", "said"), [("Real", 0, "pixels of type float32"), ("UnsignedByte", 300, "can't be read")]
+    ("pixel_type", "cut", "said"), [("Real", 0, "pixels of type float32"), ("UnsignedByte", 300, "not a whole raster")]
 )
 def test_cubes_that_hold_no_raw_pixels(tmp_path: Path, pixel_type: str, cut: int, said: str) -> None:
     pytest.importorskip("rasterio", reason="rasterio is not installed")

@@ -136,3 +136,22 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     del content["m_dtQuat"]
     with pytest.raises(InputError, match="m_dtQuat"):
         read(tmp_path, content)
+
+
+@pytest.mark.parametrize(
+    ("key", "place", "value", "said"),
+    [("m_positions", 3, 1e20, "position 1, 1e+20 m"), ("m_positions", slice(0, 3), [0.0] * 3, "position 0, 0 m"),
+     ("m_quaternions", slice(4, 8), [0.0] * 4, "[0.0, 0.0, 0.0, 0.0] at [1]"),
+     ("m_quaternions", 5, 1e200, "at [1]")],
+)  # fmt: skip
+def test_samples_that_cant_be_are_refused_at_once(
+    tmp_path: Path, key: str, place: Any, value: Any, said: str
+) -> None:
+    """They were halved 16 times: of a real state, 4 GB and 200 s."""
+    content = state()
+    content[key][place] = value
+    path = tmp_path / "a.adjusted_state.json"
+    path.write_text(f"{HEAD}\n{json.dumps(content)}")
+    with pytest.raises(InputError) as caught:
+        read_model_state(path, "a")
+    assert said in str(caught.value)

@@ -97,10 +97,10 @@ def test_what_is_no_picture_is_told(tmp_path: Path) -> None:
     for path, said in (
         (tmp_path / "none.tif", "no such file"),
         (tmp_path / "none.img", "no such file"),
-        (tmp_path, "no such file"),
-        (text, "can't be read"),
-        (cut, "can't be read"),
-        (label, "can't be read"),
+        (tmp_path, "a folder"),
+        (text, "no raster that is known here"),
+        (cut, "is not a whole raster"),
+        (label, "is not an image"),
         (rgb, "3 bands; expected one band"),
         (waves, "pixels of type complex64; expected grey values"),
     ):

@@ -1,6 +1,7 @@
 """Terrain models in map projections: posts where formulas of Snyder (1987) have them, whatever heights are above."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.io.map_projection import map_projection
 from mgsgraph.io.terrain_file import TerrainRaster, read_terrain
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.units import DEG, KM
@@ -150,6 +152,48 @@ def test_rasters_of_other_bodies_or_of_no_place(crs: str, place: Any, said: str,
         read_terrain(path, RADIUS, body=MARS)
 
 
+@pytest.mark.parametrize("post", [1e20, -32768.0, np.inf])
+def test_one_post_that_no_body_has(post: float, tmp_path: Path) -> None:
+    """One bit turned in its exponent, or a missing one that nothing calls so; what is no number is missing anyway."""
+    values = np.full((30, 40), -1900.0)
+    values[3, 4] = post
+    path = raster(tmp_path / "a.tif", values, f"+proj=longlat {SPHERE}", pixels("+proj=longlat")[0])
+    if np.isinf(post):
+        assert read_terrain(path, RADIUS, body=MARS) is not None
+        return
+    for reference, off in ((RADIUS, 0.0), (MARS, 0.0), (0.0, RADIUS)):
+        raster(path, values + off, f"+proj=longlat {SPHERE}", pixels("+proj=longlat")[0])
+        with pytest.raises(InputError, match="a post of"):
+            read_terrain(path, reference, body=MARS)
+
+
+@pytest.mark.parametrize(
+    ("radius", "polar", "low", "high"), [(285e3, 229e3, -22.4e3, -5e3), (13e3, 9.1e3, -1500.0, 300.0)]
+)
+def test_small_bodies_are_not_round(radius: float, polar: float, low: float, high: float, tmp_path: Path) -> None:
+    """Regions of Vesta and of Phobos, above spheres; what is no number there is refused still."""
+    crs, body = f"+proj=longlat +R={radius}", Ellipsoid(radius, polar)
+    place = rasterio.Affine(0.01, 0.0, 87.0, 0.0, -0.01, 4.0)
+    values = np.linspace(low, high, 120).reshape(10, 12)
+    model = read_terrain(raster(tmp_path / "a.tif", values, crs, place), radius, body=body)
+    radii = np.linalg.norm(all_points(model), axis=1)
+    np.testing.assert_allclose([radii.min(), radii.max()], [radius + low, radius + high], rtol=1e-9)
+    values[3, 4] = 0.5 * radius
+    with pytest.raises(InputError, match="a post of"):
+        read_terrain(raster(tmp_path / "a.tif", values, crs, place), radius, body=body)
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-13])
+def test_posts_all_at_one_place(size: float, tmp_path: Path) -> None:
+    """A damaged size of pixels; NumPy's warnings are errors here."""
+    crs, _ = PROJECTIONS["sinusoidal"]
+    path = raster(tmp_path / "a.tif", np.full((30, 40), -1900.0), crs, rasterio.Affine(size, 0.0, 1e5, 0.0, -size, 2e5))
+    model = read_terrain(path, RADIUS)
+    assert isinstance(model, TerrainRaster)
+    with pytest.raises(InputError):
+        model.grid()
+
+
 def test_topography_of_another_projection_is_refused(tmp_path: Path) -> None:
     """Its place depends on its height: without a reference nobody knows that."""
     crs, _ = PROJECTIONS["sinusoidal"]
@@ -160,16 +204,18 @@ def test_topography_of_another_projection_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("code", "said"), [(49901, "positive to the west"), (49902, "latitudes on an ellipsoid")])
 def test_coordinates_that_a_geotiff_cannot_have(code: int, said: str, tmp_path: Path) -> None:
-    """A virtual raster keeps the axes of IAU's systems: planetographic with west longitudes, and planetocentric."""
-    raster(tmp_path / "a.tif", np.full((4, 4), -1900.0), f"+proj=longlat {SPHERE}", pixels("+proj=longlat")[0])
-    source = '<SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename></SimpleSource>'
-    (tmp_path / "a.vrt").write_text(
-        f'<VRTDataset rasterXSize="4" rasterYSize="4"><SRS>IAU_2015:{code}</SRS>'
-        "<GeoTransform>175, 0.01, 0, -14, 0, -0.01</GeoTransform>"
-        f'<VRTRasterBand dataType="Float64" band="1">{source}</VRTRasterBand></VRTDataset>'
-    )
+    """IAU's systems of planetographic latitudes with west longitudes, and of planetocentric ones on an ellipsoid."""
+    file = SimpleNamespace(crs=rasterio.CRS.from_user_input(f"IAU_2015:{code}"), transform=pixels("+proj=longlat")[0])
     with pytest.raises(InputError, match=said):
-        read_terrain(tmp_path / "a.vrt", RADIUS)
+        map_projection(file, tmp_path / "a.tif", None)
+
+
+@pytest.mark.parametrize("grids", ["+nadgrids=/dev/zero", "+geoidgrids=egm.gtx"])
+def test_coordinates_by_other_files_are_refused(grids: str, tmp_path: Path) -> None:
+    crs = rasterio.CRS.from_user_input(f"+proj=longlat {SPHERE} {grids} +type=crs")
+    file = SimpleNamespace(crs=crs, transform=pixels("+proj=longlat")[0])
+    with pytest.raises(InputError, match="a coordinate system by other files"):
+        map_projection(file, tmp_path / "a.tif", None)
 
 
 def test_heights_above_another_ellipsoid_than_that_of_the_latitudes(tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ import matched
 import numpy as np
 import pytest
 
+from mgsgraph.control.network_file import read_control_network
+from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError
 from mgsgraph.figures.matches import matches_sheet
-from mgsgraph.io.control.network_file import read_control_network
-from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.matching import files as module
 from mgsgraph.matching.files import KeptTiles, match_into, match_statements, write_matches
 from mgsgraph.matching.match import digest
@@ -177,6 +177,36 @@ def test_damaged_tiles_are_made_again(tmp_path: Path, damage: Callable[[bytes], 
     path.write_bytes(damage(path.read_bytes()))
     assert store.load("tile_00000") is None
     assert store.resumed == 0
+
+
+def test_a_flipped_bit_of_a_tile_is_found(tmp_path: Path) -> None:
+    """It is made again, or all its numbers are as they were."""
+    store = KeptTiles(tmp_path / "out", "key")
+    store.keep("tile_00000", some())
+    (path,) = store.folder.iterdir()
+    whole, again = path.read_bytes(), 0
+    for place in range(0, len(whole), max(len(whole) // 300, 1)):
+        broken = bytearray(whole)
+        broken[place] ^= 1 << place % 8
+        path.write_bytes(broken)
+        found = store.load("tile_00000")
+        again += found is None
+        if found is not None and found.keys() == some().keys():  # others are made again by whoever asks
+            assert all(found[name].tobytes() == array.tobytes() for name, array in some().items())
+            assert all(found[name].shape == array.shape for name, array in some().items())
+    assert again > 100
+
+
+def test_networks_are_held_against_their_record(tmp_path: Path) -> None:
+    write_matches(matched.matches(), matched.scene(), "pair", matched.SETTINGS, tmp_path / "out", figures=False)
+    for name in ("network.pvl", "network.net"):
+        path = tmp_path / "out" / name
+        assert read_control_network(path).ids
+        content = bytearray(path.read_bytes())
+        content[-40] ^= 1
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=f"{name}: is damaged"):
+            read_control_network(path)
 
 
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:

@@ -14,11 +14,12 @@ from msgspec import structs
 from projects import digest
 
 import mgsgraph
+from mgsgraph.aside import beside
 from mgsgraph.cli import group
+from mgsgraph.control.network_file import read_network
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.record import ControlNetwork
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.network_file import read_network
-from mgsgraph.io.control.pvl_writing import write_pvl_network
-from mgsgraph.io.control.record import ControlNetwork
 from mgsgraph.project.project import open_project
 from mgsgraph.reports.archive import read_solution
 
@@ -160,20 +161,21 @@ def test_shots_get_the_sigmas_and_checks_that_they_get_in_a_case(project: Path, 
         path.write_text("\n".join([head, *(",".join([*one, altimeter]) for one in values)]), encoding="utf-8")
         return path
 
-    refused(project, "metres stand where", "add", project, "--shots", selection("LOLA", 3, 1000.0))
-    refused(project, "radii of .* km", "add", project, "--shots", selection("LOLA", 2, 0.5))
-    refused(project, "shot_ground_sigma_m in a project", "add", project, "--shots", selection("MLA"))
-    assert call("add", project, "--shots", selection("LOLA")) == 0
+    refused(project, "metres stand where", "add", project, "--shots", selection("MOLA", 3, 1000.0))
+    refused(project, "a radius of .* km", "add", project, "--shots", selection("MOLA", 2, 0.5))
+    refused(project, "for LOLA", "add", project, "--shots", selection("LOLA"))
+    refused(project, "shot_range_sigma_m in a project", "add", project, "--shots", selection("an altimeter"))
+    assert call("add", project, "--shots", selection("MOLA")) == 0
     with open_project(project) as opened:
         found = opened.store.network()
     case = profiles.with_profile(case_file)
-    case.write_text(case.read_text(encoding="utf-8").replace('"profile.csv"', '"LOLA.csv"'), encoding="utf-8")
+    case.write_text(case.read_text(encoding="utf-8").replace('"profile.csv"', '"MOLA.csv"'), encoding="utf-8")
     expected = mgsgraph.read_case(case).network
     for net in (found, expected):
-        mine = [k for k, name in enumerate(net.points.ids) if name.startswith("LOLA:")]
+        mine = [k for k, name in enumerate(net.points.ids) if name.startswith("MOLA:")]
         assert len(mine) == profiles.SHOTS
-        assert net.points.covariances[mine] == pytest.approx(np.tile(400.0 * np.eye(3), (len(mine), 1, 1)))
-        assert set(net.ranges.sigmas[np.isin(net.ranges.point, mine)].tolist()) == {1.0}
+        assert net.points.covariances[mine] == pytest.approx(np.tile(100.0 * np.eye(3), (len(mine), 1, 1)))
+        assert set(net.ranges.sigmas[np.isin(net.ranges.point, mine)].tolist()) == {10.0}
 
 
 def test_check_changes_nothing(project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -238,6 +240,7 @@ def test_what_is_refused(project: Path, case_file: Path, tmp_path: Path) -> None
     refused(project, "not empty", "init", project)
     moon = json.loads(isd.read_text(encoding="utf-8"))
     moon["radii"] |= {"semimajor": 1737.4, "semiminor": 1737.4}
+    moon["naif_keywords"] = {}  # they say whose radii these are
     (tmp_path / "moon.isd").write_text(json.dumps(moon), encoding="utf-8")
     refused(project, "image moon: a body of 1737.4 km", "add", project, f"moon={tmp_path / 'moon.isd'}")
     shots = json.loads((folder / "lidar.json").read_text(encoding="utf-8"))
@@ -247,7 +250,7 @@ def test_what_is_refused(project: Path, case_file: Path, tmp_path: Path) -> None
     for table, said in ((project / "x.csv", "lies in the project"), (isd, ".csv"), (tmp_path, ".csv")):
         refused(project, said, "remove", project, "SIM/B", "--impact", table)
     (tmp_path / "mine.csv").write_text("mine\n", encoding="utf-8")
-    refused(project, "no earlier impact", "remove", project, "SIM/B", "--impact", tmp_path / "mine.csv")
+    refused(project, "not an earlier impact", "remove", project, "SIM/B", "--impact", tmp_path / "mine.csv")
     with open_project(project, write=True):
         for verb in (("solve",), ("add", f"x={isd}"), ("remove", "SIM/B")):
             with pytest.raises(InputError, match="another mgsgraph process"):
@@ -259,7 +262,7 @@ def test_a_result_that_nobody_knows_of_is_swept(project: Path) -> None:
     left = project / "solutions" / "0001"
     left.mkdir(parents=True)
     (left / "solution.json").write_text("{}")
-    aside = project / "solutions" / ".0001.0123abcd.unfinished"
+    aside = beside(left)
     aside.mkdir()
     assert call("solve", project, "--no-figures") == 0
     assert not aside.exists()

@@ -1,5 +1,6 @@
 """A project is there whole or not at all, changes whole or not at all, and says in one line what is wrong with it."""
 
+import io
 import os
 import shutil
 import sqlite3
@@ -7,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,12 @@ from projects import StopHere, change, digest, images, interrupted
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
+from mgsgraph.project.checksum import checksum
+from mgsgraph.project.connection import WRITER
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.schema import FORMAT
 from mgsgraph.project.settings import ProjectSettings, read_settings
+from mgsgraph.project.status import status
 
 FORMAT_1 = Path(__file__).with_name("format_1.sql")
 """Dump of a project as the first format wrote it."""
@@ -117,6 +121,7 @@ def test_a_second_writer_is_refused_at_once_and_told_by_whom(folder: Path) -> No
     with open_project(folder, write=True) as project:
         change(project.store, 2)
         message = refused(folder, "another mgsgraph process is changing it", write=True)
+        assert state(folder)  # whoever closes a descriptor on the file gives up all locks of the process (POSIX)
         assert f"process {os.getpid()}" in message
         code = f"from mgsgraph.project.project import open_project\nwith open_project({str(folder)!r}, True): pass"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -199,8 +204,8 @@ def test_a_read_only_disk(nobody: Path) -> None:
 
 def test_what_is_no_project(folder: Path, tmp_path: Path) -> None:
     refused(tmp_path / "nowhere", "no such project.*mgsgraph init")
-    refused(tmp_path, "no project.sqlite")
-    refused(folder / "project.sqlite", "is a file")
+    assert f"mgsgraph init {tmp_path / 'project'}" in refused(tmp_path, "no project.sqlite")  # there is a file in it
+    assert "mgsgraph init" not in refused(folder / "project.sqlite", "is a file")
     (tmp_path / "text").mkdir()
     (tmp_path / "text" / "project.sqlite").write_text("What is this?")
     assert "project.sqlite is damaged" in refused(tmp_path / "text", "is damaged")
@@ -232,6 +237,112 @@ def test_damage_is_named(folder: Path) -> None:
             digest(project.store)
     path.write_bytes(whole)
     assert state(folder)
+
+
+def test_a_flipped_bit_is_found_wherever_it_is(folder: Path) -> None:
+    """Refused, or nothing that anybody reads: free pages, and what a commit counts itself by."""
+    path = folder / "project.sqlite"
+    with open_project(folder, write=True) as project:
+        project.store.replace(project.store.members(), {})  # so that there are free pages
+        change(project.store, 3)
+    whole, before, rng, refusals = path.read_bytes(), state(folder), np.random.default_rng(1), 0
+    for place in (*range(0, 100, 6), *rng.integers(0, len(whole), 30).tolist()):
+        broken = bytearray(whole)
+        broken[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(broken)
+        try:
+            assert state(folder) == before
+        except InputError:
+            refusals += 1
+    assert refusals > 25
+    path.write_bytes(whole)
+
+
+def test_a_change_of_ones_own_may_be_signed(folder: Path) -> None:
+    """VACUUM, for one: the refusal says how."""
+    before, other = state(folder), "; if the change was yours, have it signed: sqlite3 "
+    with closing(sqlite3.connect(folder / "project.sqlite", isolation_level=None)) as file:
+        file.execute("CREATE TABLE note (text)")
+        file.execute("VACUUM")
+    path, statement = refused(folder, "its checksum is another one").split(other)[1].split(" ", 1)
+    with closing(sqlite3.connect(path, isolation_level=None)) as file:
+        file.execute(statement.strip("'"))
+    assert state(folder) == before
+
+
+@pytest.mark.parametrize("write", [False, True])
+def test_what_the_caller_stumbles_over_is_no_damage(folder: Path, write: bool) -> None:
+    with pytest.raises(UnicodeDecodeError), open_project(folder, write):
+        b"\xff".decode()
+
+
+def test_nothing_is_looked_for_beyond_the_end(tmp_path: Path) -> None:
+    """Where a damaged list of free pages leads to: a file system may have no such place."""
+
+    class Bounded(io.FileIO):
+        def seek(self, place: int, whence: int = 0) -> int:
+            assert place <= 1 << 16
+            return super().seek(place, whence)
+
+    (tmp_path / "file").write_bytes(bytes(16) + b"\0\1" + bytes(14) + b"\xff" * 4 + bytes(1000))
+    with Bounded(tmp_path / "file") as file:
+        assert checksum(file) > 0  # type: ignore[arg-type]
+
+
+def test_a_file_that_was_not_signed_is_signed_by_the_next(folder: Path) -> None:
+    """Whoever is killed between the change and its checksum leaves the change whole."""
+    before = state(folder)
+    with open_project(folder, write=True) as project:
+        project._connection.execute("COMMIT")
+        unsigned = (folder / "project.sqlite").read_bytes()
+        project._connection.execute("BEGIN")
+    (folder / "project.sqlite").write_bytes(unsigned)
+    assert int.from_bytes(unsigned[60:64]) == 0
+    assert state(folder) == before
+    assert int.from_bytes((folder / "project.sqlite").read_bytes()[60:64]) != 0
+
+
+def reseal(folder: Path) -> None:
+    """Take a project's file for whole as it is: what a damaged one is that somebody has signed."""
+    with closing(sqlite3.connect(folder / "project.sqlite", isolation_level=None)) as file:
+        file.execute("PRAGMA user_version = 0")
+
+
+@pytest.mark.parametrize("statement", [
+    "UPDATE bundle SET members = '[[1' WHERE id = 1", "UPDATE bundle SET members = '[3]' WHERE id = 1",
+    "UPDATE bundle SET points = 'many'",
+    "UPDATE point SET class = 'tie'", "UPDATE point SET covariance = x'00'", "UPDATE ray SET image = 77",
+    "UPDATE shared SET value = 'v'", "UPDATE bundle SET at = 3", "UPDATE image SET record = 'r'",
+    "UPDATE change SET summary = '{'", "UPDATE change SET summary = '[]'", "UPDATE change SET at = x'ff'",
+    "UPDATE meta SET value = x'ff' WHERE key = 'format'", "UPDATE meta SET value = '²' WHERE key = 'format'",
+    "UPDATE point SET name = CAST(x'ff' AS TEXT) WHERE id = 1", "DROP TABLE ray", "DROP TABLE meta",
+    "UPDATE range SET sigma = 'nan'", "UPDATE point SET x = 'x' WHERE id = 1",
+    "UPDATE image SET name = 'x' WHERE id = 1", "UPDATE bundle_image SET bundle = 99 WHERE bundle = 1",
+    "UPDATE shared SET prior = x'0000000000000000'", "UPDATE bundle SET unknowns = '[[\"image\", \"SIM/A\"]]'",
+    "UPDATE bundle SET members = '[[\"image\", {}]]' WHERE id = 1", "UPDATE image SET held = 1",
+    "UPDATE bundle SET unknowns = '[[\"image\", \"SIM/C\"]]'",
+])  # fmt: skip
+def test_cells_that_nobody_of_ours_wrote(folder: Path, statement: str) -> None:
+    _edit(folder, statement)
+    reseal(folder)
+    refusals = list[str]()
+    for read in (lambda one: digest(one.store), Project.changes, status):
+        try:
+            with open_project(folder) as project:
+                read(project)
+        except InputError as error:
+            refusals.append(str(error))
+    assert refusals
+    assert all(str(folder) in said for said in refusals)
+
+
+def test_a_schema_that_is_no_text(folder: Path) -> None:
+    path = folder / "project.sqlite"
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"CREATE TABLE image (", b"CREATE TABLE im\xffge ("))
+    refused(folder, "damaged")
+    path.write_bytes(whole.replace(b"tableimage", b"table\xff\xfeage"))
+    refused(folder, "damaged")
 
 
 def _edit(folder: Path, statement: str) -> None:
@@ -280,7 +391,7 @@ def test_a_migration_that_fails_changes_nothing(tmp_path: Path, monkeypatch: pyt
         __import__("mgsgraph.project.schema", fromlist=["MIGRATIONS"]).MIGRATIONS, 1,
         ("ALTER TABLE solution ADD COLUMN kind TEXT", "ALTER TABLE nothing ADD COLUMN x"),
     )  # fmt: skip
-    with pytest.raises(sqlite3.OperationalError), open_project(old, write=True):
+    with pytest.raises(InputError), open_project(old, write=True):
         pass
     assert (old / "project.sqlite").read_bytes() == before
 
@@ -292,3 +403,16 @@ def columns(folder: Path) -> dict[str, set[tuple[object, ...]]]:
     found = {name: {tuple(row[1:5]) for row in made.execute(f"PRAGMA table_info({name})")} for name in names}
     made.close()
     return found
+
+
+def test_a_planted_name_of_the_writer_leads_nowhere(folder: Path, tmp_path: Path) -> None:
+    """No link is followed, and no pipe waited for."""
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    (folder / WRITER).symlink_to(mine)
+    with open_project(folder, write=True):
+        pass
+    assert mine.read_text() == "mine"
+    os.mkfifo(folder / WRITER)
+    with open_project(folder, write=True), pytest.raises(InputError), open_project(folder, write=True):
+        pass

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from projects import ODD, StopHere, bundle_of, change, contents, differences, four_images, images
 
+from mgsgraph.errors import InputError
 from mgsgraph.incremental.state import Bundle, InMemory
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Members, bundles, joined, part, with_images
@@ -161,13 +162,15 @@ def test_equal_grids_are_one(store: ProjectStore) -> None:
     assert own.surface.grid is store.terrain[0]
 
 
-def test_what_is_not_there_is_a_key_error(store: ProjectStore) -> None:
+def test_what_is_not_there_is_an_error(store: ProjectStore) -> None:
     members = next(iter(bundles(four_images())))
-    for ask in (
-        lambda: store.image("x"), lambda: store.bundle(members), lambda: store.drop_image("x"),
-        lambda: store.drop_shared([members[0]]), lambda: store.replace([members], {}),
+    for change_it in (
+        lambda: store.drop_image("x"), lambda: store.drop_shared([members[0]]), lambda: store.replace([members], {}),
     ):  # fmt: skip
         with pytest.raises(KeyError):
+            change_it()
+    for ask in (lambda: store.image("x"), lambda: store.bundle(members)):
+        with pytest.raises(InputError):
             ask()
 
 

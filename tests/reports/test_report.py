@@ -140,14 +140,15 @@ def test_a_page_takes_the_place_of_no_other_file(solution: Solution, tmp_path: P
 
 @pytest.mark.usefixtures("no_figures")
 def test_an_earlier_page_stays_whole(solution: Solution, tmp_path: Path) -> None:
-    (tmp_path / "r.html").write_text("earlier")
+    earlier = '<meta name="generator" content="mgsgraph report">'
+    (tmp_path / "r.html").write_text(earlier)
     others = replace(solution.network, images=tuple(
         replace(image, name=f"other {image.name}") for image in solution.network.images
     ))  # fmt: skip
     with pytest.raises(InputError, match="no image in common; expected some of SIM/A, SIM/B"):
         write_report(solution, tmp_path / "r.html", earlier=replace(solution, network=others))
     assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
-    assert (tmp_path / "r.html").read_text() == "earlier"
+    assert (tmp_path / "r.html").read_text() == earlier
 
 
 # --- solutions of other kinds

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import mgsgraph
+from mgsgraph import aside
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
@@ -105,6 +106,53 @@ def test_an_exception_leaves_all_as_it_was(tmp_path: Path, problem: BaseExceptio
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
+def test_results_are_exchanged_in_one_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No moment at which a kill would leave none."""
+    if not can_exchange(tmp_path):
+        pytest.skip("a file system without an exchange")
+    out = make_result(tmp_path / "out")
+    monkeypatch.setattr(Path, "rename", None)
+    with fresh_folder(out) as folder:
+        (folder / "solution.json").write_text("new")
+    assert everything(tmp_path) == {"out/solution.json": "new"}
+
+
+def can_exchange(folder: Path) -> bool:
+    for name in "ab":
+        (folder / name).mkdir()
+    try:
+        return aside._exchanged(folder / "a", folder / "b")
+    finally:
+        for name in "ab":
+            (folder / name).rmdir()
+
+
+def test_a_kill_between_two_renames_is_put_right(tmp_path: Path) -> None:
+    """Where the file system knows no exchange."""
+    new = aside.beside(tmp_path / "out")
+    before = everything(make_result(new.with_suffix(".replaced")))
+    make_result(new, "new")
+    require_replaceable(tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert everything(tmp_path / "out") == before
+    make_result(aside.beside(tmp_path / "out").with_suffix(".replaced"), "older")  # the new one had taken its place
+    require_replaceable(tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert everything(tmp_path / "out") == before
+
+
+def test_a_link_that_leads_to_itself_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    assert_refused(tmp_path / "loop", "a link that leads to itself; choose another --out")
+    assert_refused(tmp_path / "loop" / "out", "a link that leads to itself; choose another --out")
+
+
+def test_a_link_that_leads_nowhere_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "absent" / "out")
+    assert_refused(tmp_path / "link", "a link that leads nowhere")
+    assert not (tmp_path / "absent").exists()
+
+
 def test_a_failing_exchange_brings_the_old_result_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = make_result(tmp_path / "out")
     before, rename = everything(tmp_path), Path.rename
@@ -114,6 +162,7 @@ def test_a_failing_exchange_brings_the_old_result_back(tmp_path: Path, monkeypat
             raise OSError(errno.EIO, "Input/output error")
         return rename(self, target)
 
+    monkeypatch.setattr(aside, "_exchanged", lambda one, other: False)
     monkeypatch.setattr(Path, "rename", failing)
     with pytest.raises(InputError, match="Input/output error"):
         written(out, str)
@@ -164,7 +213,7 @@ def test_the_working_folder_is_not_pulled_away(tmp_path: Path) -> None:
     inside = make_result(tmp_path / "out") / "inputs"
     with working_in(inside):
         for path in (Path(), Path("..")):
-            assert_refused(path, "is the folder you are in")
+            assert_refused(path, "the folder you are in")
     with working_in(tmp_path):
         require_replaceable(Path("out"))
 

@@ -298,8 +298,8 @@ def test_archives_of_before_strips_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("drop", "arrays", "says"),
     [
-        (("nodes",), {}, "nodes: shapes "),
-        (("trends",), {}, "trends: shapes "),
+        (("nodes",), {}, "nodes.0: an array that"),
+        (("trends",), {}, "trends.0: an array that"),
         ((), {"nodes__0": np.zeros((3, 6))}, r"nodes: shapes \[\(3, 6\)"),
         ((), {"trends__1": np.full(12, np.nan)}, "trends: not a number"),
         ((), {"network__strips__0__nodes__times": np.arange(3.0)}, "3 nodes; expected at least 4"),

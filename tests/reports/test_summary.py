@@ -14,6 +14,7 @@ from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges
+from mgsgraph.reports.group_fits import weight_unit
 from mgsgraph.reports.results import solution_json
 from mgsgraph.reports.summary import statements, summary_table
 
@@ -60,6 +61,32 @@ def test_orientations_that_their_priors_do_not_allow(solution: Solution) -> None
     assert all(image.name in sentence for image in net.images)
     held = replace(net, priors=tight, held=np.ones(len(tight), dtype=bool))
     assert not any("are the orientations" in one for one in statements(replace(solution, network=held)))
+
+
+def test_strained_orientations_forbid_to_trust_sigmas_or_to_multiply_them(solution: Solution) -> None:
+    net = solution.network
+    tight = replace(net, priors=tuple(replace(prior, sigmas=1e-3 * prior.sigmas) for prior in net.priors))
+    for factor in (0.5, 1.0, 2.0):
+        fit = replace(solution.fit, squares=factor**2 * solution.fit.degrees_of_freedom)
+        (sentence,) = weight_unit(replace(solution, network=tight, fit=fit))
+        assert "sigma0 is" in sentence
+        assert "inputs" in sentence
+        assert "by that factor" not in sentence
+        assert "hold." not in sentence
+
+
+def test_ranges_that_no_orbit_explains_are_named(solution: Solution) -> None:
+    assert not any("footprints' radii" in sentence for sentence in statements(solution))
+    far = replace(solution, range_residuals_before=solution.range_residuals_before + 1e4)
+    assert solution.network.images[0].name in said(far, "laser ranges", "footprints' radii")
+
+
+def test_degrees_of_freedom_are_not_called_none(solution: Solution) -> None:
+    lost = replace(solution, converged=False, fit=replace(solution.fit, squares=float("nan")))
+    (sentence,) = weight_unit(lost)
+    assert "nothing checks" not in sentence
+    few = replace(solution, fit=replace(solution.fit, unknowns=solution.fit.observations))
+    assert "nothing checks" in weight_unit(few)[0]
 
 
 def test_a_case_is_of_its_own_solution(solution: Solution, lro: Solution) -> None:

@@ -17,9 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.control.ties import tie_points
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.io.control.ties import tie_points
 from mgsgraph.review.page import png, write_review
 from mgsgraph.review.selection import MatchReview, review_matches
 from mgsgraph.review.verdicts import (
@@ -265,9 +265,9 @@ def test_a_network_is_kept_but_for_the_marks_of_rejected_points() -> None:
 
 @pytest.mark.parametrize("suffix", [".pvl", ".net", ".csv"])
 def test_kept_networks_are_written(tmp_path: Path, suffix: str) -> None:
-    from mgsgraph.io.control.network_file import read_network
-    from mgsgraph.io.control.pvl_writing import write_pvl_network
-    from mgsgraph.io.control.table import read_table, table_text
+    from mgsgraph.control.network_file import read_network
+    from mgsgraph.control.pvl_writing import write_pvl_network
+    from mgsgraph.control.table import read_table, table_text
 
     given = tmp_path / f"given{'.csv' if suffix == '.csv' else '.pvl'}"
     if suffix == ".csv":
@@ -285,15 +285,20 @@ def test_kept_networks_are_written(tmp_path: Path, suffix: str) -> None:
     if suffix == ".pvl":
         with pytest.raises(InputError, match="a table"):
             write_kept(given, verdicts, tmp_path / "kept.csv")
+    assert write_kept(given, verdicts, out) == (2, 4)  # over an earlier one
+    out.write_text("years of work")
+    with pytest.raises(InputError, match=r"kept.*: exists and is not a"):
+        write_kept(given, verdicts, out)
+    assert out.read_text() == "years of work"
 
 
 @pytest.mark.parametrize("suffix", [".pvl", ".net", ".csv"])
 def test_a_table_is_kept_with_what_only_the_case_says(tmp_path: Path, suffix: str) -> None:
     """Without a body's name ISIS takes no network, and heights mean nothing without an ellipsoid."""
+    from mgsgraph.control.network_file import read_network
+    from mgsgraph.control.table import read_table
     from mgsgraph.export.exchange_setting import ExchangeSetting
     from mgsgraph.geometry.body import Ellipsoid
-    from mgsgraph.io.control.network_file import read_network
-    from mgsgraph.io.control.table import read_table
 
     header = "id,image,isis_line,isis_sample,longitude_deg,geodetic_latitude_deg,height_m\n"
     given = written(tmp_path / "given.csv", header + "A,one,1,1,0,0,10\nB,one,2,2,,,\n")
@@ -309,7 +314,7 @@ def test_a_table_is_kept_with_what_only_the_case_says(tmp_path: Path, suffix: st
 
 def test_verdicts_of_a_case_that_holds_some_of_the_images(tmp_path: Path) -> None:
     from mgsgraph.case.groups import in_images
-    from mgsgraph.io.control.pvl_writing import write_pvl_network
+    from mgsgraph.control.pvl_writing import write_pvl_network
 
     seen = tuple(ControlMeasure(f"SIM/{name}", MeasureType.MANUAL, 1.0, 1.0) for name in "XY")
     more = ControlPoint("E", PointType.FREE, seen)

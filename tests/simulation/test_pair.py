@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import spiceypy
 
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import polynomial
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.simulation.files import write_pair

@@ -10,12 +10,12 @@ import pytest
 from sites import PLAIN, plain_site
 
 from mgsgraph.altimetry.pedr import read_pedr
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import areoid_grid
 from mgsgraph.io.cameras.label import read_line_scan_label
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.pictures import read_moc_pixels

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from mgsgraph.case.reading import adjust, read_case
+from mgsgraph.control.network_file import read_control_network
 from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import PointClass

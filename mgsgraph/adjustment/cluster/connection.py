@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from mgsgraph.adjustment.cluster.address import OPTION, ClusterAddress, parse_cluster, threads_of_each
@@ -27,6 +26,7 @@ from mgsgraph.adjustment.cluster.workers import (
     require_memory,
     require_visible_file,
 )
+from mgsgraph.aside import scratch
 from mgsgraph.errors import InputError, SolverError
 
 TIMEOUT = 10.0
@@ -297,7 +297,7 @@ def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
     before, changed = dict(os.environ), dict[str, str | None]()
     with ExitStack() as stack:
         stack.callback(_put_back, changed)
-        scratch = stack.enter_context(TemporaryDirectory(prefix="mgsgraph-", ignore_cleanup_errors=True))
+        folder = stack.enter_context(scratch())
         try:
             with interrupts_deferred(), children_without_interrupts():
                 cluster = distributed.LocalCluster(
@@ -308,7 +308,7 @@ def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
                     dashboard_address="127.0.0.1:0",
                     scheduler_kwargs={"dashboard": False},
                     silence_logs=logging.CRITICAL,
-                    local_directory=scratch,
+                    local_directory=str(folder),
                     env={"NUMBA_NUM_THREADS": str(threads_of_each(place.workers))},
                 )
                 stack.callback(_close, cluster)

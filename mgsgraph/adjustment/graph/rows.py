@@ -27,6 +27,7 @@ from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import (
@@ -349,6 +350,7 @@ def _starting_points(
         crossings(order[mine], *rays_of, slot, store.tables, units, free, starts, angles)
 
     in_threads(cross, shares(order.size, _WORTHWHILE))
+    require_on_ground(starts[free], angles[free], network.images[0].body, "images and their ties")
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
     _start_on_the_ground(network, missing, starts)
     starts[~np.all(np.isfinite(starts), axis=1)] = 0.0
@@ -366,11 +368,9 @@ def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> Non
         starts[i] = image.image_to_ground(*network.rays.places[[k]].T)[0][0]
         if not np.all(np.isfinite(starts[i])):
             raise InputError(
-                f"point {network.points.ids[i]}",
-                f"its ray in image {image.name} misses the body",
-                "image places on the body",
-                "check the image's orientation or leave the point out",
-            )
+                f"point {network.points.ids[i]}", f"its ray in image {image.name} misses the body",
+                "image places on the body", "check the image's orientation or leave the point out",
+            )  # fmt: skip
 
 
 def _angle_rates(pose: Pose, angles: int) -> Array:

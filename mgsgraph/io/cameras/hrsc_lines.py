@@ -20,11 +20,13 @@ import numpy as np
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.cameras.line_times import JOINED, LineTimes, LineTimesLocation, LineTimesPlace
-from mgsgraph.io.files import number_of, read_text
+from mgsgraph.io.files import ANY_SIZE, number_of, opened, read_text, understood
 from mgsgraph.units import MILLISECOND
 
 _SHORTEST, _LONGEST = 1e-3, 0.5
 """s per line; HRSC exposes for 2.24 to 54.5 ms per detector line, of which a macropixel takes 8 at most."""
+_LATEST = 1e11
+"""s from J2000: three thousand years."""
 _SLACK = 1.0
 """s by which times and the label's START_TIME and STOP_TIME may differ; those of h5270 agree within 1 ms."""
 _COLUMNS = ("EphemerisTime", "ExposureTime", "LineStart")
@@ -87,21 +89,26 @@ def _mean(label: str, lines: int, start: float, stop: float) -> LineTimes:
 
 def _times(first: Array, starts: Array, periods: Array, lines: int) -> LineTimes:
     for k in np.flatnonzero(~((periods >= _SHORTEST) & (periods <= _LONGEST)))[:1]:
-        found = f"a line rate of {periods[k] / MILLISECOND:g} ms per line from line {first[k] + 1.0:g} on"
+        found = f"a line rate of {float(periods[k]) / MILLISECOND:g} ms per line from line {first[k] + 1.0:g} on"
         raise InputError(
             "line times", found, f"{_SHORTEST / MILLISECOND:g} .. {_LONGEST / MILLISECOND:g} ms, as HRSC's are",
             "check the unit: ms in prefixes, s elsewhere",
         )  # fmt: skip
+    for k in np.flatnonzero(~(np.abs(starts) < _LATEST))[:1]:
+        found = f"the time {starts[k]:g} s for line {first[k] + 1.0:g}"
+        raise InputError("line times", found, "s TDB past J2000")
     return LineTimes(first, starts, periods, lines)
 
 
 def _of_prefixes(place: LineTimesLocation) -> LineTimes:
     """One segment from each change of the exposure, and from the end of each pause."""
     rest = place.stride - sum(np.dtype(kind).itemsize for _, kind in _PREFIX)
-    rows = np.memmap(place.file, np.dtype([*_PREFIX, ("pixels", f"V{rest}")]), "r", place.offset, place.count)
-    times = np.array(rows["time"], dtype=np.float64)
-    periods = np.array(rows["exposure"], dtype=np.float64) * MILLISECOND
-    for k in np.flatnonzero(~(np.isfinite(times) & np.isfinite(periods)))[:1]:
+    with opened(place.file, ANY_SIZE) as file, understood(str(place.file), "an image with line prefixes"):
+        rows = np.memmap(file, np.dtype([*_PREFIX, ("pixels", f"V{rest}")]), "r", place.offset, place.count)
+        times = np.array(rows["time"], dtype=np.float64)
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            periods = np.array(rows["exposure"], dtype=np.float64) * MILLISECOND
+    for k in np.flatnonzero(~((np.abs(times) < _LATEST) & (periods > 0.0) & (periods < _LATEST)))[:1]:
         raise InputError(f"prefix of line {k + 1}", f"{times[k]:g} s and {periods[k]:g} s", "a time and an exposure")
     waited = np.abs(np.diff(times) - periods[:-1]) > JOINED * periods[:-1]
     begins = np.flatnonzero(np.concatenate([[True], waited | (np.diff(periods) != 0.0)]))
@@ -109,20 +116,23 @@ def _of_prefixes(place: LineTimesLocation) -> LineTimes:
 
 
 def _of_table(place: LineTimesLocation, lines: int) -> LineTimes:
-    rows = np.fromfile(place.file, _RECORD, place.count, offset=place.offset)
-    return _times(rows["line"] - 1.0, rows["time"], rows["exposure"], lines)
+    with opened(place.file, ANY_SIZE) as file, understood(str(place.file), "a cube with the times of its lines"):
+        file.seek(place.offset)
+        rows = np.frombuffer(file.read(place.count * place.stride), _RECORD, place.count)
+    return _times(rows["line"] - 1.0, rows["time"].astype(np.float64), rows["exposure"].astype(np.float64), lines)
 
 
 def _of_text(path: Path, lines: int) -> LineTimes:
     """Comma-separated, with a line of names."""
-    rows = csv.DictReader(io.StringIO(read_text(path)), skipinitialspace=True)
-    names = [name.strip() for name in rows.fieldnames or ()]
-    if any(name not in names for name in _COLUMNS):
-        raise InputError(str(path), f"the columns {', '.join(names) or 'none'}", f"{', '.join(_COLUMNS)}")
-    rows.fieldnames = names
-    values = [
-        [number_of((row[name] or "").strip(), f"{path}, line {rows.line_num}, {name}") for name in _COLUMNS]
-        for row in rows
-    ]
+    with understood(str(path), "a table of line times"):
+        rows = csv.DictReader(io.StringIO(read_text(path)), skipinitialspace=True)
+        names = [name.strip() for name in rows.fieldnames or ()]
+        if any(name not in names for name in _COLUMNS):
+            raise InputError(str(path), f"the columns {', '.join(names) or 'none'}", f"{', '.join(_COLUMNS)}")
+        rows.fieldnames = names
+        values = [
+            [number_of((row[name] or "").strip(), f"{path}, line {rows.line_num}, {name}") for name in _COLUMNS]
+            for row in rows
+        ]
     table = np.array(values, dtype=np.float64).reshape(-1, 3)
     return _times(table[:, 2] - 1.0, table[:, 0], table[:, 1], lines)

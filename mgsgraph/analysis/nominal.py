@@ -1,0 +1,125 @@
+"""Residuals with the nominal orientation beside what the a-priori sigmas let expect of them, before anything is solved.
+
+Rays of a point, by nominal orientations, miss each other by the images' errors alone, whatever its height. An error of
+orientation within its sigmas moves an image's places by so many pixels at most; where residuals are several times
+larger, no adjustment within these sigmas explains them: images, lines and samples, or labels are interchanged.
+
+Ranges to footprints whose places are known miss by the orbit's errors, which the shots of an image have in common: a
+mean far above those is of the ranges themselves, or of the footprints.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, SharedKind
+from mgsgraph.ties import PointKind
+
+_BEYOND = 5.0
+"""Expected sizes beyond which residuals are named; of 10,000 images none is by chance."""
+_FEWEST = 3
+"""Measures of an image without which nothing is said of it."""
+
+
+class Unexplained(NamedTuple):
+    """An image whose nominal residuals its priors don't explain."""
+
+    image: int
+    """Which."""
+    median: float
+    """pixels, of the length of its residuals."""
+    expected: float
+    """pixels, one sigma of them by the priors of all images together; an upper limit."""
+
+
+class UnexplainedRanges(NamedTuple):
+    """An image whose laser ranges have a mean residual that its orbit's sigmas don't explain."""
+
+    image: int
+    """Which."""
+    mean: float
+    """m, measured minus nominal."""
+    expected: float
+    """m, one sigma of it by those of the orbit, the footprints and the ranges; an upper limit."""
+
+
+_ALONG_NO_RANGE = {SharedKind.CAMERA_BORESIGHT, SharedKind.ATTITUDE_TIME, SharedKind.FOCAL_LENGTH}
+"""Unknowns that leave ranges as they are."""
+
+
+def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplained, ...]:
+    """Images whose residuals (k, 2), pixels, with the nominal orientation, are too large for the a-priori sigmas.
+
+    Nothing is said where unknowns that images share, or strips, move them too.
+    """
+    if network.shared or network.strips:
+        return ()
+    expected = np.array([_pixels(network, j) for j in range(len(network.images))])
+    whole = float(np.sqrt(np.sum(expected**2)))
+    found = list[Unexplained]()
+    rays, size = network.rays, np.linalg.norm(residuals, axis=1)
+    ground = np.hypot(_place_sigmas(network), _shift_sigmas(network))[rays.point]
+    for j in range(len(network.images)):
+        mine = np.flatnonzero((rays.image == j) & np.isfinite(size))
+        if mine.size < _FEWEST:
+            continue
+        sigma = np.hypot(whole, float(np.median(np.linalg.norm(rays.sigmas[mine], axis=1))))
+        sigma = float(np.hypot(sigma, np.median(ground[mine]) / _scale(network, j)[0]))
+        median = float(np.median(size[mine]))
+        if median > _BEYOND * sigma:
+            found.append(Unexplained(j, median, sigma))
+    return tuple(sorted(found, key=lambda one: -one.median))
+
+
+def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedRanges, ...]:
+    """Images whose range residuals (r,), m, with the nominal orientation, have too large a mean for the a-priori sigmas
+    of orbit and footprints, all of whose errors are taken to be common.
+
+    Nothing is said of images in strips, nor of those that share unknowns by which ranges change.
+    """
+    ranges, points, found = network.ranges, network.points, list[UnexplainedRanges]()
+    places, shifts = _place_sigmas(network), _shift_sigmas(network)
+    moved = {j for one in network.shared if one.kind not in _ALONG_NO_RANGE for j in one.images.tolist()}
+    for j in np.unique(ranges.image).tolist():
+        mine = np.flatnonzero((ranges.image == j) & np.isfinite(residuals))
+        mine = mine[points.kinds[ranges.point[mine]] != PointKind.FREE]
+        if mine.size < _FEWEST or j in moved or network.strip_of[j] >= 0:
+            continue
+        orbit = 0.0 if network.held[j] else float(np.linalg.norm(network.priors[j].sigmas[:, :3]))
+        ground, shift = (float(np.median(one[ranges.point[mine]])) for one in (places, shifts))
+        common = ground, float(np.median(ranges.sigmas[mine])), orbit, shift
+        sigma, mean = float(np.linalg.norm(common)), float(np.mean(residuals[mine]))
+        if abs(mean) > _BEYOND * sigma:
+            found.append(UnexplainedRanges(j, mean, sigma))
+    return tuple(sorted(found, key=lambda one: -abs(one.mean)))
+
+
+def _place_sigmas(network: Network) -> Array:
+    """(n,) m, of the a-priori places of points, all axes together."""
+    return np.asarray(np.sqrt(np.trace(network.points.covariances, axis1=1, axis2=2)))
+
+
+def _shift_sigmas(network: Network) -> Array:
+    """(n,) m, of the shifts of the profiles that points are of, both directions together."""
+    if network.shifts is None:
+        return np.zeros(len(network.points))
+    return np.asarray(np.sqrt(2.0) * np.append(network.shifts.sigmas, 0.0)[network.shifts.profile])
+
+
+def _pixels(network: Network, image: int) -> float:
+    """pixels, by which an image's places are off by one sigma of all its coefficients together, at most."""
+    if network.held[image]:
+        return 0.0
+    sigmas = network.priors[image].sigmas
+    spacing, away = _scale(network, image)
+    return float(np.hypot(np.linalg.norm(sigmas[:, :3]), np.linalg.norm(sigmas[:, 3:]) * away) / spacing)
+
+
+def _scale(network: Network, image: int) -> tuple[float, float]:
+    """In an image's middle: m per line or sample on the ground, the smaller one, and m from the camera to there."""
+    one = network.images[image]
+    line, sample = np.array([0.5 * one.lines]), np.array([0.5 * one.samples])
+    point, derivative = one.image_to_ground(line, sample)
+    away = np.linalg.norm(point[0] - one.pose(line).position[0])
+    return float(np.linalg.norm(derivative[0], axis=0).min()), float(away)

@@ -1,0 +1,77 @@
+"""ISIS control networks read from either of their forms, told apart by what is in the file: whole, or as TiePoints."""
+
+from pathlib import Path
+
+from mgsgraph.control.binary import is_binary, parse_binary_network
+from mgsgraph.control.pvl import parse_pvl_network, where_in
+from mgsgraph.control.record import ControlNetwork, Where, with_names
+from mgsgraph.control.ties import tie_points
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.io.files import read_bytes
+from mgsgraph.io.pvl import Document
+from mgsgraph.io.records import require_as_recorded
+from mgsgraph.ties import TiePoints
+
+
+def read_network(path: Path) -> ControlNetwork:
+    """Read an ISIS control network with all that is in it.
+
+    Parameters
+    ----------
+    path : Path
+        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, whatever its name.
+
+    Returns
+    -------
+    ControlNetwork
+        Points in the file's order, ignored ones too.
+
+    Raises
+    ------
+    InputError
+        With the file, and line and point (text) or number and id of the point (binary): see `parse_pvl_network` and
+        `parse_binary_network`.
+    """
+    return _read_with_places(path)[0]
+
+
+def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints:
+    """Read what an adjustment takes from an ISIS control network; see `tie_points` for what that is.
+
+    Parameters
+    ----------
+    path : Path
+        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, told apart by what is in the file.
+    body : Ellipsoid, optional
+        That of the images.
+
+    Returns
+    -------
+    TiePoints
+        In the file's order; images are called by their serial numbers; measure sigmas are NaN where the file has none.
+
+    Raises
+    ------
+    InputError
+        With the file, and line and point (text) or number and id of the point (binary): what `read_network` and
+        `tie_points` refuse; a network of another body.
+    """
+    network, where = _read_with_places(path)
+    return tie_points(network, where, body)
+
+
+def _read_with_places(path: Path) -> tuple[ControlNetwork, Where]:
+    """The network, and words for where its points and measures stand in the file."""
+    data = read_bytes(path)
+    require_as_recorded(path, data)
+    if is_binary(data):
+        network = with_names(parse_binary_network(data, str(path)))
+        return network, network.where
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        expected = "a control network, in PVL text or ISIS's binary form"
+        raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
+    document = Document(str(path), text.replace("\r\n", "\n").replace("\r", "\n"))
+    return with_names(parse_pvl_network(document)), where_in(document)

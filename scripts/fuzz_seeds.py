@@ -1,0 +1,302 @@
+"""Small sound files of every kind, written by the program's own simulator and by the tests' writers.
+
+A seed is a folder's worth of files; they are made once, in a folder in memory, and kept as bytes.
+"""
+
+import atexit
+import gzip
+import importlib.util
+import io
+import json
+import os
+import shutil
+import struct
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from fuzz_structures import bomb
+from fuzz_trials import Seed
+
+TESTS = Path(__file__).resolve().parents[1] / "tests"
+
+
+def of_tests(path: str) -> ModuleType:
+    """A module of the tests, for the files that it can write."""
+    spec = importlib.util.spec_from_file_location(f"tests_{Path(path).stem}", TESTS / path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def made(main: str, write: Callable[[Path], Any]) -> Seed:
+    """What a function writes into a folder."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write(folder)
+        return folder_seed(folder, main)
+
+
+def folder_seed(folder: Path, main: str) -> Seed:
+    """All files of a folder."""
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return Seed({main: files[main]} | files, main)
+
+
+def text(name: str, content: str | bytes, **others: str | bytes) -> Seed:
+    """One file, and files beside it."""
+    files = {name: content} | others
+    return Seed({key: one.encode() if isinstance(one, str) else one for key, one in files.items()}, name)
+
+
+def commanded(*arguments: object) -> None:
+    """`mgsgraph` with these arguments, in a fork."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            from mgsgraph.cli import main
+
+            null = os.open(os.devnull, os.O_RDWR)
+            os.dup2(null, 1)
+            sys.argv = ["mgsgraph", *map(str, arguments)]
+            main()
+            status = 0
+        except SystemExit as left:
+            status = int(left.code or 0)
+        finally:
+            os._exit(status)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if status not in (0, 1):
+        raise RuntimeError(f"mgsgraph {' '.join(map(str, arguments))}: exit {status}")
+
+
+# --- the simulated pair and what becomes of it
+
+
+@cache
+def pair_folder() -> Path:
+    """A pair with its case; it stays until the process ends."""
+    from mgsgraph.simulation.files import write_pair
+    from mgsgraph.simulation.pair import PairSettings, simulate_pair
+
+    folder = Path(tempfile.mkdtemp(prefix="fuzz_pair.", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    write_pair(simulate_pair(PairSettings(ties=12, shots=6), seed=1), folder)
+    return folder
+
+
+@cache
+def worked_folder() -> Path:
+    """The same with its result, its projects and its exports."""
+    folder = pair_folder()
+    case = folder / "case.toml"
+    commanded("adjust", case, "--out", folder / "result", "--no-figures")
+    commanded("init", folder / "project", "--case", case)
+    commanded("solve", folder / "project", "--no-figures")
+    commanded("init", folder / "half", "--case", case)
+    commanded("remove", folder / "half", "SIM/B")
+    commanded("export", folder / "result", "--to", "isis", "--out", folder / "isis")
+    commanded("export", folder / "result", "--to", "csm", "--out", folder / "csm")
+    return folder
+
+
+def of_pair(main: str, *others: str) -> Seed:
+    """Files of the pair: one that is damaged, and those that it needs."""
+    worked = any("/" in name for name in (main, *others))
+    folder = worked_folder() if worked else pair_folder()
+    return Seed({name: (folder / name).read_bytes() for name in (main, *others)}, main)
+
+
+def exported(main: str) -> Seed:
+    """The first of the exported files of a pattern."""
+    folder = worked_folder()
+    return of_pair(str(sorted(folder.glob(main))[0].relative_to(folder)))
+
+
+def case_seed(main: str = "case.toml") -> Seed:
+    return of_pair(
+        main,
+        *(name for name in ("case.toml", "image_A.isd", "image_B.isd", "network.pvl", "lidar.json") if name != main),
+    )
+
+
+# --- a simulated site: kernels, image, profile, grids
+
+
+@cache
+def site_seed() -> dict[str, bytes]:
+    """Files of a site by name, pixels left out, the profile short."""
+    from mgsgraph.simulation.files import write_site
+    from mgsgraph.simulation.site import SimulationOptions, simulate_site
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_site(simulate_site("eos", 1, SimulationOptions(pictures=False)), folder)
+        small = {
+            path.name: path.read_bytes() for path in folder.iterdir() if path.suffix not in (".img", ".json", ".pvl")
+        }
+        for path in folder.glob("E*.img"):
+            small[path.name] = path.read_bytes()[: 1 << 13]
+        for path in folder.glob("*.b"):
+            small[path.name] = short_profile(path.read_bytes())
+    return small
+
+
+def short_profile(content: bytes, frames: int = 4) -> bytes:
+    """The first frames of a PEDR file, and its label to match."""
+    from mgsgraph.altimetry.pedr import FRAME
+
+    records = 10 + frames
+    rows = len(content) // FRAME.itemsize - 10
+    label = content[: 10 * FRAME.itemsize]
+    for key, old, new in ((b"FILE_RECORDS", rows + 10, records), (b"ROWS", rows, frames)):
+        said = key + b" = " + str(old).encode()
+        assert said in label
+        label = label.replace(said, (key + b" = " + str(new).encode()).ljust(len(said)))
+    return label + content[10 * FRAME.itemsize : records * FRAME.itemsize]
+
+
+def of_site(main: str, *others: str) -> Seed:
+    files = site_seed()
+    return Seed({name: files[name] for name in (main, *others)}, main)
+
+
+def kernels_seed(main: str) -> Seed:
+    """All kernels of the site, and an image."""
+    files = site_seed()
+    kept = {
+        name: files[name]
+        for name in files
+        if Path(name).suffix in (".tls", ".tsc", ".tpc", ".tf", ".ti", ".bsp", ".bc", ".tm", ".img")
+    }
+    return Seed({main: kept[main]} | kept, main)
+
+
+def grid_seed(main: str) -> Seed:
+    """A MEGDR of 6 x 8 posts with its label."""
+    from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
+    from mgsgraph.units import DEG
+
+    def write(folder: Path) -> None:
+        layout = MegdrLayout((6, 8), 87.0 * DEG, 4.1 * DEG, DEG / 16.0, 3_396_000.0)
+        write_megdr(folder, "megr_x", layout, [3_396_000.0 - 2000.0 + np.arange(48.0).reshape(6, 8)])
+
+    return made(main, write)
+
+
+# --- altimetry
+
+
+def lola_records(count: int = 3) -> bytes:
+    """Records of LOLARDR.FMT, as `tests/altimetry/test_shots.py` lays them out."""
+    content = b""
+    for k in range(count):
+        record = bytearray(256)
+        struct.pack_into("<2I", record, 8, 305495504 + k, 1 << 30)
+        struct.pack_into("<2i2I", record, 24, 25_000_000, -250_000_000, 1_785_000_000, 1_737_373_000)
+        for spot in range(5):
+            place = (25_000_000 + 100 * spot, -250_000_000 + 1000 * k, 1_735_000_000, 50_000_000)
+            struct.pack_into("<3iI", record, 40 + 40 * spot, *place)
+            struct.pack_into("<I", record, 76 + 40 * spot, 0 if spot < 4 else 0x41)
+        struct.pack_into("<H", record, 240, 92)
+        content += bytes(record)
+    return content
+
+
+def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
+    lines = (
+        "PDS_VERSION_ID = PDS3", "RECORD_TYPE = FIXED_LENGTH", f'^TABLE = "{name}"',
+        'DATA_SET_ID = "LRO-L-LOLA-3-RDR-V1.0"',
+        "OBJECT = TABLE", f"ROWS = {rows}", '^STRUCTURE = "LOLARDR.FMT"', "END_OBJECT = TABLE", "END",
+    )  # fmt: skip
+    return "\r\n".join(lines) + "\r\n"
+
+
+def mla_table() -> str:
+    tests = of_tests("altimetry/test_shots.py")
+    rows = [tests.mla_row(channel, 354699676.684 + k) for k, channel in enumerate((0, 4, 5, 0))]
+    return "\n".join((tests.MLA_HEADER, *rows)) + "\n"
+
+
+def ode_table() -> str:
+    tests = of_tests("altimetry/test_pedr_text.py")
+    rows = [tests.ODE_SHOT.replace("-23162931.18358", f"-{23162931.18358 - k}") for k in range(5)]
+    return "\n".join((tests.ODE, *rows)) + "\n"
+
+
+def profile_csv() -> str:
+    """Shots as ODE serves them, in degrees and m."""
+    rows = ["LONG_EAST,LAT_NORTH,PLANET_RAD,MOLA_RANGE,EPHEMERIS_TIME,ORBIT"]
+    rows += [
+        f"{87 + 1e-3 * k:.6f},{4 + 1e-3 * k:.6f},{3393000 + k}.25,{400000 - k}.5,{5000 + 0.1 * k:.3f},18933"
+        for k in range(5)
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def packed(content: str | bytes) -> bytes:
+    """By gzip; the bomb that its damage may be is made now, before workers wait for it."""
+    bomb()
+    return gzip.compress(content.encode() if isinstance(content, str) else content, mtime=0)
+
+
+# --- networks
+
+
+@cache
+def network() -> Any:
+    """Three points in two images, one with a covariance."""
+    from mgsgraph.control.network_file import read_network
+
+    return read_network(pair_folder() / "network.pvl")
+
+
+def written_network(name: str, form: str) -> Seed:
+    """The pair's network in one of `convert`'s formats."""
+
+    def write(folder: Path) -> None:
+        output = folder / name
+        more = ["--case", pair_folder() / "case.toml"] if form in ("nvm", "gcp", "match", "match-text") else []
+        commanded("convert", pair_folder() / "network.pvl", output, "--to", form, *more)
+
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        write(folder)
+        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    main = name if name in files else min(files, key=lambda one: (one.endswith("_offsets.txt"), one))
+    return Seed({main: files[main]} | files, main)
+
+
+def old_network(version: int) -> Seed:
+    import isis_networks
+
+    grid = isis_networks.grid(3, 2)
+    if version == 0:
+        return text("old.net", isis_networks.first_binary(grid))
+    return text("old.pvl", isis_networks.pvl_text(grid, version))
+
+
+def support_data() -> str:
+    import support_data as tests
+
+    return json.dumps(tests.ISD, indent=1)
+
+
+def model_state() -> str:
+    tests = of_tests("io/test_model_state.py")
+    return f"{tests.HEAD}\n{json.dumps(tests.state(), indent=1)}"
+
+
+def small_npz() -> bytes:
+    """An archive of three arrays, as a kept tile is one."""
+    content = io.BytesIO()
+    np.savez(content, a=np.arange(6.0).reshape(2, 3), b=np.arange(4), c=np.array(["one", "two"]))
+    return content.getvalue()

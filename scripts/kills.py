@@ -1,0 +1,476 @@
+"""Kill every command that writes, at random moments, and look at what there is then, and after the next ordinary run.
+
+    python scripts/kills.py --kills 500 > table.md
+
+Each kill (SIGKILL, SIGTERM or SIGINT) meets a command on a fresh copy of small simulated inputs: by the clock, or as it
+is about to open, rename, make or remove one of its files. What is there then has to be the state before or the state
+after (of commands that write several things, each of them); and when the same command has run to its end, nothing may
+lie about that an undisturbed run doesn't leave: in its folder, in the results' and in the one of temporary files.
+"""
+
+import io
+import json
+import mmap
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import struct
+import sys
+import tempfile
+import time
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import NamedTuple
+
+from study import at_least, command, show, table
+
+from mgsgraph.control.pvl_writing import write_pvl_network
+from mgsgraph.control.ties import control_network
+from mgsgraph.project.connection import FILE
+from mgsgraph.project.project import open_project
+from mgsgraph.simulation.files import write_pair, write_strip, write_texts
+from mgsgraph.simulation.isis_files import image_file, json_text, support_data
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.units import MRAD
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+import command_server
+import flaky_archive
+import matched
+from increments import NOISE, strip
+from profiles import with_profile
+
+TEMPORARY = "tmp"
+"""Folder of a trial that stands for the system's temporary files."""
+TABLES = ("image", "shared", "bundle", "bundle_image", "point", "ray", "range", "terrain", "profile")
+"""Of a project, all that is no time and no name of a machine."""
+SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+_CAUGHT = (signal.SIGTERM, signal.SIGINT)
+"""Signals that the program handles, once it has begun; sooner they end it as they end any process."""
+_LATE = 1.1
+"""Shares of a command's seconds until which it is killed."""
+_TORN = ".jsonl"
+_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+_EVENTS = ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.truncate")
+
+
+class Verb(NamedTuple):
+    """A command that writes."""
+
+    name: str
+    arguments: str
+    """In the folder of a trial; ADDRESS is that of the archive."""
+    made: str
+    """What it makes there, whose state is that before or that after; earlier ones are there in half of the trials."""
+    several: bool = False
+    """Whether it makes several things one after the other, each of them whole."""
+    earlier: bool = True
+    """Whether it replaces an earlier one; else it starts without."""
+    share: int = 6
+    """Of all kills, beside those of other commands."""
+
+
+VERBS = (
+    Verb("simulate", "simulate pair --out made", "made", earlier=False),
+    Verb("new", "new pair --out made.toml --replace", "made.toml"),
+    Verb("fetch", "fetch M04/02852 --out made --mirror ADDRESS", "made", several=True, earlier=False),
+    Verb("adjust", "adjust pair/case.toml --out made --no-figures", "made"),
+    Verb("adjust, figures", "adjust pair/case.toml --out made", "made", share=1),
+    Verb("register", "register profile/case.toml --out made --no-figures", "made", share=3),
+    Verb("nodes", "nodes strip/case.toml --spacings 3,1.85 --out made --no-figures", "made", share=3),
+    Verb("coregister", "coregister site/case.toml --reach 40 --workers 1 --out made --no-figures", "made", share=1),
+    Verb("campaign", "campaign pair strip --out made --no-figures", "made", several=True, earlier=False, share=3),
+    Verb("demo", "demo pair --out made --no-figures --no-relief", "made", share=3),
+    Verb("match", "match site/bare.toml --out made --cells 12 --no-figures --workers 1", "made", share=1),
+    Verb("dem", "dem matched --case site/case.toml --out made --spacing 60 --no-figures --workers 1", "made", share=1),
+    Verb("analyze", "analyze result --out made --no-figures", "made"),
+    Verb("plan", "plan plan/results plan/candidates.toml --out made", "made", share=3),
+    Verb("report", "report result --out made.html", "made.html", share=1),
+    Verb("review", "review site/case.toml --worst 4 --out made.html", "made.html"),
+    Verb("review --verdicts", "review site/case.toml --verdicts verdicts.csv --out made.net", "made.net"),
+    Verb("convert", "convert pair/network.pvl --out made.net", "made.net"),
+    Verb("convert, two files", "convert pair/network.pvl --case pair/case.toml --out made.nvm", "made", several=True),
+    Verb("export --to isis", "export result --to isis --out made", "made", several=True),
+    Verb("export --to csm", "export result --to csm --out made", "made", several=True),
+    Verb("export --to gis", "export result --to gis --out made", "made", several=True),
+    Verb("project", "project pair/case.toml SIM/A --points places.csv --out made.csv", "made.csv"),
+    Verb("shots", "shots profile/profile.csv --case profile/case.toml --out made.csv", "made.csv"),
+    Verb("init", "init made --case pair/case.toml", "made", earlier=False),
+    Verb("add", "add project SIM/B=pair/image_B.isd --ties pair/network.pvl", "", earlier=False),
+    Verb("remove", "remove kept SIM/B", "", earlier=False),
+    Verb("solve", "solve kept --no-figures", "", several=True, earlier=False),
+)
+
+
+# --- a command in a process of its own
+
+
+class Ended(NamedTuple):
+    """How a command ended."""
+
+    status: int
+    """Negative: by that signal."""
+    seconds: float
+    events: int
+    """Files of its that it opened to write, renamed, made or removed."""
+    said: str
+    """On standard error."""
+
+
+class Blow(NamedTuple):
+    """When a command is killed, and how."""
+
+    signal: int
+    seconds: float | None = None
+    """After its beginning."""
+    event: int | None = None
+    """Before that one."""
+
+
+def run(arguments: list[str], work: Path, blow: Blow | None = None) -> Ended:
+    """A command in the folder `work`, forked from this process, which has everything imported."""
+    count, said = mmap.mmap(-1, 8), work.parent / "said"
+    said.write_bytes(b"")
+    environment = os.environ | {"TMPDIR": str(work / TEMPORARY), "COLUMNS": "110"}
+    signal.pthread_sigmask(signal.SIG_BLOCK, _CAUGHT)
+    child = os.fork()
+    if child == 0:
+        for number in _CAUGHT:  # as in a process that has not yet come to the program's own handlers
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _CAUGHT)
+        command_server.become(str(work), dict(environment), [os.devnull, str(said)])
+        tempfile.tempdir = None
+        sys.addaudithook(_counting(count, blow, str(work)))
+        command_server.obey(arguments)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _CAUGHT)
+    began = time.perf_counter()
+    status = _waited(child, began, blow)
+    (events,) = struct.unpack("q", count[:])
+    return Ended(status, time.perf_counter() - began, events, said.read_text(errors="replace"))
+
+
+def _waited(child: int, began: float, blow: Blow | None) -> int:
+    """The exit status of a process, which is killed on the way if it is to be."""
+    struck = blow is None or blow.seconds is None
+    while True:
+        ended, status = os.waitpid(child, os.WNOHANG if not struck else 0)
+        if ended:
+            return os.waitstatus_to_exitcode(status)
+        if blow is not None and blow.seconds is not None and time.perf_counter() - began > blow.seconds:
+            os.kill(child, blow.signal)
+            struck = True
+        time.sleep(0.001)
+
+
+def _counting(count: mmap.mmap, blow: Blow | None, work: str) -> Callable[[str, tuple[object, ...]], None]:
+    """An audit hook that counts what is done to files of a trial, and strikes."""
+
+    def hook(event: str, given: tuple[object, ...]) -> None:
+        if event not in _EVENTS and event != "open":
+            return
+        path = os.fsdecode(given[0]) if isinstance(given[0], str | bytes | os.PathLike) else "/"
+        writes = event != "open" or bool(isinstance(given[2], int) and given[2] & _WRITING)
+        if not writes or (path.startswith("/") and not path.startswith(work)):
+            return
+        (events,) = struct.unpack("q", count[:])
+        count[:] = struct.pack("q", events + 1)
+        if blow is not None and blow.event == events:
+            os.kill(os.getpid(), blow.signal)
+
+    return hook
+
+
+# --- what is there
+
+
+def snapshot(work: Path) -> dict[str, str]:
+    """All files and folders in a folder: their digests, by their paths in it."""
+    found = {}
+    for path in sorted(work.rglob("*")):
+        name = path.relative_to(work).as_posix()
+        if path.is_symlink() or not path.is_file():
+            found[name] = "folder" if path.is_dir() else "odd"
+        elif path.name == FILE and "unfinished" not in name:
+            found[name] = project_state(path.parent)
+        else:
+            found[name] = sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def project_state(project: Path) -> str:
+    """All rows of a project but times, of a copy whose journal is played back."""
+    with tempfile.TemporaryDirectory() as aside:
+        copy = Path(aside) / "project"
+        copy.mkdir()
+        for path in project.glob(f"{FILE}*"):
+            shutil.copy(path, copy)
+        with open_project(copy, thorough=True) as opened:
+            history = [(change.verb, change.what) for change in opened.changes()]
+        with closing(sqlite3.connect(f"{(copy / FILE).as_uri()}?mode=ro", uri=True)) as file:
+            rows = [file.execute(f"SELECT * FROM {name}").fetchall() for name in TABLES]
+            rows.append(file.execute("SELECT number, kind, folder FROM solution").fetchall())
+    return sha256(repr((rows, history)).encode()).hexdigest()
+
+
+def sound(path: Path) -> bool:
+    """Whether a file that differs from run to run (it has times in it) is whole."""
+    content = path.read_bytes()
+    match path.suffix:
+        case ".json" | ".lock":
+            return isinstance(json.loads(content), dict)
+        case ".jsonl":
+            return all(json.loads(line) for line in content.splitlines(keepends=True) if line.endswith(b"\n"))
+        case ".npz":
+            return zipfile.ZipFile(io.BytesIO(content)).testzip() is None
+        case ".html":
+            return content.rstrip().endswith(b"</html>")
+        case _:
+            return len(content) > 0
+
+
+class Known(NamedTuple):
+    """The states of undisturbed runs."""
+
+    before: dict[str, str]
+    after: dict[str, str]
+    changing: frozenset[str]
+    """Files whose content is another in every run."""
+    allowed: frozenset[str]
+    """All that may be there when a run has ended."""
+    seconds: float
+    events: int
+
+
+def judged(work: Path, now: Mapping[str, str], known: Known, several: bool) -> str:
+    """Whether what is there is the state before, after, both of them (of several things), or neither."""
+    names = (set(now) | set(known.before) | set(known.after)) & (set(known.before) | set(known.after))
+    is_before = {name for name in names if now.get(name) == known.before.get(name)}
+    is_after = {name for name in names if now.get(name) == known.after.get(name)}
+    is_after |= {name for name in names & known.changing if name in now and sound(work / name)}
+    if is_before == names:
+        return "before"
+    if is_after == names:
+        return "after"
+    return "each" if several and is_before | is_after == names else "BETWEEN"
+
+
+# --- trials
+
+
+@contextmanager
+def inputs() -> Iterator[tuple[Path, str]]:
+    """A folder with all that the commands need, and the address of the archive."""
+    reading, writing = os.pipe()
+    server = os.fork()
+    if server == 0:
+        with flaky_archive.served() as archive:
+            archive.files = flaky_archive.archive_files()
+            os.write(writing, archive.address.encode())
+            signal.pause()
+    address = os.read(reading, 200).decode()
+    folder = Path(tempfile.mkdtemp(prefix="kills-"))  # no TemporaryDirectory: forks would take it away at their end
+    try:
+        (folder / "base").mkdir()
+        _fill(folder / "base")
+        yield folder / "base", address
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.kill(server, signal.SIGKILL)
+        os.waitpid(server, 0)
+
+
+def _fill(base: Path) -> None:
+    (base / TEMPORARY).mkdir()
+    case = write_pair(simulate_pair(PairSettings(ties=40, shots=10), seed=1), base / "pair")
+    shutil.copytree(base / "pair", base / "profile")
+    with_profile(base / "profile" / case.name)
+    (base / "places.csv").write_text("line,sample\n100,20\n500,30\n")
+    made = strip(4)
+    write_strip(made, base / "strip")
+    tables = "".join(f'\n[[strips]]\nname = "{one.name}"\nimages = ["{one.name}"]\n' for one in made.images)
+    with (base / "strip" / "case.toml").open("a", encoding="utf-8") as file:
+        file.write(tables)
+    _site(base)
+    _plan(base / "plan")
+    done(base, "adjust plan/case.toml --out plan/results --no-figures")
+    done(base, "adjust pair/case.toml --out result --no-figures")
+    done(base, "init project --case pair/case.toml")
+    done(base, "solve project --no-figures")
+    shutil.copytree(base / "project", base / "kept")
+    done(base, "remove project SIM/B")
+
+
+def _plan(folder: Path) -> None:
+    """A case of four images, and one that might be taken besides."""
+    made = strip(5)
+    write_strip(made.upto(4), folder)
+    write_texts(folder, {image_file(made.images[4]): json_text(support_data(made.images[4]))})
+    orientation = (
+        f"position_sigma_m = {float(NOISE.position)!r}\nangle_sigma_mrad = {float(NOISE.angle / MRAD)!r}\n"
+        f"trend = {[float(factor) for factor in NOISE.trend]}\n"
+    )
+    image = f'[[images]]\nname = "{made.images[4].name}"\nisd = "{image_file(made.images[4])}"\n'
+    text = f"format = 1\n[orientation]\n{orientation}\n{image}"
+    (folder / "candidates.toml").write_text(text, encoding="utf-8")
+
+
+def _site(base: Path) -> None:
+    """The small pair with pictures: with the ties that are found in it, adjusted, and without any."""
+    case = matched.write(base / "site")
+    text = case.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[ties]")
+    (case.parent / "bare.toml").write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
+    network = control_network(matched.matches().ties, "mgsgraph", "MARS", "pair")
+    write_pvl_network(network, case.parent / "network.pvl")
+    done(base, "adjust site/case.toml --out matched --no-figures")
+    (base / "verdicts.csv").write_text("id,verdict\n")
+
+
+def done(work: Path, line: str) -> Ended:
+    """A command that has to end well."""
+    ended = run(line.split(), work)
+    if ended.status not in (0, 1) or "error" in ended.said:
+        raise SystemExit(f"mgsgraph {line}: exit status {ended.status}: {ended.said}")
+    return ended
+
+
+def learned(line: str, base: Path, aside: Path) -> Known | None:
+    """What undisturbed runs do: the first, another from the same beginning, and one after the first. None where the
+    first changes nothing.
+    """
+    work, other = fresh(base, aside / "one"), fresh(base, aside / "other")
+    before = snapshot(work)
+    ended = done(work, line)
+    after = snapshot(work)
+    if after == before:
+        return None
+    done(other, line)
+    differs = frozenset(name for name, digest in snapshot(other).items() if after.get(name) != digest)
+    run(line.split(), work)
+    again = snapshot(work)
+    return Known(before, after, differs, frozenset((*before, *after, *again)), ended.seconds, ended.events)
+
+
+def fresh(base: Path, work: Path) -> Path:
+    """A copy of the inputs."""
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(base, work, symlinks=True)
+    return work
+
+
+class Row(NamedTuple):
+    """What came of all kills of a command."""
+
+    known: Known
+    counts: Counter[str]
+    wrong: list[str]
+
+
+def trials(verb: Verb, kills: int, base: Path, address: str, aside: Path, rng: random.Random) -> Row:
+    """Kill a command so many times."""
+    line = verb.arguments.replace("ADDRESS", address)
+    starts = [_cut(base, aside / "without", verb)]
+    if verb.earlier:
+        starts.append(fresh(starts[0], aside / "with"))
+        done(starts[1], line)
+        _age(starts[1], verb)
+    known = [one for start in starts if (one := learned(line, start, aside)) is not None]
+    if not known:
+        raise SystemExit(f"{verb.name} changes nothing even when nobody kills it")
+    counts, wrong = Counter[str](), list[str]()
+    for number in range(kills):
+        one = known[number % len(known)]
+        by_clock = rng.random() < 0.5 or not one.events
+        blow = Blow(rng.choice(SIGNALS), rng.uniform(0.0, _LATE * one.seconds) if by_clock else None,
+                    None if by_clock else rng.randrange(one.events))  # fmt: skip
+        work = fresh(starts[number % len(known)], aside / "one")
+        ended = run(line.split(), work, blow)
+        now = snapshot(work)
+        state = judged(work, now, one, verb.several)
+        counts[signal.Signals(blow.signal).name] += 1
+        counts[state] += 1
+        counts["left"] += bool(set(now) - set(one.before) - set(one.after))
+        run(line.split(), work)
+        behind = sorted(set(snapshot(work)) - one.allowed)
+        counts["behind"] += bool(behind)
+        unbegun = ended.status == -blow.signal and not ended.events and state == "before" and not ended.said
+        clean = unbegun or (ended.status in (0, 1, 130, -signal.SIGKILL) and "Traceback" not in ended.said)
+        counts["unclean"] += not clean
+        counts["untrue"] += state == "after" and "nothing was written" in ended.said
+        if state == "BETWEEN" or behind or not clean:
+            wrong.append(f"{verb.name}: {blow}: {state}; status {ended.status}; left {behind[:3]}; {ended.said[-300:]}")
+    return Row(known[0], counts, wrong)
+
+
+def _cut(base: Path, target: Path, verb: Verb) -> Path:
+    """The inputs that a command names, which are copied sooner than all."""
+    shutil.rmtree(target, ignore_errors=True)
+    (target / TEMPORARY).mkdir(parents=True)
+    for name in {word.split("=")[-1].split("/")[0] for word in verb.arguments.split()}:
+        if (base / name).is_dir():
+            shutil.copytree(base / name, target / name)
+        elif (base / name).is_file():
+            shutil.copy(base / name, target / name)
+    return target
+
+
+def _age(work: Path, verb: Verb) -> None:
+    """Make an earlier result tell from a new one, where it is of the same content: by a file's last bytes."""
+    for path in [work / verb.made] if (work / verb.made).is_file() else sorted((work / verb.made).glob("*.csv"))[:1]:
+        if path.suffix in (".csv", ".html", ".toml"):
+            path.write_bytes(path.read_bytes() + b"\n")
+
+
+def main() -> None:
+    """As said above."""
+    parser = command(__doc__)
+    parser.add_argument("--kills", type=at_least(1), default=500, help="in all, spread over the commands")
+    parser.add_argument("--seed", type=at_least(0), default=1)
+    parser.add_argument("--only", nargs="*", metavar="COMMAND", help="these alone, by the table's names")
+    given = parser.parse_args()
+    verbs = [verb for verb in VERBS if given.only is None or verb.name in given.only]
+    command_server.load()
+    rows, rng = dict[str, Row](), random.Random(given.seed)
+    with inputs() as (base, address):
+        for number, verb in enumerate(verbs):
+            kills = kills_of(given.kills, [one.share for one in verbs], number)
+            show(f"{verb.name}: {kills} kills")
+            if kills:
+                rows[verb.name] = trials(verb, kills, base, address, base.parent, rng)
+                print("\n".join([page(rows)[-2], *rows[verb.name].wrong]), file=sys.stderr, flush=True)
+    show("")
+    print("\n".join(page(rows)))
+    sys.exit(1 if any(row.wrong for row in rows.values()) else 0)
+
+
+def kills_of(total: int, shares: list[int], number: int) -> int:
+    """How often one of several commands is killed."""
+    ends = [round(total * sum(shares[:k]) / sum(shares)) for k in (number, number + 1)]
+    return ends[1] - ends[0]
+
+
+def page(rows: Mapping[str, Row]) -> list[str]:
+    """The table, with a last row of sums."""
+    head = ("command", "s", "kills", "KILL, TERM, INT", "before", "after", "each before or after", "between",
+            "something left", "after the next run", "unclean end")  # fmt: skip
+    keys = ("before", "after", "each", "BETWEEN", "left", "behind", "unclean")
+    lines, total = [], Counter[str]()
+    for name, row in rows.items():
+        lines.append([name, f"{row.known.seconds:.1f}", *_cells(row.counts, keys)])
+        total += row.counts
+    return table(head, [*lines, ["all", "", *_cells(total, keys)]])
+
+
+def _cells(counts: Counter[str], keys: tuple[str, ...]) -> list[str]:
+    signals = [counts[one.name] for one in dict.fromkeys(SIGNALS)]
+    return [str(sum(signals)), ", ".join(map(str, signals)), *(str(counts[key]) for key in keys)]
+
+
+if __name__ == "__main__":
+    main()

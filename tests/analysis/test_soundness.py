@@ -1,0 +1,119 @@
+"""What came to rest on too little is no result, whatever the optimiser says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from networks import network, pair
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.soundness import ABSURD, MOST, Kind, is_result, soundness
+from mgsgraph.case.reading import Case
+from mgsgraph.errors import InputError
+from mgsgraph.network import Network, PointClass
+from mgsgraph.reports.inventory import inventory
+from mgsgraph.reports.results import solution_json
+from mgsgraph.reports.soundness import soundness_statements, state_of
+from mgsgraph.reports.summary import statements, summary_table
+
+
+@pytest.fixture(scope="module")
+def good() -> Solution:
+    return adjust_network(network(pair(ties=20, shots=10)), SolverSettings(starts=0))
+
+
+def parallel(only_ties: bool = False) -> Network:
+    """Ties whose two rays are the same ray, in an image and its twin; laser shots hold the datum."""
+    net = network(pair(ties=12, shots=30))
+    first, places = net.images[0], net.rays.places.copy()
+    ties = net.points.classes[net.rays.point] == PointClass.TIE
+    for k in np.flatnonzero(ties & (net.rays.image == 1)).tolist():
+        (twin,) = np.flatnonzero((net.rays.point == net.rays.point[k]) & (net.rays.image == 0))
+        places[k] = places[twin]
+    rays = replace(net.rays, places=places).chosen(ties if only_ties else ties | (net.rays.image == 0))
+    priors = (net.priors[0],) * 2
+    return replace(net, images=(first, replace(first, name="twin")), priors=priors, rays=rays)
+
+
+def test_a_good_solution_is_a_result(good: Solution) -> None:
+    assert is_result(good)
+    assert not soundness(good).losses
+    assert not soundness_statements(good)
+    assert state_of(good) == "converged"
+    assert solution_json(good)["soundness"]["sound"] is True
+    assert not is_result(replace(good, converged=False))
+
+
+def test_no_tie_left_is_refused() -> None:
+    """It came to rest on the laser alone, and was called converged with all its ties left out."""
+    with pytest.raises(InputError, match=r"none of 12 tie points is left \(0 rejected, 12 not determined"):
+        adjust_network(parallel(), SolverSettings(starts=0))
+
+
+def test_all_ties_rejected_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mgsgraph.adjustment import adjust as module
+
+    net = network(pair(ties=12, shots=30))
+    solve = module.solve_in_passes
+
+    def without_ties(layout, settings, selection, *rest, **more):  # type: ignore[no-untyped-def]
+        ties = net.points.classes[net.rays.point] == PointClass.TIE
+        return solve(layout, settings, replace(selection, rays=selection.rays & ~ties), None, *rest[1:], **more)
+
+    monkeypatch.setattr(module, "solve_in_passes", without_ties)
+    with pytest.raises(InputError, match=r"none of 12 tie points is left \(12 rejected, 0 not determined"):
+        adjust_network(net, SolverSettings(starts=0))
+
+
+def test_parallel_rays_are_said_in_one_line_without_warnings() -> None:
+    """Warnings are errors here; `nan` is no figure."""
+    said = inventory(Case("x", Path("x"), parallel(), SolverSettings()))
+    assert "nan" not in said
+    assert said.count("nothing determines the place of any of them") == 1
+
+
+def lost(solution: Solution, kind: Kind, share: float) -> Solution:
+    """The solution with a share of one kind left out."""
+    net = solution.network
+    if kind is Kind.RANGES:
+        return replace(solution, ranges_used=np.arange(net.ranges.point.size) >= share * net.ranges.point.size)
+    if kind is Kind.IMAGE:
+        mine = np.flatnonzero(net.rays.image == 1)
+        used = solution.rays_used.copy()
+        used[mine[: round(share * mine.size)]] = False
+        return replace(solution, rays_used=used)
+    mine = np.flatnonzero(net.points.classes == (PointClass.TIE if kind is Kind.TIES else PointClass.LASER))
+    determined = solution.determined.copy()
+    determined[mine[: round(share * mine.size)]] = False
+    return replace(solution, determined=determined)
+
+
+@pytest.mark.parametrize("kind", [Kind.TIES, Kind.LASER, Kind.RANGES, Kind.IMAGE])
+@pytest.mark.parametrize(("share", "fatal"), [(1.0, True), (0.6, True), (0.3, False)])
+def test_what_is_left_out_is_said(good: Solution, kind: Kind, share: float, fatal: bool) -> None:
+    found = lost(good, kind, share)
+    losses = [one for one in soundness(found).losses if one.kind is kind]
+    assert losses
+    assert losses[0].share == pytest.approx(share, abs=0.1)
+    assert losses[0].fatal is fatal is (losses[0].share > MOST)
+    assert is_result(found) is not fatal
+    assert any(str(kind) in sentence and "did not take part" in sentence for sentence in statements(found)) is fatal
+    record = solution_json(found)["soundness"]
+    assert record["sound"] is not fatal
+    assert {"kind": str(kind), "of": losses[0].total, "count": losses[0].lost, "fatal": fatal}.items() <= next(
+        one for one in record["left_out"] if one["kind"] == kind
+    ).items()
+    assert ("NO RESULT" in summary_table(found)) is fatal
+    if kind is Kind.IMAGE:
+        assert losses[0].image == good.network.images[1].name
+
+
+def test_a_sigma0_that_no_sigma_makes(good: Solution) -> None:
+    freedom = good.fit.degrees_of_freedom
+    wild = replace(good, fit=replace(good.fit, squares=1.01 * ABSURD**2 * freedom))
+    assert not is_result(wild)
+    assert len(soundness_statements(wild)) == 1
+    assert is_result(replace(good, fit=replace(good.fit, squares=0.99 * ABSURD**2 * freedom)))
