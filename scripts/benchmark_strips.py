@@ -68,7 +68,7 @@ def measured(network: Network) -> dict[str, float]:
         linear.optimize(gtsam.Ordering.ColamdGaussianFactorGraph(linear))
         whole.append(time.perf_counter() - begin)
     found |= {"sweep": statistics.median(sweeps), "iteration": statistics.median(whole)}
-    nodes = sum(len(strip.nodes) for strip in network.strips)
+    nodes = sum(len(strip.nodes) for strip in network.passes)
     found |= {"sets": len(layout.group_variables), "fill": layout.blocks.first.size / (0.5 * nodes * (nodes + 1))}
     del last, linear, graph, layout
     solution = adjust_network(network, settings)

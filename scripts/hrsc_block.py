@@ -95,13 +95,13 @@ def one_seed(settings: BlockSettings, seed: int) -> Row:
     for one in (steps.free, steps.fitted):
         known = one.determined
         points.append(float(nees((one.places - block.true_points)[known], one.covariances[known]).mean()) / 3.0)
-    true = np.concatenate([block.true_nodes(k) for k in range(len(block.network.strips))])
+    true = np.concatenate([block.true_nodes(k) for k in range(len(block.network.passes))])
     errors = [np.zeros_like(true), *(np.concatenate(one.nodes) for one in (steps.free, steps.fitted))]
     attitude = np.array([root_mean_square((found - true)[:, ATTITUDE], 0) for found in errors])
     joints = (steps.rays_alone.joint, steps.free.joint_covariance, steps.fitted.joint_covariance)
     networks = (steps.free.network, steps.free.network, steps.fitted.network)
     stated = np.array([_stated(network, joint) for network, joint in zip(networks, joints, strict=True)])
-    freedom = np.array([6 * len(strip.nodes) for strip in block.network.strips])
+    freedom = np.array([6 * len(strip.nodes) for strip in block.network.passes])
     found = two_step_statistics(steps)
     return Row(found, np.array(pairs), freedom, np.array(points), attitude, stated, steps.converged)
 
@@ -111,7 +111,7 @@ def _stated(network: Network, joint: JointCovariance | None) -> Array:
     assert joint is not None  # strips with known sigmas
     variables = np.concatenate([
         np.arange(first, first + len(strip.nodes))
-        for strip, first in network.numbered_strips
+        for strip, first in network.numbered_passes
     ])  # fmt: skip
     columns = joint.square_root.first[variables][:, None] + ATTITUDE
     return root_mean_square(joint.sigmas[columns], 0)
@@ -120,10 +120,10 @@ def _stated(network: Network, joint: JointCovariance | None) -> Array:
 def _of_nodes(block: SimulatedBlock, solution: Solution) -> list[float]:
     """Normalised squares of the errors of each strip's nodes."""
     found = []
-    for k, (strip, first) in enumerate(block.network.numbered_strips):
+    for k, (strip, first) in enumerate(block.network.numbered_passes):
         error = (solution.nodes[k] - block.true_nodes(k)).ravel()
         # the block without terrain has fewer variables before the strips
-        first += int(solution.network.first_of_strips[0] - block.network.first_of_strips[0])
+        first += int(solution.network.first_of_passes[0] - block.network.first_of_passes[0])
         covariance = solution.joint_covariance.of(range(first, first + len(strip.nodes)))
         found.append(float(error @ np.linalg.solve(covariance, error)))
     return found

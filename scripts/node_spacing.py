@@ -92,7 +92,7 @@ def run(errors: TrajectoryErrors, jitter: Jitter | None, stated: float, seed: in
     white = np.einsum("hij,hj->hi", whitening(net, held, closer.places), misfits(closer, held))
     fine = correction_series(adjust_network(respaced(net, SPACINGS[0]), plain), 0)
     found = [(spectrum.axis, peak) for spectrum in spectra(fine) for peak in spectrum.vibrations]
-    nodes = sum(len(strip.nodes) for strip in closer.network.strips)
+    nodes = sum(len(strip.nodes) for strip in closer.network.passes)
     return Run(choice, nodes, root_mean_square(white), found)
 
 

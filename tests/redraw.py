@@ -112,12 +112,12 @@ def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:
 
 def _drawn_corrections(network: Network, rng: np.random.Generator, angles: Angles) -> tuple[OrientationCorrection, ...]:
     """One for each image; the images of a strip have one in common."""
-    owner, adjusted = network.strip_of, network.with_polynomial
+    owner, adjusted = network.pass_of, network.with_polynomial
     own = {
         j: _drawn_correction(network.priors[j].sigmas * adjusted[j], rng, angles)
         for j in np.flatnonzero(owner < 0).tolist()
     }
-    common = [strip_correction(one.nodes, drawn_nodes(one.prior, one.nodes, rng), angles) for one in network.strips]
+    common = [strip_correction(one.nodes, drawn_nodes(one.prior, one.nodes, rng), angles) for one in network.passes]
     return tuple(own[j] if k < 0 else common[k] for j, k in enumerate(owner.tolist()))
 
 

@@ -16,8 +16,8 @@ from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.network import NodePrior, Strip
-from mgsgraph.network.passes import require_one_pass, seconds, straightest
+from mgsgraph.network import NodePrior, Pass
+from mgsgraph.network.joining import mountings, seconds, straightest
 from mgsgraph.units import MGON, MRAD
 
 
@@ -37,14 +37,14 @@ def case_with(folder: Path, strips: str, name: str = "other.toml") -> Path:
     return path
 
 
-def strip_of(folder: Path, table: str) -> Strip:
+def pass_of(folder: Path, table: str) -> Pass:
     """The first strip alone, `table` being what follows its name."""
     images = 'images = ["HRSC/00/S1", "HRSC/00/P1", "HRSC/00/ND", "HRSC/00/P2", "HRSC/00/S2"]'
-    return mgsgraph.read_case(case_with(folder, f'[[strips]]\nname = "one"\n{images}\n{table}\n')).network.strips[0]
+    return mgsgraph.read_case(case_with(folder, f'[[strips]]\nname = "one"\n{images}\n{table}\n')).network.passes[0]
 
 
 def prior_of(folder: Path, table: str) -> NodePrior:
-    prior = strip_of(folder, f"prior = {{ {table} }}").prior
+    prior = pass_of(folder, f"prior = {{ {table} }}").prior
     assert isinstance(prior, NodePrior)
     return prior
 
@@ -52,7 +52,7 @@ def prior_of(folder: Path, table: str) -> NodePrior:
 def test_the_case_is_the_block(folder: Path) -> None:
     """Read from its files, with the defaults that the block was drawn with: the same strips, cost and places."""
     case, net = mgsgraph.read_case(folder / "case.toml"), block().network
-    for read, made in zip(case.network.strips, net.strips, strict=True):
+    for read, made in zip(case.network.passes, net.passes, strict=True):
         assert (read.name, read.images.tolist()) == (made.name, made.images.tolist())
         assert isinstance(read.prior, NodePrior)
         assert isinstance(made.prior, NodePrior)
@@ -78,7 +78,7 @@ def test_spacing_in_seconds_and_lines(folder: Path) -> None:
     for table, spacing in (
         ("spacing_s = 4.0", 4.0), ("spacing_lines = 1500", 1500 * (stop - start) / pictures[2].lines), ("", 10.0)
     ):
-        nodes = strip_of(folder, f"nodes = {{ {table} }}").nodes
+        nodes = pass_of(folder, f"nodes = {{ {table} }}").nodes
         times = nodes.times + nodes.epoch
         step = np.diff(times)
         np.testing.assert_allclose(times[[0, -1]], [edges[:, 0].min(), edges[:, 1].max()], atol=1e-6)
@@ -88,17 +88,17 @@ def test_spacing_in_seconds_and_lines(folder: Path) -> None:
 
 
 def test_spline_reaches_beyond(folder: Path) -> None:
-    nodes = strip_of(folder, 'nodes = { basis = "spline", spacing_s = 4.0 }').nodes
-    lagrange = strip_of(folder, "nodes = { spacing_s = 4.0 }").nodes
+    nodes = pass_of(folder, 'nodes = { basis = "spline", spacing_s = 4.0 }').nodes
+    lagrange = pass_of(folder, "nodes = { spacing_s = 4.0 }").nodes
     assert len(nodes) == len(lagrange) + 2
     assert nodes.coverage == pytest.approx(lagrange.coverage)
 
 
 def test_nodes_at_given_times(folder: Path) -> None:
-    evenly = strip_of(folder, "nodes = { spacing_s = 4.0 }").nodes
+    evenly = pass_of(folder, "nodes = { spacing_s = 4.0 }").nodes
     wanted = np.sort(np.concatenate([evenly.times, evenly.times[3:5] + 1.0])) + evenly.epoch
     wanted[[0, -1]] += [-1.0, 1.0]
-    nodes = strip_of(folder, f"nodes = {{ times_et_s = {wanted.tolist()} }}").nodes
+    nodes = pass_of(folder, f"nodes = {{ times_et_s = {wanted.tolist()} }}").nodes
     np.testing.assert_allclose(nodes.times + nodes.epoch, wanted, atol=1e-6)
 
 
@@ -198,23 +198,28 @@ def test_what_contradicts_a_strip(folder: Path, old: str, new: str, message: str
     assert str(caught.value).startswith(f"{path}, strips[0] (one)")
 
 
-def test_cameras_that_look_elsewhere_are_no_strip() -> None:
-    """A camera turned by 1 degree at the same time; one that is 5 km away; alike, they are."""
+def test_cameras_of_one_pass_are_mounted_as_their_attitudes_say() -> None:
+    """Alike; turned by 0.02 rad at the same time; 5 km away; turning against each other."""
     one, other = block().network.images[:2]
-    require_one_pass([one, other], "here")
+    assert mountings([one, other], "here") is None
     assert isinstance(other.trajectory, Trajectory)
     turn = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(0.02), np.sin(0.02)], [0.0, -np.sin(0.02), np.cos(0.02)]])
 
     def with_table(**tables: object) -> PushbroomImage:
         return replace(other, trajectory=replace(other.trajectory, **tables))  # type: ignore[type-var]
 
-    turned = with_table(camera=replace(other.trajectory.camera, constant=turn))
-    with pytest.raises(InputError, match=r"here: images .* 0 m apart and turned by 0\.020 rad; expected images of"):
-        require_one_pass([one, turned], "here")
+    camera = other.trajectory.camera
+    turned = with_table(camera=replace(camera, constant=turn @ camera.constant))
+    axes = mountings([one, turned], "here")
+    assert axes is not None
+    np.testing.assert_allclose(axes, [np.eye(3), turn], atol=1e-5)
     table = other.trajectory.position
     moved = with_table(position=replace(table, positions=table.positions + np.array([5e3, 0.0, 0.0])))
     with pytest.raises(InputError, match=r"5000 m apart"):
-        require_one_pass([moved, one], "here")
+        mountings([moved, one], "here")
+    still = replace(camera, quaternions=np.broadcast_to(camera.quaternions[:1], camera.quaternions.shape))
+    with pytest.raises(InputError, match=r"turn against each other"):
+        mountings([one, with_table(camera=replace(still, constant=turn @ turn))], "here")
 
 
 # --- HRSC by labels: one trajectory
@@ -246,7 +251,7 @@ def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_pa
     places = np.array([0.0, 7000.3, LINES]), np.array([3.0, 600.0, 1288.0])
     for one, alone in zip(net.images, apart, strict=True):
         np.testing.assert_allclose(one.image_to_ground(*places)[0], alone.image_to_ground(*places)[0], atol=1e-4)
-    assert len(net.strips[0].nodes) == 17  # 15,088 lines in 16 intervals
+    assert len(net.passes[0].nodes) == 17  # 15,088 lines in 16 intervals
 
 
 # --- who can't take them

@@ -11,8 +11,8 @@ from networks import as_nodes, network, pair
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.network import JointNodePrior, NodePrior, Strip
-from mgsgraph.network.strips import normalised
+from mgsgraph.network import JointNodePrior, NodePrior, Pass
+from mgsgraph.network.passes import normalised
 
 TIMES = np.array([0.0, 2.0, 3.0, 7.0, 11.0])
 NODES = OrientationImages("lagrange", 0.0, TIMES)
@@ -86,24 +86,24 @@ def test_strips_of_a_network() -> None:
     start, stop = image.timing.at(np.array([0.0, float(image.lines)]))[0].tolist()
     nodes = evenly_spaced("lagrange", image.trajectory.epoch, (start, stop), 1.0)
     prior = NodePrior(SIGMAS, np.zeros(6), np.zeros(6))
-    with_strip = replace(net, strips=(Strip("A", np.array([0]), nodes, prior),))
+    with_strip = replace(net, passes=(Pass("A", np.array([0]), nodes, prior),))
 
-    assert with_strip.strip_of.tolist() == [0, -1]
+    assert with_strip.pass_of.tolist() == [0, -1]
     assert with_strip.with_polynomial.tolist() == [False, True]
     assert not np.any(with_strip.held)
-    assert np.all(replace(with_strip, strips=()).with_polynomial)
+    assert np.all(replace(with_strip, passes=()).with_polynomial)
     with pytest.raises(InputError, match="it is held"):
         replace(with_strip, held=np.array([True, False]))
-    assert with_strip.first_of_strips.tolist() == [2, 2 + len(nodes)]
+    assert with_strip.first_of_passes.tolist() == [2, 2 + len(nodes)]
     with pytest.raises(InputError, match=r"strip 'A', images: image 0; expected .* one strip alone"):
-        replace(net, strips=(Strip("A", np.array([0]), nodes, prior), Strip("B", np.array([0]), nodes, prior)))
+        replace(net, passes=(Pass("A", np.array([0]), nodes, prior), Pass("B", np.array([0]), nodes, prior)))
     short = evenly_spaced("lagrange", image.trajectory.epoch, (start, 0.5 * stop), 1.0)
     with pytest.raises(InputError, match=r"strip 'A', image .*: lines from .* within its nodes'"):
-        replace(net, strips=(Strip("A", np.array([0]), short, prior),))
-    with pytest.raises(InputError, match="strips"):
-        replace(net, strips=(Strip("A", np.array([0]), nodes, prior),) * 2)
+        replace(net, passes=(Pass("A", np.array([0]), short, prior),))
+    with pytest.raises(InputError, match="passes"):
+        replace(net, passes=(Pass("A", np.array([0]), nodes, prior),) * 2)
     with pytest.raises(InputError, match="at least one, each once"):
-        Strip("A", np.array([0, 0]), nodes, prior)
+        Pass("A", np.array([0, 0]), nodes, prior)
 
 
 def test_rows_of_a_joint_prior_are_about_what_they_hold() -> None:

@@ -13,19 +13,9 @@ from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
-from mgsgraph.adjustment.graph.shared import shared_values, shift_values, strip_values
+from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values
 from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS, Linearity, linearity
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.passes import (
-    Progress,
-    Selection,
-    Solved,
-    determined_points,
-    everything,
-    places_of_all,
-    solve_in_passes,
-    without_weak,
-)
 from mgsgraph.adjustment.posterior import (
     Residuals,
     explicit_covariances,
@@ -35,6 +25,16 @@ from mgsgraph.adjustment.posterior import (
     residuals,
 )
 from mgsgraph.adjustment.predicted_lines import exactly, settled
+from mgsgraph.adjustment.rounds import (
+    Progress,
+    Selection,
+    Solved,
+    determined_points,
+    everything,
+    places_of_all,
+    solve_in_rounds,
+    without_weak,
+)
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.starts import best_of_starts, starts_wanted
@@ -120,7 +120,7 @@ def adjust_network(
         nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places))
         clock.stop("residuals")
         orientation = None if begin is None else layout.variables.joined(begin)
-        solved = solve_in_passes(layout, settings, selection, before, progress, sweeper, orientation)
+        solved = solve_in_rounds(layout, settings, selection, before, progress, sweeper, orientation)
         clock.stop("solve")
         starts = 0 if begin is not None or cluster is not None else starts_wanted(network, settings, layout)
         minima, mixture = None, None
@@ -290,12 +290,12 @@ def _posterior(
         orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)
         for j, own in enumerate(network.with_polynomial.tolist())
     )
-    nodes, trends = strip_values(network, layout.variables, orientation)
+    nodes, trends = pass_values(network, layout.variables, orientation)
     message = solved.outcome.message
     if solved.circling:
-        message += f" This holds for the best of {solved.passes} passes; what was rejected still changed in each."
-    elif solved.passes > 1:
-        message += f" {solved.passes} passes, until rejected rows stayed as they were."
+        message += f" This holds for the best of {solved.rounds} passes; what was rejected still changed in each."
+    elif solved.rounds > 1:
+        message += f" {solved.rounds} passes, until rejected rows stayed as they were."
     return Solution(
         name=name,
         network=network,

@@ -27,9 +27,9 @@ from mgsgraph.adjustment.graph.bundle import Sweeper
 from mgsgraph.adjustment.held import HeldProblem
 from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
-from mgsgraph.adjustment.passes import Solved, solve_in_passes
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.problems import BundleProblem
+from mgsgraph.adjustment.rounds import Solved, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.square_root import in_cliques
 from mgsgraph.errors import MgsgraphError
@@ -174,12 +174,12 @@ def best_of_starts(
         if best.solved is solved or settings.reject == 0.0 or turn == _ROUNDS - 1:
             break
         begin, history = best.solved.orientation, best.solved.history
-        solved = solve_in_passes(best.solved.layout, settings, solved.selection, before, _quietly, sweeper, begin)
+        solved = solve_in_rounds(best.solved.layout, settings, solved.selection, before, _quietly, sweeper, begin)
         solved = replace(solved, history=history + solved.history)
     found = _weighted(ends, best)
     minima = Minima(count, lost, tuple(_record(end, weight) for end, weight in found))
     lowest = replace(
-        best.solved, cost_initial=initial, passes=solved.passes, circling=solved.circling,
+        best.solved, cost_initial=initial, rounds=solved.rounds, circling=solved.circling,
         dimensions=solved.dimensions,
     )  # fmt: skip
     return lowest, minima, _mixture(found) if minima.several else None
@@ -195,7 +195,7 @@ def _ends(
             state, cost = _descended(ends, begin, sweeper)
             home, one = _home(ends, state, cost), solved
             if home is None:
-                one = solve_in_passes(
+                one = solve_in_rounds(
                     solved.layout, replace(settings, reject=0.0), solved.selection, before, _quietly, sweeper, state
                 )
                 home = _home(ends, one.orientation, one.outcome.cost_final)

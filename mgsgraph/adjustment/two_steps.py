@@ -16,7 +16,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
 from mgsgraph.adjustment.cluster import Connection
-from mgsgraph.adjustment.passes import Progress, Selection, everything
+from mgsgraph.adjustment.rounds import Progress, Selection, everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.forward import RaysAlone

@@ -21,7 +21,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.corrections import designs
-from mgsgraph.network.passes import nominal_poses, seconds, straightest
+from mgsgraph.network.joining import nominal_poses, seconds, straightest
 
 _LEVEL = 1e-9
 """Share of the velocity below which its level part says nothing."""
@@ -60,9 +60,9 @@ def strip_turns(network: Network, strip: int, times: Array, angles: Angles) -> A
     """(n, 6, 6) from the components of a strip's corrections, m and rad, to along, across and radial, roll, pitch and
     yaw of its flight, at times (n,) in s TDB past J2000.
 
-    Each time is taken from an image of the strip that knows it (`network.passes.nominal_poses`).
+    Each time is taken from an image of the strip that knows it (`network.joining.nominal_poses`).
     """
-    pose = nominal_poses(network.pictures(strip), times)
+    pose = nominal_poses(network.pictures(strip), times, network.passes[strip].axes)
     axes = OrientationCorrection(np.zeros((1, 6)), angles).axes(pose, Moments.of_times(times, 0.0))
     return _turns(pose, axes)
 
@@ -124,10 +124,10 @@ class StripCorrections:
 
 def strip_corrections(solution: Solution, strip: int, times: Array) -> StripCorrections:
     """Corrections of a strip at times (n,) in s TDB past J2000, by the four nodes nearest to each."""
-    nodes = solution.network.strips[strip].nodes
+    nodes = solution.network.passes[strip].nodes
     first, basis, _ = nodes.at(times - nodes.epoch, nodes.epoch)
     values = np.einsum("nk,nkc->nc", basis, solution.nodes[strip][first[:, None] + np.arange(SUPPORT)])
-    variable = int(solution.network.first_of_strips[strip])
+    variable = int(solution.network.first_of_passes[strip])
     covariance = np.empty((times.size, 6, 6))
     for k in np.unique(first).tolist():
         mine = first == k
@@ -176,17 +176,17 @@ class StripReport:
 
 def strip_reports(solution: Solution) -> list[StripReport]:
     """Reports of all strips, in their order."""
-    return [_report(solution, k) for k in range(len(solution.network.strips))]
+    return [_report(solution, k) for k in range(len(solution.network.passes))]
 
 
 def node_times(solution: Solution, strip: int) -> Array:
     """(k,) s TDB past J2000 of the nodes within a strip: all but the outer two of a spline."""
-    nodes = solution.network.strips[strip].nodes
+    nodes = solution.network.passes[strip].nodes
     return nodes.inner + nodes.epoch
 
 
 def _report(solution: Solution, strip: int) -> StripReport:
-    one, pictures = solution.network.strips[strip], solution.network.pictures(strip)
+    one, pictures = solution.network.passes[strip], solution.network.pictures(strip)
     image = pictures[straightest(pictures)]
     start, stop = seconds(image)
     spacing = one.nodes.spacing
@@ -200,10 +200,10 @@ def _report(solution: Solution, strip: int) -> StripReport:
 
 
 def _trend(solution: Solution, strip: int) -> tuple[tuple[str, str, float, float], ...]:
-    prior, values = solution.network.strips[strip].prior, solution.trends[strip]
+    prior, values = solution.network.passes[strip].prior, solution.trends[strip]
     if not isinstance(prior, NodePrior) or not values.size:
         return ()
-    variable = int(solution.network.first_of_strips[strip + 1]) - 1
+    variable = int(solution.network.first_of_passes[strip + 1]) - 1
     sigmas = np.sqrt(np.diagonal(solution.joint_covariance.block(variable, variable)))
     biases = int(np.count_nonzero(prior.bias))
     return tuple(

@@ -18,9 +18,9 @@ import numpy as np
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.passes import Selection, determined_points
 from mgsgraph.adjustment.posterior import point_covariances, prior_covariance
 from mgsgraph.adjustment.predicted_lines import settled
+from mgsgraph.adjustment.rounds import Selection, determined_points
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction

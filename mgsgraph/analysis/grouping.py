@@ -11,7 +11,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND
-from mgsgraph.network import Network, PointClass, ProfileShifts, Strip
+from mgsgraph.network import Network, Pass, PointClass, ProfileShifts
 
 _CLASS = {PointClass.TIE: "tie", PointClass.LASER: "laser", PointClass.CONTROL: "control", PointClass.POST: "post"}
 POSITION, POINTING, SHIFTS, TILTS = "position priors", "pointing priors", "shifts", "tilts"
@@ -103,7 +103,7 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
     parts = [np.where(np.arange(prior.sigmas.size) % 6 < 3, POSITION, POINTING) for prior in network.priors]
     parts += [np.array([_SHIFT[term.unit] for term in terms]) for terms in network.shift_terms]
     parts += [np.full(shared.sigmas.size, f"{shared.kind} priors") for shared in network.shared]
-    parts += [part for strip in network.strips for part in _of_strip(strip)]
+    parts += [part for strip in network.passes for part in _of_strip(strip)]
     n = len(network.points)
     ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
     stereo = np.full(0 if network.stereo is None else n, STEREO_HEIGHTS)
@@ -133,7 +133,7 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
     )
 
 
-def _of_strip(strip: Strip) -> list[NDArray[np.str_]]:
+def _of_strip(strip: Pass) -> list[NDArray[np.str_]]:
     """Labels of the priors of a strip's unknowns."""
     count = len(strip.nodes)
     labels = [np.where(angular, NODE_POINTING, NODE_POSITION) for angular in strip.angular[:count]]
@@ -147,7 +147,7 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
         raise InputError("factors of sigmas", f"{factors}", f"{len(grouping.names)} positive numbers")
     images, shifts = len(network.images), len(network.shift_names)
     of_unknown = [factors[part] for part in grouping.unknowns]
-    firsts = network.first_of_strips[:-1].tolist()
+    firsts = network.first_of_passes[:-1].tolist()
     profiles, surface, stereo = network.shifts, network.surface, network.stereo
     if profiles is not None:
         own = np.array([of_unknown[images + p][0] for p in range(len(profiles.names))]).reshape(-1)
@@ -178,13 +178,13 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
             replace(shared, sigmas=shared.sigmas * of_unknown[images + shifts + k])
             for k, shared in enumerate(network.shared)
         ),
-        strips=tuple(
-            _scaled_strip(strip, of_unknown[first:]) for strip, first in zip(network.strips, firsts, strict=True)
+        passes=tuple(
+            _scaled_strip(strip, of_unknown[first:]) for strip, first in zip(network.passes, firsts, strict=True)
         ),
     )
 
 
-def _scaled_strip(strip: Strip, factors: Sequence[Array]) -> Strip:
+def _scaled_strip(strip: Pass, factors: Sequence[Array]) -> Pass:
     """A strip with its a-priori sigmas times factors, `factors` being those of its unknowns, then others'."""
     trend = strip.prior.trend_sigmas.size
     return strip.scaled(factors[0], factors[len(strip.nodes)] if trend else np.zeros(0))

@@ -7,9 +7,9 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
+from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -66,7 +66,7 @@ class PriorRows:
     """What is known of the shared unknowns without any point, as m rows.
 
     Most rows are the a-priori value of one unknown. Those of a strip's orientation images join a node to the one
-    before it and to the trend (`network.strips`); they count as measures of the node. The last are crossovers of laser
+    before it and to the trend (`network.passes`); they count as measures of the node. The last are crossovers of laser
     profiles, measured height differences.
     """
 

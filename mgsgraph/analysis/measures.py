@@ -335,8 +335,8 @@ def _unknown(layout: Layout, variable: int, inside: int) -> tuple[str, str]:
         power, component = divmod(inside, len(COMPONENTS))
         term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
         return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
-    if variable >= network.first_of_strips[0]:
-        strip, node = network.of_strips(variable)
+    if variable >= network.first_of_passes[0]:
+        strip, node = network.of_passes(variable)
         what, component = strip.part(node, inside)
         return f"{COMPONENTS[component]} of {what} of strip {strip.name}", _unit(component)
     if variable < network.first_shared:

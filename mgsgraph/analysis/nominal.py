@@ -53,7 +53,7 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
 
     Nothing is said where unknowns that images share, or strips, move them too.
     """
-    if network.shared or network.strips:
+    if network.shared or network.passes:
         return ()
     expected = np.array([_pixels(network, j) for j in range(len(network.images))])
     whole = float(np.sqrt(np.sum(expected**2)))
@@ -84,7 +84,7 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedR
     for j in np.unique(ranges.image).tolist():
         mine = np.flatnonzero((ranges.image == j) & np.isfinite(residuals))
         mine = mine[points.kinds[ranges.point[mine]] != PointKind.FREE]
-        if mine.size < _FEWEST or j in moved or network.strip_of[j] >= 0:
+        if mine.size < _FEWEST or j in moved or network.pass_of[j] >= 0:
             continue
         orbit = 0.0 if network.held[j] else float(np.linalg.norm(network.priors[j].sigmas[:, :3]))
         ground, shift = (float(np.median(one[ranges.point[mine]])) for one in (places, shifts))

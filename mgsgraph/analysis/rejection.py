@@ -7,9 +7,9 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.redundancy import closure, prediction
+from mgsgraph.adjustment.rounds import Selection, everything
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.suspects import PointIndex

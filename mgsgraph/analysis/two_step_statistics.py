@@ -144,7 +144,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
 
 def owners(network: Network) -> list[tuple[str, Index]]:
     """Strips with their images; then every other image that is adjusted, or all where none is."""
-    strips = [(strip.name, strip.images) for strip in network.strips]
+    strips = [(strip.name, strip.images) for strip in network.passes]
     alone = np.flatnonzero(network.with_polynomial)
     if not strips and not alone.size:
         alone = np.arange(len(network.images))

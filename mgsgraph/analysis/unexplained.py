@@ -319,8 +319,8 @@ def _term(network: Network, where: str, hypothesis: Hypothesis, amplitude: float
     if hypothesis.kind in (EffectKind.JITTER, EffectKind.TREND):
         if j >= 0 and network.held[j] and hypothesis.kind is EffectKind.TREND:
             return f"[[images]] {image!r}: held = false"
-        if j >= 0 and network.strip_of[j] >= 0:
-            strip = network.strips[network.strip_of[j]].name
+        if j >= 0 and network.pass_of[j] >= 0:
+            strip = network.passes[network.pass_of[j]].name
             return f"[[strips]] {strip!r}: {_nodes(network, j, hypothesis, amplitude)}"
         if hypothesis.kind is EffectKind.TREND:
             degree = network.priors[j].degree + 1 if j >= 0 else 3

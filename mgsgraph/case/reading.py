@@ -155,7 +155,7 @@ def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]]
         return network
     strips = strips_of(wanted.strips, of_strips, network.images, str(path))
     with errors_from(str(path)):
-        return replace(network, strips=strips)
+        return replace(network, passes=strips)
 
 
 def _require_same_heights(network: Network, wanted: CaseInput, path: Path) -> None:

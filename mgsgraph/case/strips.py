@@ -12,8 +12,8 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.network import NodePrior, Strip
-from mgsgraph.network.passes import require_one_pass, seconds, straightest
+from mgsgraph.network import NodePrior, Pass
+from mgsgraph.network.joining import mountings, seconds, straightest
 from mgsgraph.units import MGON, MRAD
 from mgsgraph.wording import listed
 
@@ -38,7 +38,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     spacing_s: Positive | None = None
     """Largest spacing; 10 s when nothing is said."""
     spacing_lines: Positive | None = None
-    """The same in lines of the strip's nadir image (`network.passes.straightest`), by its mean line period."""
+    """The same in lines of the strip's nadir image (`network.joining.straightest`), by its mean line period."""
     times_et_s: tuple[float, ...] = ()
     """Times, s TDB past J2000."""
     times_utc: tuple[str, ...] = ()
@@ -69,7 +69,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class StripPriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.strips`.
+    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.passes`.
 
     Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
     of the attitude is what Spiegel et al. (papers/003) state of Mars Express; all others are those of simulated blocks.
@@ -173,7 +173,7 @@ def strips_of(
     of_strips: Sequence[Sequence[int]],
     images: Sequence[PushbroomImage],
     path: str,
-) -> tuple[Strip, ...]:
+) -> tuple[Pass, ...]:
     """The strips of a network.
 
     Parameters
@@ -189,8 +189,8 @@ def strips_of(
     found = []
     for k, (entry, mine) in enumerate(zip(entries, of_strips, strict=True)):
         where, pictures = f"{path}, strips[{k}]", [images[j] for j in mine]
-        require_one_pass(pictures, where)
+        axes = mountings(pictures, where, one_camera=True)
         with errors_from(f"{where}.nodes", path):
             nodes = entry.nodes.images(pictures, f"{where}.nodes")
-        found.append(Strip(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior")))
+        found.append(Pass(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior"), axes))
     return tuple(found)

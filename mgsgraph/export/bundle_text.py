@@ -134,7 +134,7 @@ def _options(solution: Solution) -> list[str]:
     own = np.flatnonzero(network.with_polynomial).tolist()
     degree = max((network.priors[j].degree for j in own), default=None)
     solved = "ALL POLYNOMIAL COEFFICIENTS" if degree is not None and degree >= len(_SOLVED) else None
-    none = "N/A (orientation images)" if network.strips else "NONE"
+    none = "N/A (orientation images)" if network.passes else "NONE"
     kinds = [solved or name + _SOLVED[degree] if degree is not None else none for name in ("ANGLES", "POSITION")]
     more = [[f"{key}: {degree}" for key in keys] if solved else [] for keys in (
         ("CKDEGREE", "CKSOLVEDEGREE"), ("SPKDEGREE", "SPKSOLVEDEGREE"))]  # fmt: skip
@@ -142,7 +142,7 @@ def _options(solution: Solution) -> list[str]:
     reject, robust = settings.reject > 0.0, settings.loss != "none"
     return [
         *_title("INPUT: SOLVE OPTIONS"),
-        _line("OBSERVATIONS", "ON" if network.strips or network.shared else "OFF"),
+        _line("OBSERVATIONS", "ON" if network.passes or network.shared else "OFF"),
         _line("RADIUS", "ON"), _line("TARGET BODY", "OFF"), _line("UPDATE", "NO"), _line("ERROR PROPAGATION", "ON"),
         "  CONTROL POINT COORDINATE TYPE FOR REPORTS: LATITUDINAL",
         "  CONTROL POINT COORDINATE TYPE FOR BUNDLE: RECTANGULAR",

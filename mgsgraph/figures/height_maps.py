@@ -54,7 +54,7 @@ def height_map_sheet(statistics: TwoStepStatistics, found: HeightCells) -> Sheet
         sheet.colour_bar(shown, pair, what, MaxNLocator(6), extend)
     handles = [
         Line2D([], [], color=INK, lw=0.9, label="outlines of the strips' middle images"
-               if statistics.steps.network.strips else "outlines of the images"),
+               if statistics.steps.network.passes else "outlines of the images"),
         Patch(facecolor=_EMPTY, edgecolor="#BBBBBB", label="cells without points"),
     ]  # fmt: skip
     sheet.legend(handles)

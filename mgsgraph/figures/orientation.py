@@ -60,7 +60,7 @@ class Drawn:
 
 def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
     """Sheets of up to four columns: strips, then images outside of strips; of a large block, the first ones."""
-    strips, own = range(len(solution.network.strips)), np.flatnonzero(solution.network.strip_of < 0)
+    strips, own = range(len(solution.network.passes)), np.flatnonzero(solution.network.pass_of < 0)
     yield from _sheets(solution, list(strips), "strips", "strips", drawn_strip)
     yield from _sheets(solution, own.tolist(), "orientation", "images", drawn_image)
 
@@ -113,13 +113,13 @@ def drawn_image(solution: Solution, image: int) -> Drawn:
 
 def drawn_strip(solution: Solution, strip: int) -> Drawn:
     """A strip over its time, with its nodes; at so many places that each interval between nodes shows its curve."""
-    one, nodes = solution.network.strips[strip], node_times(solution, strip)
+    one, nodes = solution.network.passes[strip], node_times(solution, strip)
     start, stop = one.nodes.coverage
     times = np.linspace(start, stop, max(_PLACES, _PER_INTERVAL * nodes.size + 1)) + one.nodes.epoch
     series, there = strip_corrections(solution, strip, times), strip_corrections(solution, strip, nodes)
     scale = [1.0] * 3 + [MGON] * 3
     curves = [(series.values[:, c] / scale[c], series.sigmas[:, c] / scale[c]) for c in range(6)]
-    variable = int(solution.network.first_of_strips[strip]) + len(one.nodes) // 2
+    variable = int(solution.network.first_of_passes[strip]) + len(one.nodes) // 2
     middle = _largest_correlation(solution.joint_covariance.block(variable, variable))
     return Drawn(
         one.name, times - times[0], curves, middle, nodes=nodes - times[0],

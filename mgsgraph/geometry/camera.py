@@ -1,6 +1,7 @@
 """Interior orientation of a line camera: from a sample on the detector to the undistorted focal plane."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,3 +68,38 @@ class InteriorOrientation:
         place, jacobian = self.distortion.undistort((pixel - self.to_pixel[:, 0]) @ from_pixel.T)
         along, across = from_pixel[:, 1] * self.sample_summing
         return place, jacobian[:, :, 0] * along + jacobian[:, :, 1] * across
+
+
+class Detector(NamedTuple):
+    """A line of pixels in the focal plane of a camera, in axes that the camera may be mounted against."""
+
+    place: Array
+    """(n, 2) m, x and y of each pixel, so that its ray is (x, y, focal length)."""
+    slope: Array
+    """(n, 2) m per sample."""
+
+    def in_axes(self, axes: Array | None, focal_length: float) -> "Detector":
+        """The same pixels in the focal plane, at the same focal length, of other axes that turn with the camera.
+
+        Parameters
+        ----------
+        axes : (3, 3) or None
+            From these axes to the camera's (`network.passes`); None: they are the camera's.
+        focal_length : float
+            m.
+
+        Raises
+        ------
+        InputError
+            Where a pixel looks 90 degrees or more away from the third axis: no focal plane holds it.
+        """
+        if axes is None:
+            return self
+        ray = np.hstack([self.place, np.full((len(self.place), 1), focal_length)]) @ axes
+        if ray.size and ray[:, 2].min() <= 0.0:
+            expected = "cameras of one pass within 90 degrees of its axes"
+            raise InputError("mounting", "a camera that looks away from the pass's axes", expected)
+        along = np.hstack([self.slope, np.zeros((len(self.slope), 1))]) @ axes
+        scale = focal_length / ray[:, 2:]
+        place = ray[:, :2] * scale
+        return Detector(place, (along[:, :2] - place / focal_length * along[:, 2:]) * scale)

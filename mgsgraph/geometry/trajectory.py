@@ -120,6 +120,12 @@ class Pose:
         """The same pose with rates multiplied by `rate` (n,): seconds per line turn them into rates per line."""
         return Pose(self.position, self.velocity * rate[:, None], self.matrix, self.angular_rate * rate[:, None])
 
+    def in_axes(self, axes: Array | None) -> "Pose":
+        """The pose of axes that turn with the camera; `axes` (3, 3) takes them to the camera's, None: no change."""
+        if axes is None:
+            return self
+        return Pose(self.position, self.velocity, axes.T @ self.matrix, self.angular_rate @ axes)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:

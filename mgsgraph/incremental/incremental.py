@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.passes import Progress
+from mgsgraph.adjustment.rounds import Progress
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError

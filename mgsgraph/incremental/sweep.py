@@ -8,8 +8,8 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.graph.stereo import heights_at, linear_rows
-from mgsgraph.adjustment.passes import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
+from mgsgraph.adjustment.rounds import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index

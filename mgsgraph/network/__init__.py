@@ -1,6 +1,9 @@
 """The network of an adjustment, its parts, and how its images hang together."""
 
 from mgsgraph.network.network import Network as Network
+from mgsgraph.network.passes import JointNodePrior as JointNodePrior
+from mgsgraph.network.passes import NodePrior as NodePrior
+from mgsgraph.network.passes import Pass as Pass
 from mgsgraph.network.records import TERRAIN as TERRAIN
 from mgsgraph.network.records import GroundPoints as GroundPoints
 from mgsgraph.network.records import ImageRays as ImageRays
@@ -11,6 +14,3 @@ from mgsgraph.network.records import ShiftTerm as ShiftTerm
 from mgsgraph.network.records import Surface as Surface
 from mgsgraph.network.shared import SharedKind as SharedKind
 from mgsgraph.network.shared import SharedUnknown as SharedUnknown
-from mgsgraph.network.strips import JointNodePrior as JointNodePrior
-from mgsgraph.network.strips import NodePrior as NodePrior
-from mgsgraph.network.strips import Strip as Strip

@@ -24,12 +24,15 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
         rad per unit. Of the d rows the first are those of the polynomial of the larger degree of those that add up;
         then come the nodes of the image's strip. (Of k nodes that makes k matrices of 6 k rows: `designs` needs none.)
     """
-    polynomials, strip = _of_polynomial(network, image, angles), int(network.strip_of[image])
+    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
     if strip < 0:
         return polynomials
     rows = _polynomial_rows(polynomials)
-    nodes, first = 6 * len(network.strips[strip].nodes), int(network.first_of_strips[strip])
-    own = {first + k: np.eye(rows + nodes, 6, -rows - 6 * k) for k in range(nodes // 6)}
+    nodes, first = 6 * len(network.passes[strip].nodes), int(network.first_of_passes[strip])
+    own, turn = dict[int, Array](), _to_camera(network, image)
+    for k in range(nodes // 6):
+        own[first + k] = np.zeros((rows + nodes, 6))
+        own[first + k][rows + 6 * k : rows + 6 * k + 6] = turn
     return {v: np.pad(part, ((0, nodes), (0, 0))) for v, part in polynomials.items()} | own
 
 
@@ -41,10 +44,18 @@ def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Ar
         for k, shared in enumerate(network.shared)
         if shared.kind.moves_pose and shared.of(image)
     }
-    own = 0 if network.strip_of[image] >= 0 else network.priors[image].sigmas.size
+    own = 0 if network.pass_of[image] >= 0 else network.priors[image].sigmas.size
     rows = max([own, *(int(part.shape[0]) for part in parts.values())])
     every = {image: np.eye(rows, own)} if own else {}
     return every | {v: np.pad(part, ((0, rows - part.shape[0]), (0, 0))) for v, part in parts.items()}
+
+
+def _to_camera(network: Network, image: int) -> Array:
+    """(6, 6) from corrections of an image's pass to those of the image: rotations about the camera's own axes."""
+    turn, axes = np.eye(6), network.axes_of(image)
+    if axes is not None:
+        turn[3:, 3:] = axes
+    return turn
 
 
 def _polynomial_rows(polynomials: dict[int, Array]) -> int:
@@ -60,27 +71,28 @@ def designs(network: Network, image: int, angles: Angles, lines: Array) -> list[
     list of dict
         Of each line: of each variable a matrix (6, width), m and rad per unit; of a strip's nodes the four around it.
     """
-    polynomials, strip = _of_polynomial(network, image, angles), int(network.strip_of[image])
+    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
     moments = network.images[image].moments(lines)
     basis, _ = polynomial(moments.u, _polynomial_rows(polynomials) // 6 - 1)
     whole = {v: np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for v, part in polynomials.items()}
     found = [{v: part[k] for v, part in whole.items()} for k in range(lines.size)]
     if strip >= 0:
-        start = int(network.first_of_strips[strip])
-        first, values, _ = network.strips[strip].nodes.at(moments.times, moments.epoch)
+        start, turn = int(network.first_of_passes[strip]), _to_camera(network, image)
+        first, values, _ = network.passes[strip].nodes.at(moments.times, moments.epoch)
         for parts, node, weights in zip(found, (start + first).tolist(), values.tolist(), strict=True):
-            parts |= {node + k: weight * np.eye(6) for k, weight in enumerate(weights) if weight != 0.0}
+            parts |= {node + k: weight * turn for k, weight in enumerate(weights) if weight != 0.0}
     return found
 
 
 def whole_correction(network: Network, image: int, values: Sequence[Array], angles: Angles) -> OrientationCorrection:
     """The whole correction of one image, `values` being those of all variables."""
-    polynomials, strip = _of_polynomial(network, image, angles), int(network.strip_of[image])
+    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
     whole = sum((part @ values[v] for v, part in polynomials.items()), np.zeros(_polynomial_rows(polynomials)))
     coefficients, nodes = np.reshape(whole, (-1, 6)), None
     if strip >= 0:
-        nodes, first = network.strips[strip].nodes, int(network.first_of_strips[strip])
-        coefficients = np.vstack([coefficients, *values[first : first + len(nodes)]])
+        nodes, first = network.passes[strip].nodes, int(network.first_of_passes[strip])
+        own = np.array(values[first : first + len(nodes)]) @ _to_camera(network, image).T
+        coefficients = np.vstack([coefficients, own])
     return OrientationCorrection(coefficients, angles, nodes)
 
 

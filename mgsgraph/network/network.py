@@ -8,9 +8,10 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.crossovers import Crossovers
+from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
     TERRAIN,
     GroundPoints,
@@ -23,7 +24,6 @@ from mgsgraph.network.records import (
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.network.stereo_control import StereoControl
-from mgsgraph.network.strips import Strip
 from mgsgraph.notebook import card
 from mgsgraph.ties import PointKind
 from mgsgraph.wording import some
@@ -53,7 +53,7 @@ class Network:
     """Radii of the areoid, for the heights of the points; no observation."""
     shared: tuple[SharedUnknown, ...] = ()
     """Unknowns that several images share: biases of clocks and ranges, boresights, focal lengths."""
-    strips: tuple[Strip, ...] = ()
+    passes: tuple[Pass, ...] = ()
     """Images on one trajectory, whose orientation follows from common orientation images."""
 
     stereo: StereoControl | None = None
@@ -105,7 +105,7 @@ class Network:
                 raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
             if one.profile and one.profile not in (self.shifts.names if self.shifts else ()):
                 raise InputError(f"shared unknown {one.name!r}", f"profile {one.profile!r}", "one with a shift")
-        self._require_strips()
+        self._require_passes()
         self._require_stereo()
         self._require_considered()
         if self.crossovers is not None:
@@ -157,10 +157,10 @@ class Network:
         rays_of, ranges_of = replace(self.rays, rejected=rays), replace(self.ranges, rejected=ranges)
         return replace(self, rays=rays_of, ranges=ranges_of, stereo=control)
 
-    def _require_strips(self) -> None:
-        require_names(tuple(strip.name for strip in self.strips), "strips")
-        every = [j for strip in self.strips for j in strip.images.tolist()]
-        for strip in self.strips:
+    def _require_passes(self) -> None:
+        require_names(tuple(strip.name for strip in self.passes), "passes")
+        every = [j for strip in self.passes for j in strip.images.tolist()]
+        for strip in self.passes:
             where = f"strip {strip.name!r}"
             start, stop = strip.nodes.coverage
             for j in strip.images.tolist():
@@ -253,21 +253,26 @@ class Network:
         return (*profiles, self.surface.terms) if self.surface is not None and self.surface.terms else profiles
 
     @property
-    def strip_of(self) -> Index:
+    def pass_of(self) -> Index:
         """(images,) strip of each image; -1 for one on its own."""
         owner = np.full(len(self.images), -1, dtype=np.int64)
-        for k, strip in enumerate(self.strips):
+        for k, strip in enumerate(self.passes):
             owner[strip.images] = k
         return owner
 
     def pictures(self, strip: int) -> list[PushbroomImage]:
         """Images of a strip."""
-        return [self.images[j] for j in self.strips[strip].images.tolist()]
+        return [self.images[j] for j in self.passes[strip].images.tolist()]
+
+    def axes_of(self, image: int) -> Array | None:
+        """(3, 3) from the axes of an image's pass to its camera's; None where they are the same."""
+        owner = int(self.pass_of[image])
+        return None if owner < 0 else self.passes[owner].axes_of(image)
 
     @property
     def with_polynomial(self) -> Mask:
         """(images,) True for an image with orientation coefficients of its own: neither held nor of a strip."""
-        return np.asarray(~self.held & (self.strip_of < 0))
+        return np.asarray(~self.held & (self.pass_of < 0))
 
     @property
     def first_shared(self) -> int:
@@ -275,21 +280,21 @@ class Network:
         return len(self.images) + len(self.shift_names)
 
     @property
-    def first_of_strips(self) -> Index:
+    def first_of_passes(self) -> Index:
         """(strips + 1,) first variable of each strip, its first node; then the number of all variables."""
-        counts = [strip.widths.size for strip in self.strips]
+        counts = [strip.widths.size for strip in self.passes]
         return self.first_shared + len(self.shared) + np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
     @property
-    def numbered_strips(self) -> list[tuple[Strip, int]]:
+    def numbered_passes(self) -> list[tuple[Pass, int]]:
         """Each strip with the variable of its first node."""
-        return list(zip(self.strips, self.first_of_strips[:-1].tolist(), strict=True))
+        return list(zip(self.passes, self.first_of_passes[:-1].tolist(), strict=True))
 
-    def of_strips(self, variable: int) -> tuple[Strip, int]:
-        """Strip of a variable that is not before the first of them, and which of its unknowns it is."""
-        first = self.first_of_strips
+    def of_passes(self, variable: int) -> tuple[Pass, int]:
+        """Pass of a variable that is not before the first of them, and which of its unknowns it is."""
+        first = self.first_of_passes
         strip = int(np.searchsorted(first, variable, side="right")) - 1
-        return self.strips[strip], variable - int(first[strip])
+        return self.passes[strip], variable - int(first[strip])
 
     def shift_sigma(self, name: str) -> float:
         """A-priori sigma, m, of one of these shifts, eastward and northward alike."""

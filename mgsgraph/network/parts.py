@@ -73,7 +73,7 @@ def require_nothing_shared(network: Network) -> None:
             "orientation and shifts alone",
             "adjust such a case as a whole (`mgsgraph adjust`), or take [[shared]] out and state beam_sigma_mrad = 0",
         )
-    for strip in network.strips:
+    for strip in network.passes:
         raise InputError(
             f"strip {strip.name!r}", "orientation images in what is adjusted image by image",
             "images with an orientation of their own",

@@ -1,83 +1,245 @@
-"""Images of one pass: whether they can share a trajectory's correction, and which of them stands for it."""
+"""A strip: images of several lines of one camera on one trajectory, and its orientation images with what is known of
+them beforehand.
 
-from collections.abc import Sequence
+The trajectory is observed at every node, with a bias and a linear drift that the whole strip shares (Spiegel 2007, as
+corrections to the observed exterior orientation): of a node at time t, s = -1 .. 1 over the strip,
+
+    c(t) = bias + drift s + e(t),
+
+where e has the node's own sigma and, between nodes, the correlation exp(-|dt| / correlation time) of a Gauss-Markov
+process. So a node hangs on the one before it by a smoothness factor, e_k - a e_{k-1} with a = exp(-dt / time) and sigma
+root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it. Closer
+nodes then don't say more than the trajectory knows.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry import rotation
-from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.geometry.orientation_images import OrientationImages
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 
-LONGEST_PAUSE = 1800.0
-"""s between the images of a pass: a quarter of the shortest revolution about Mars and Moon, and so another pass."""
-_APART = 1e3
-"""m by which nominal positions at one time may differ: trajectories from other kernels do, another spacecraft's more.
-"""
-_TURNED = 1e-2
-"""rad by which nominal attitudes at one time may differ: a correction about the axes of the one is one about those of
-the other to 1 %."""
+_LONGEST = 1e9
+"""s: departures that take longer to forget themselves can't be told from a bias."""
+_NO_ROTATION = 1e-6
+"""Of a product of a matrix with its transpose, off the unit matrix."""
+_UNKNOWN = 1e5
+"""m of a position for a rad of a rotation, where nothing else says what counts for more."""
 
 
-def seconds(image: PushbroomImage) -> tuple[float, float]:
-    """First and last time of an image's lines, s TDB past J2000."""
-    start, stop = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
-    return float(start), float(stop)
+class LinearFactor(NamedTuple):
+    """Whitened rows sum_v blocks[v] x_v on some unknowns of a strip: its nodes 0 .. k - 1, and its trend, number k."""
+
+    unknowns: tuple[int, ...]
+    """Which, each once."""
+    blocks: tuple[Array, ...]
+    """Of each a matrix (rows, width)."""
+    about: Index
+    """(rows, 2) what each row is chiefly about: one of the unknowns, and which of its columns."""
 
 
-def straightest(images: Sequence[PushbroomImage]) -> int:
-    """The image that looks nearest along the optical axis, of several alike the first: HRSC's nadir line."""
-    off = []
-    for image in images:
-        place, _ = image.interior.focal_plane(np.array([0.5 * image.samples]))
-        off.append(round(float(np.linalg.norm(place)) / image.interior.focal_length, 6))
-    return int(np.argmin(off))
+@dataclass(frozen=True, slots=True, eq=False)
+class NodePrior:
+    """What is known of a strip's nodes beforehand; every entry (6,), m along X, Y, Z and rad."""
+
+    sigmas: Array
+    """Of a node's coefficient about the trend; infinite where nothing is known. A spline's orientation at a node is the
+    mean of three coefficients, 1:4:1, and so known better: to 0.71 of this where they know nothing of each other."""
+    bias: Array
+    """Sigma of the trend's constant part; 0 where there is none."""
+    drift: Array
+    """Sigma of the trend's linear part, at the ends of the strip; 0 where there is none."""
+    correlation_time: float = 0.0
+    """s in which the departures from the trend forget themselves to 1/e; 0 for nodes that know nothing of each other"""
+
+    def __post_init__(self) -> None:
+        sigmas = np.array(self.sigmas, dtype=np.float64)
+        if sigmas.shape != (6,) or np.any(np.isnan(sigmas)) or np.any(sigmas <= 0.0):
+            raise InputError("node prior, sigmas", f"{sigmas.tolist()}", "six positive sigmas")
+        sigmas.flags.writeable = False
+        bias, drift = frozen(self.bias, "node prior, bias", (6,)), frozen(self.drift, "node prior, drift", (6,))
+        for name, trend in (("bias", bias), ("drift", drift)):
+            if trend.min() < 0.0:
+                raise InputError(f"node prior, {name}", f"{trend.min()}", "sigmas, or 0 for none")
+            for c in np.flatnonzero((trend > 0.0) & np.isinf(sigmas))[:1]:
+                found = f"sigma {trend[c]} of component {c} whose nodes have none"
+                raise InputError(f"node prior, {name}", found, "a sigma of the nodes, too", "leave it out")
+        if not 0.0 <= self.correlation_time <= _LONGEST:
+            expected = f"0 (none) to {_LONGEST:g} s"
+            raise InputError("node prior, correlation time", f"{self.correlation_time} s", expected)
+        assign(self, sigmas=sigmas, bias=bias, drift=drift)
+
+    @property
+    def trend_sigmas(self) -> Array:
+        """(w,) of the trend's unknowns: the components with a bias, then those with a drift."""
+        return np.concatenate([self.bias[self.bias > 0.0], self.drift[self.drift > 0.0]])
+
+    @property
+    def trend_components(self) -> Index:
+        """(w,) component of each of them."""
+        return np.concatenate([np.flatnonzero(self.bias > 0.0), np.flatnonzero(self.drift > 0.0)])
+
+    def trend(self, s: Array) -> Array:
+        """(n, 6, w) what the trend's unknowns do to nodes at s (n,) in [-1, 1]."""
+        result = np.zeros((s.size, 6, self.trend_sigmas.size))
+        column = np.arange(self.trend_sigmas.size)
+        biases = int(np.count_nonzero(self.bias))
+        result[:, self.trend_components, column] = np.where(column < biases, 1.0, s[:, None])
+        return result
+
+    def node_sigmas(self, s: Array) -> Array:
+        """(n, 6) a-priori sigma of nodes at s (n,), with the trend's."""
+        return np.sqrt(self.sigmas**2 + self.bias**2 + (s[:, None] * self.drift) ** 2)
+
+    def scaled(self, nodes: Array, trend: Array) -> "NodePrior":
+        """With the sigmas of nodes times factors (6,), those of the trend's unknowns times factors (w,)."""
+        of_bias, of_drift = np.ones(6), np.ones(6)
+        biases = int(np.count_nonzero(self.bias))
+        of_bias[self.bias > 0.0], of_drift[self.drift > 0.0] = trend[:biases], trend[biases:]
+        return NodePrior(self.sigmas * nodes, self.bias * of_bias, self.drift * of_drift, self.correlation_time)
+
+    def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
+        """Whitened rows on the nodes and the trend."""
+        known = np.flatnonzero(np.isfinite(self.sigmas))
+        s, count = normalised(nodes), len(nodes)
+        trend, weight = self.trend(s)[:, known], np.diag(1.0 / self.sigmas)[known]
+        with np.errstate(divide="ignore"):
+            apart = np.diff(nodes.times) / self.correlation_time
+        memory, forgotten = np.exp(-apart), np.sqrt(-np.expm1(-2.0 * apart))
+        has_trend = trend.shape[2] > 0
+        for k in range(count if known.size else 0):
+            before = float(memory[k - 1]) if k else 0.0
+            scale = 1.0 / float(forgotten[k - 1]) if k else 1.0
+            parts = {k - 1: -before * scale * weight} if before > 0.0 else {}
+            parts[k] = scale * weight
+            if has_trend:
+                follow = trend[k] - before * trend[k - 1] if k else trend[k]
+                parts[count] = -scale * follow / self.sigmas[known][:, None]
+            yield LinearFactor(tuple(parts), tuple(parts.values()), _about(k, known))
+        if self.trend_sigmas.size:
+            about = _about(count, np.arange(self.trend_sigmas.size))
+            yield LinearFactor((count,), (np.diag(1.0 / self.trend_sigmas),), about)
 
 
-def nominal_poses(images: Sequence[PushbroomImage], times: Array) -> Pose:
-    """Nominal poses of a pass at times (n,) in s TDB past J2000, rates per second: each by an image whose lines cover
-    it, or come nearest; for images may have tables of their own, which end with their lines.
-    """
-    edges = np.array([seconds(image) for image in images])
-    beyond = np.maximum(edges[:, :1] - times, times - edges[:, 1:])
-    owner = np.maximum(beyond, 0.0).argmin(axis=0)
-    parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
-    for j in np.unique(owner).tolist():
-        mine = np.flatnonzero(owner == j)
-        trajectory = images[j].trajectory
-        pose = trajectory.pose(np.clip(times[mine] - trajectory.epoch, *trajectory.coverage))
-        for whole, part in zip(parts, (pose.position, pose.velocity, pose.matrix, pose.angular_rate), strict=True):
-            whole[mine] = part
-    return Pose(*parts)
+@dataclass(frozen=True, slots=True, eq=False)
+class JointNodePrior:
+    """Any Gaussian prior about zero on all components of all nodes at once; dense, so for strips of few nodes."""
+
+    root: Array
+    """(r, 6 k) whitened rows on the nodes, one after another."""
+    trend_sigmas: Array
+    """(0,) it knows no trend."""
+
+    def __post_init__(self) -> None:
+        root = frozen(self.root, "joint node prior", (None, None))
+        if root.shape[1] % 6 or not root.size:
+            raise InputError("joint node prior", f"shape {root.shape}", "(rows, 6 nodes)")
+        assign(self, root=root, trend_sigmas=frozen(self.trend_sigmas, "joint node prior, trend", (0,)))
+
+    def node_sigmas(self, s: Array) -> Array:
+        """(n, 6) a-priori sigma of the n nodes; infinite where their joint prior has no inverse."""
+        information = self.root.T @ self.root
+        try:
+            variances = np.diagonal(np.linalg.solve(information, np.eye(information.shape[0])))
+        except np.linalg.LinAlgError:
+            variances = np.full(information.shape[0], np.inf)
+        return np.sqrt(np.where(variances > 0.0, variances, np.inf)).reshape(s.size, 6)
+
+    def scaled(self, nodes: Array, trend: Array) -> "JointNodePrior":
+        """With the sigmas of nodes times factors (6,), by component."""
+        return JointNodePrior(self.root / np.tile(nodes, self.root.shape[1] // 6), self.trend_sigmas)
+
+    def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
+        """All rows on all nodes."""
+        if self.root.shape[1] != 6 * len(nodes):
+            raise InputError("joint node prior", f"{self.root.shape[1]} columns", f"six for each of {len(nodes)} nodes")
+        sigmas = self.node_sigmas(normalised(nodes)).ravel()
+        unknown = np.tile([_UNKNOWN] * 3 + [1.0] * 3, len(nodes))
+        counts = np.abs(self.root) * np.where(np.isfinite(sigmas), sigmas, unknown)
+        largest = counts.argmax(axis=1)
+        about = np.stack(np.divmod(largest, 6), axis=1)
+        yield LinearFactor(tuple(range(len(nodes))), tuple(np.split(self.root, len(nodes), axis=1)), about)
 
 
-def require_one_pass(images: Sequence[PushbroomImage], where: str) -> None:
-    """Raise InputError, naming `where`, unless images follow upon each other and agree on where the camera was.
+@dataclass(frozen=True, slots=True, eq=False)
+class Pass:
+    """Images that share a trajectory and its orientation images."""
 
-    Agreement is looked at in the middle of the time that two of them have in common; images that have none are not
-    compared.
-    """
-    order = sorted(images, key=lambda image: seconds(image)[0])
-    last = order[0]
-    for image in order[1:]:
-        start, stop = seconds(last)[1], seconds(image)[0]
-        if stop - start > LONGEST_PAUSE:
-            raise InputError(
-                where, f"images {last.name} and {image.name}, {(stop - start) / 60.0:.0f} minutes apart",
-                f"images of one pass, at most {LONGEST_PAUSE / 60.0:.0f} minutes apart", "make them two strips",
-            )  # fmt: skip
-        if stop < start:
-            _require_alike(last, image, 0.5 * (stop + min(start, seconds(image)[1])), where)
-        last = max(last, image, key=lambda one: seconds(one)[1])
+    name: str
+    """What to call it in reports, each once."""
+    images: Index
+    """(m,) its images in the network, each of one strip alone."""
+    nodes: OrientationImages
+    """Times of the orientation images, and the basis between them."""
+    prior: NodePrior | JointNodePrior
+    """What is known of them."""
+    axes: Array | None = None
+    """(m, 3, 3) how each camera is mounted: rotation from the axes of the pass, about which nodes turn, to the camera's
+    own; None where all cameras have the axes of the pass."""
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InputError("strip", "an empty name", "what to call it")
+        images = frozen_index(self.images, f"strip {self.name!r}, images", np.size(self.images), 2**31)
+        if images.size == 0 or np.unique(images).size != images.size:
+            raise InputError(f"strip {self.name!r}, images", f"{images.tolist()[:10]}", "at least one, each once")
+        assign(self, images=images)
+        if self.axes is not None:
+            where = f"strip {self.name!r}, axes"
+            axes = frozen(self.axes, where, (images.size, 3, 3))
+            off = np.abs(axes @ np.swapaxes(axes, 1, 2) - np.eye(3)).max()
+            if off > _NO_ROTATION or np.linalg.det(axes).min() < 0.0:
+                raise InputError(where, f"matrices that are no rotations (off by {off:.2g})", "orthonormal rows")
+            assign(self, axes=axes)
+
+    def axes_of(self, image: int) -> Array | None:
+        """(3, 3) from the axes of the pass to the camera of one of its images; None where they are the same."""
+        if self.axes is None:
+            return None
+        return np.asarray(self.axes[int(np.flatnonzero(self.images == image)[0])])
+
+    @property
+    def widths(self) -> Index:
+        """Columns of its unknowns: six of each node, then those of the trend, where it has one."""
+        trend = self.prior.trend_sigmas.size
+        return np.array([6] * len(self.nodes) + ([trend] if trend else []), dtype=np.int64)
+
+    @property
+    def sigmas(self) -> list[Array]:
+        """A-priori sigmas of each of them, m and rad, by itself."""
+        own = list(self.prior.node_sigmas(normalised(self.nodes)))
+        return own + ([self.prior.trend_sigmas] if self.prior.trend_sigmas.size else [])
+
+    def part(self, unknown: int, inside: int) -> tuple[str, int]:
+        """What a column of one of its unknowns belongs to, in words, and its component."""
+        if unknown < len(self.nodes):
+            return f"node {unknown + 1} of {len(self.nodes)}", inside
+        assert isinstance(self.prior, NodePrior)
+        biases = int(np.count_nonzero(self.prior.bias))
+        return "bias" if inside < biases else "drift", int(self.prior.trend_components[inside])
+
+    def scaled(self, nodes: Array, trend: Array) -> "Pass":
+        """With a-priori sigmas of nodes times factors (6,), those of the trend's unknowns times factors (w,)."""
+        return replace(self, prior=self.prior.scaled(nodes, trend))
+
+    @property
+    def angular(self) -> list[Mask]:
+        """True for a column in rad, of each of them."""
+        every = [np.arange(6) >= 3 for _ in range(len(self.nodes))]
+        if isinstance(self.prior, NodePrior) and self.prior.trend_sigmas.size:
+            every.append(self.prior.trend_components >= 3)
+        return every
 
 
-def _require_alike(one: PushbroomImage, other: PushbroomImage, time: float, where: str) -> None:
-    first, second = (image.trajectory.pose(np.array([time - image.trajectory.epoch])) for image in (one, other))
-    apart = float(np.linalg.norm(first.position - second.position))
-    turned = float(np.linalg.norm(rotation.logarithm(first.matrix @ np.swapaxes(second.matrix, 1, 2))))
-    if apart > _APART or turned > _TURNED:
-        raise InputError(
-            where, f"images {one.name} and {other.name}, whose cameras at one time are {apart:.0f} m apart and turned "
-            f"by {turned:.3f} rad", "images of one camera on one trajectory", "make them two strips",
-        )  # fmt: skip
+def _about(unknown: int, columns: Index) -> Index:
+    """(rows, 2) of rows that are about one unknown."""
+    return np.stack([np.full(columns.size, unknown), columns], axis=1)
+
+
+def normalised(nodes: OrientationImages) -> Array:
+    """(k,) times of the nodes as s = -1 .. 1 over the strip; a spline's outer ones lie beyond."""
+    start, stop = nodes.coverage
+    return (2.0 * nodes.times - start - stop) / (stop - start)

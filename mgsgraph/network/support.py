@@ -46,7 +46,7 @@ class StripRays:
 
 def strip_rays(network: Network, strip: int) -> StripRays:
     """All rays of a strip's images."""
-    one = network.strips[strip]
+    one = network.passes[strip]
     place = np.full(len(network.images), -1)
     place[one.images] = np.arange(one.images.size)
     rays = np.flatnonzero(place[network.rays.image] >= 0)
@@ -111,7 +111,7 @@ def support(network: Network, strip: int, least: int = LEAST, taken: Mask | None
     taken : (rays,), optional
         Those that take part; when absent all that are not marked as blunders.
     """
-    return support_of(network.strips[strip].nodes, useful_rays(network, strip, taken), least)
+    return support_of(network.passes[strip].nodes, useful_rays(network, strip, taken), least)
 
 
 def useful_rays(network: Network, strip: int, taken: Mask | None = None) -> StripRays:
@@ -158,9 +158,9 @@ def require_observed_nodes(network: Network, taken: Mask | None = None) -> None:
     Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. And nodes before
     the first rays and after the last ones need none: there a strip follows its prior. `taken` as there, below.
     """
-    for k in range(len(network.strips)):
+    for k in range(len(network.passes)):
         rays = useful_rays(network, k, taken)
-        found = support_of(network.strips[k].nodes, rays)
+        found = support_of(network.passes[k].nodes, rays)
         if found.gaps.size:
             raise unsupported(found, rays, found.gaps)
 
@@ -176,9 +176,9 @@ def require_supported(network: Network, least: int = LEAST, taken: Mask | None =
     taken : (rays,), optional
         Those that take part; when absent all that are not marked as blunders.
     """
-    for k in range(len(network.strips)):
+    for k in range(len(network.passes)):
         rays = useful_rays(network, k, taken)
-        found = support_of(network.strips[k].nodes, rays, least)
+        found = support_of(network.passes[k].nodes, rays, least)
         if np.any(found.weak):
             raise unsupported(found, rays, np.flatnonzero(found.weak))
 

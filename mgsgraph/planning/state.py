@@ -8,9 +8,9 @@ import numpy as np
 from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.marginals import carried
-from mgsgraph.adjustment.passes import Selection, determined_points, everything, without_weak
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
+from mgsgraph.adjustment.rounds import Selection, determined_points, everything, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import require_covariance
@@ -84,7 +84,7 @@ def network_state(
     for one in network.shared:
         found = f"shared unknown {one.name!r}"
         raise InputError("plan", found, "orientation and shifts alone, for now", "plan with an adjustment without it")
-    for strip in network.strips:
+    for strip in network.passes:
         found, remedy = f"strip {strip.name!r}", "plan with an adjustment without [[strips]]"
         raise InputError("plan", found, "images with an orientation of their own, for now", remedy)
     kept = np.flatnonzero(np.isfinite(places[:, 0]))

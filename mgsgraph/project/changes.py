@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.passes import Progress
+from mgsgraph.adjustment.rounds import Progress
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.passes import unmarked
+from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.posterior import Posterior

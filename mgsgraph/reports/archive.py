@@ -16,8 +16,10 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.io.files import opened, understood
 from mgsgraph.reports.archive_arrays import Arrays, from_arrays, read_members, record_of, to_arrays
 
-FORMAT = 2
-"""Version of the layout, raised whenever an older reader would misread it: 2 holds the joint covariance by blocks."""
+FORMAT = 3
+"""Version of the layout, raised whenever an older reader would misread it: 2 holds the joint covariance by blocks,
+3 has passes for strips."""
+_READ = (2, FORMAT)
 ARCHIVE = "solution.npz"
 """Name of the file in a result folder."""
 _LARGEST = 1 << 40
@@ -58,9 +60,11 @@ def read_solution(path: str | Path) -> Solution:
     with errors_from(where), understood(where, "an archive of mgsgraph", _ANEW), opened(path, _LARGEST) as file:
         arrays = read_members(file)
         version = int(arrays["format"])
-        if version != FORMAT:
+        if version not in _READ:
             raise InputError("format", f"{version}", f"{FORMAT}", _NEWER if version > FORMAT else _OLDER)
         record = record_of(arrays)
+        if version == _READ[0] and "strips" in record.get("network", {}):
+            record["network"]["passes"] = record["network"].pop("strips")
         record.pop("terrain_cells", None)  # patches that were held, before the terrain model was one smooth surface
         solution: Solution = from_arrays(record, Solution, "", arrays)
         _require_shapes(solution)
@@ -74,7 +78,7 @@ def _require_shapes(solution: Solution) -> None:
     shifts = len(network.shift_names)
     shared = [one.sigmas.size for one in network.shared]
     moves = [len(terms) for terms in network.shift_terms]
-    of_strips = [size for strip in network.strips for size in strip.widths.tolist()]
+    of_strips = [size for strip in network.passes for size in strip.widths.tolist()]
     width = np.array([prior.sigmas.size for prior in network.priors] + moves + shared + of_strips)
     adjusted = np.append(network.with_polynomial, np.ones(shifts + len(shared) + len(of_strips), dtype=bool))
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
@@ -108,12 +112,12 @@ def _require_shapes(solution: Solution) -> None:
     values = [value.shape for value in solution.shared]
     if values != [(size,) for size in shared]:
         raise InputError("shared", f"shapes {values[:5]}", "those of the network's shared unknowns", _ANEW)
-    _require_strips(solution)
+    _require_passes(solution)
 
 
-def _require_strips(solution: Solution) -> None:
+def _require_passes(solution: Solution) -> None:
     """Raise InputError unless every strip has its nodes and its trend."""
-    strips = solution.network.strips
+    strips = solution.network.passes
     for name, values, right in (
         ("nodes", solution.nodes, [(len(strip.nodes), 6) for strip in strips]),
         ("trends", solution.trends, [strip.prior.trend_sigmas.shape for strip in strips]),

@@ -75,7 +75,7 @@ def inventory(case: Case) -> str:
         _connections(connected),
         *_pulses(case),
         *([_shared(network)] if network.shared else []),
-        *([strips_inventory(network)] if network.strips else []),
+        *([strips_inventory(network)] if network.passes else []),
         *([_terrain(network, network.surface, prediction.places)] if network.surface is not None else []),
         "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
     ]
@@ -143,9 +143,9 @@ def _with_priors(network: Network) -> Network:
         replace(strip, prior=replace(prior, sigmas=np.where(np.isinf(prior.sigmas), wide, prior.sigmas)))
         if isinstance(prior := strip.prior, NodePrior)
         else strip
-        for strip in network.strips
+        for strip in network.passes
     )
-    return replace(network, priors=priors, strips=strips)
+    return replace(network, priors=priors, passes=strips)
 
 
 def _terrain(network: Network, surface: Surface, places: Array) -> str:
@@ -214,9 +214,9 @@ def _image(image: PushbroomImage, held: str = "") -> list[str]:
 
 def _orientation(network: Network, j: int) -> str:
     """How an image is adjusted."""
-    strip, prior = int(network.strip_of[j]), network.priors[j]
+    strip, prior = int(network.pass_of[j]), network.priors[j]
     if strip >= 0:
-        return f"orientation images of strip {network.strips[strip].name}"
+        return f"orientation images of strip {network.passes[strip].name}"
     return (
         f"orientation polynomials of degree {prior.degree}, a-priori sigma {_range(prior.sigmas[0, :3])} m and "
         f"{_range(prior.sigmas[0, 3:] / MRAD)} mrad (constant term)"
@@ -376,7 +376,7 @@ def wild_ranges(network: Network, values: Array) -> Index:
 
 def _poor_images(network: Network) -> list[str]:
     found = []
-    for j in np.flatnonzero(network.strip_of < 0).tolist():  # a strip's images lean on each other
+    for j in np.flatnonzero(network.pass_of < 0).tolist():  # a strip's images lean on each other
         image, mine = network.images[j], network.rays.image == j
         count, lines = int(np.count_nonzero(mine)), network.rays.places[mine, 0]
         if count < _FEW_POINTS:

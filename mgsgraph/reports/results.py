@@ -102,7 +102,7 @@ def write_into(
     if solution.network.shared:
         shared_table(solution).write_csv(folder / "shared.csv")
         names.append("shared.csv")
-    if solution.network.strips:
+    if solution.network.passes:
         nodes_table(solution).write_csv(folder / "strips.csv")
         names.append("strips.csv")
     if not figures:
@@ -209,8 +209,8 @@ def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
 
 
 def _strip_name(solution: Solution, j: int) -> str | None:
-    strip = int(solution.network.strip_of[j])
-    return solution.network.strips[strip].name if strip >= 0 else None
+    strip = int(solution.network.pass_of[j])
+    return solution.network.passes[strip].name if strip >= 0 else None
 
 
 def _orientation(solution: Solution, j: int) -> dict[str, Any]:

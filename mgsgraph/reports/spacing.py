@@ -164,7 +164,7 @@ def _amount(value: float, unit: str) -> str:
 
 def _closer(densified: Densified) -> list[str]:
     first, last = densified.rounds[0], densified.rounds[-1]
-    steps = [np.diff(strip.nodes.times) for strip in densified.network.strips]
+    steps = [np.diff(strip.nodes.times) for strip in densified.network.passes]
     low, high = min(float(step.min()) for step in steps), max(float(step.max()) for step in steps)
     return [
         f"Where residuals asked for closer nodes: {sum(first.nodes)} became {sum(last.nodes)} in "
@@ -240,7 +240,7 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
                  "refused": one.refused, "ray_scatter": one.factor} for one in densified.rounds
             ],
             "times_et_s": {
-                strip.name: strip.nodes.epoch + strip.nodes.times for strip in densified.network.strips
+                strip.name: strip.nodes.epoch + strip.nodes.times for strip in densified.network.passes
             },
         },
     }  # fmt: skip

@@ -100,7 +100,7 @@ def strips_statements(solution: Solution) -> list[str]:
 
 def _words(one: StripReport) -> str:
     return (
-        f"Strip {one.name} ({many(len(one.images), 'image')}): {one.nodes} orientation images ({one.basis}), one every "
+        f"Pass {one.name} ({many(len(one.images), 'image')}): {one.nodes} orientation images ({one.basis}), one every "
         f"{one.spacing:.3g} s, {one.lines:.0f} lines or {one.ground / KM:.3g} km on the ground. They correct the "
         f"trajectory by up to {three(one.largest[:3])} m along, across and radially and by up to "
         f"{three(one.largest[3:] / MGON)} mgon in roll, pitch and yaw, with mean sigmas of "
@@ -111,7 +111,7 @@ def _words(one: StripReport) -> str:
 def strips_inventory(network: Network) -> str:
     """Strips of a network, with what is known of their trajectories beforehand."""
     lines = ["Strips"]
-    for one in network.strips:
+    for one in network.passes:
         start, stop = one.nodes.coverage
         names = [network.images[j].name for j in one.images.tolist()]
         lines += [
@@ -137,7 +137,7 @@ def _prior_words(prior: NodePrior | JointNodePrior) -> str:
 def bare_nodes(network: Network) -> list[str]:
     """Sentences about strips with nodes near which hardly anything was measured."""
     found = []
-    for k, strip in enumerate(network.strips):
+    for k, strip in enumerate(network.passes):
         near = support(network, k)
         if near.gaps.size:
             found.append(

@@ -143,7 +143,7 @@ def _datum(solution: Solution) -> list[str]:
 def _constant_sigmas(network: Network) -> Array:
     """(n, 6) m and rad, a-priori sigmas of the constant terms of images, and of strips in their middle."""
     own = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.with_polynomial)]
-    return np.array(own + [strip.prior.node_sigmas(np.zeros(len(strip.nodes)))[0] for strip in network.strips])
+    return np.array(own + [strip.prior.node_sigmas(np.zeros(len(strip.nodes)))[0] for strip in network.passes])
 
 
 def _laser_effect(solution: Solution, without: Array) -> str:
@@ -265,7 +265,7 @@ def summary_table(solution: Solution) -> str:
         _range_lines(solution),
         "\n".join(group_fits_table(group_fits(solution)).text(indent=2)),
     ]
-    if solution.network.strips:
+    if solution.network.passes:
         strips = strips_table(solution).text(_ROWS, "more strip: see solution.json", indent=2)
         sections.append("\n".join([*strips, "  (sigmas for sigma0 = 1; every node: strips.csv)"]))
     if solution.network.shared:

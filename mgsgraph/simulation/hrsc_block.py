@@ -19,7 +19,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrio
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
 from mgsgraph.geometry.track_gaps import track_gaps
-from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, PointClass, Ranges, Strip, Surface
+from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_terrain
 from mgsgraph.simulation.hrsc_flight import PericentrePass, Readout, strip_images
@@ -199,15 +199,15 @@ class SimulatedBlock:
 
     def true_nodes(self, strip: int) -> Array:
         """(k, 6) true coefficients, m and rad, of a strip's nodes; InputError where the truth isn't on these nodes."""
-        one = self.network.strips[strip]
+        one = self.network.passes[strip]
         correction = self.corrections[one.images[0]]
         if correction.nodes is not one.nodes:
             raise InputError(f"strip {one.name!r}", "a truth on other nodes", "one without true spacing or jitter")
         return np.asarray(correction.coefficients[correction.polynomial_terms :])
 
     def __repr__(self) -> str:
-        nodes = sum(len(strip.nodes) for strip in self.network.strips)
-        return f"SimulatedBlock({len(self.network.strips)} strips, {nodes} nodes; {self.network!r}; seed {self.seed})"
+        nodes = sum(len(strip.nodes) for strip in self.network.passes)
+        return f"SimulatedBlock({len(self.network.passes)} strips, {nodes} nodes; {self.network!r}; seed {self.seed})"
 
 
 def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) -> SimulatedBlock:
@@ -350,8 +350,8 @@ def _network(
         rays=rays,
         ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
         surface=surface,
-        strips=tuple(
-            Strip(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
+        passes=tuple(
+            Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
         ),
     )
 

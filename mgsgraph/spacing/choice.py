@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.passes import unmarked
+from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
@@ -39,7 +39,7 @@ def respaced(network: Network, spacing: float) -> Network:
         network,
         [
             evenly_spaced(strip.nodes.basis, strip.nodes.epoch, strip.nodes.coverage, spacing)
-            for strip in network.strips
+            for strip in network.passes
         ],
     )
 
@@ -47,15 +47,15 @@ def respaced(network: Network, spacing: float) -> Network:
 def with_nodes(network: Network, nodes: Sequence[OrientationImages]) -> Network:
     """A network with other nodes of its strips, in their order; the priors stay, which know any nodes."""
     require_respaceable(network)
-    strips = (replace(strip, nodes=other) for strip, other in zip(network.strips, nodes, strict=True))
-    return replace(network, strips=tuple(strips))
+    strips = (replace(strip, nodes=other) for strip, other in zip(network.passes, nodes, strict=True))
+    return replace(network, passes=tuple(strips))
 
 
 def require_respaceable(network: Network) -> None:
     """Raise InputError unless there are strips, and priors that hold for any nodes."""
-    if not network.strips:
+    if not network.passes:
         raise InputError("network", "no strips", "images whose orientation follows from orientation images")
-    for strip in network.strips:
+    for strip in network.passes:
         if not isinstance(strip.prior, NodePrior):
             found = "a joint prior of just its nodes"
             raise InputError(f"strip {strip.name!r}", found, "one of any nodes (bias, drift and sigmas)")
@@ -201,7 +201,7 @@ def choose_spacing(
     trials = list[_Trial]()
     for done, (spacing, one) in enumerate(tried):
         progress(done + 1, len(tried) + 1)
-        trials.append(_trial(spacing, replace(clean, strips=one.strips), plain, held, least))
+        trials.append(_trial(spacing, replace(clean, passes=one.passes), plain, held, least))
     progress(len(tried) + 1, len(tried) + 1)
     return _choice(network, _judged(clean, trials, held), closest, whole)
 
@@ -242,7 +242,7 @@ def _distinct(network: Network, spacings: Sequence[float]) -> list[tuple[float, 
     found = dict[tuple[int, ...], tuple[float, Network]]()
     for spacing in sorted(set(spacings)):
         one = respaced(network, spacing)
-        found.setdefault(tuple(len(strip.nodes) for strip in one.strips), (spacing, one))
+        found.setdefault(tuple(len(strip.nodes) for strip in one.passes), (spacing, one))
     if len(found) < 2:
         asked = ", ".join(f"{one:g}" for one in spacings) or "none"
         expected = "two or more that differ in their nodes (a strip has four at least)"
@@ -296,7 +296,7 @@ def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> _Judge
 
 
 def _candidate(trial: _Trial, squares: Array) -> SpacingCandidate:
-    strips = trial.network.strips
+    strips = trial.network.passes
     nodes = sum(len(strip.nodes) for strip in strips)
     longest = max(float(np.diff(strip.nodes.times).max()) for strip in strips)
     sigma0 = float("nan") if trial.solution is None else trial.solution.sigma0
@@ -306,7 +306,7 @@ def _candidate(trial: _Trial, squares: Array) -> SpacingCandidate:
 def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
     """(h,) stretch of time of each ray held out: as long as the widest spacing, or shorter: a strip has some."""
     found, first = np.zeros(held.rays.size, dtype=np.int64), 0
-    for k, strip in enumerate(trials[-1].network.strips):
+    for k, strip in enumerate(trials[-1].network.passes):
         start, stop = strip.nodes.coverage
         count = max(int((stop - start) / float(np.diff(strip.nodes.times).max())), _STRETCHES)
         mine = held.strip == k

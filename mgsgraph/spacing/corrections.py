@@ -20,8 +20,8 @@ from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.network import NodePrior, Strip
-from mgsgraph.network.strips import normalised
+from mgsgraph.network import NodePrior, Pass
+from mgsgraph.network.passes import normalised
 from mgsgraph.spacing.rays import ray_scatter
 
 AXES = FLIGHT
@@ -84,12 +84,12 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
     from scipy.linalg import block_diag  # slow to import
 
     factor = ray_scatter(solution).factor if factor is None else factor
-    one = solution.network.strips[strip]
+    one = solution.network.passes[strip]
     count = len(one.nodes)
     if count > _MOST:
         found = f"{count} nodes, whose joint covariance would be too large"
         raise InputError(f"strip {one.name!r}", found, f"{_MOST} at the most")
-    first, end = solution.network.first_of_strips[strip : strip + 2].tolist()
+    first, end = solution.network.first_of_passes[strip : strip + 2].tolist()
     joint, prior = at_solution(solution).of_estimator().joint.of(range(first, end)), _prior_information(one)
     through = joint @ prior
     own = slice(0, 6 * count)
@@ -116,7 +116,7 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
     )
 
 
-def _known(strip: Strip, turns: Array) -> Array:
+def _known(strip: Pass, turns: Array) -> Array:
     """(6,) rms over the nodes of the prior's sigmas along each axis."""
     if isinstance(strip.prior, NodePrior):
         sigmas = np.broadcast_to(strip.prior.sigmas, turns.shape[:2])
@@ -127,7 +127,7 @@ def _known(strip: Strip, turns: Array) -> Array:
     return np.asarray(np.sqrt(squares.sum(axis=2).mean(axis=0)))
 
 
-def _prior_information(strip: Strip) -> Array:
+def _prior_information(strip: Pass) -> Array:
     """(c, c) P, of the nodes and the trend."""
     widths = strip.widths
     ends = np.concatenate([[0], np.cumsum(widths)])
@@ -139,7 +139,7 @@ def _prior_information(strip: Strip) -> Array:
     return found
 
 
-def _wander(strip: Strip) -> Array | None:
+def _wander(strip: Pass) -> Array | None:
     """(6 k, 6 k) of the departures from the trend; None where each node has its own, or nothing is known."""
     prior = strip.prior
     if not isinstance(prior, NodePrior) or prior.correlation_time == 0.0 or not np.all(np.isfinite(prior.sigmas)):

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.passes import Selection
+from mgsgraph.adjustment.rounds import Selection
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -144,7 +144,7 @@ def densify(
 
 def _closer(solution: Solution, level: float, worth: float, least: int) -> tuple[list[OrientationImages], Round]:
     """Nodes of each strip for the next adjustment, and the round that asked for them."""
-    strips = solution.network.strips
+    strips = solution.network.passes
     total, factor = sum(len(strip.nodes) - 1 for strip in strips), ray_scatter(solution).factor
     nodes, asked, refused = list[OrientationImages](), list[int](), list[int]()
     for k, strip in enumerate(strips):
@@ -211,7 +211,7 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Resi
         Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
     """
     factor = ray_scatter(solution).factor if factor is None else factor
-    network, nodes = solution.network, solution.network.strips[strip].nodes
+    network, nodes = solution.network, solution.network.passes[strip].nodes
     mine = strip_rays(network, strip)
     mine = mine.only(solution.rays_used[mine.rays] & np.isfinite(solution.residuals[mine.rays]).all(axis=1))
     images = network.pictures(strip)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.passes import Selection, unmarked
+from mgsgraph.adjustment.rounds import Selection, unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen_index
@@ -74,7 +74,7 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
     """
     if not (np.isfinite(share) and 0.0 < share <= 1.0):
         raise InputError("rays held out", f"a share of {share}", "more than 0, and 1 at the most")
-    good, in_strip = unmarked(network).rays, network.strip_of[network.rays.image] >= 0
+    good, in_strip = unmarked(network).rays, network.pass_of[network.rays.image] >= 0
     counts = np.bincount(network.rays.point, good, len(network.points))
     able = np.flatnonzero(good & in_strip & (counts[network.rays.point] >= _RAYS))
     shuffled = rng.permutation(able)
@@ -84,7 +84,7 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
         found = f"{points.size} points with {_RAYS} rays or more, of which {number} would be held out"
         raise InputError("rays held out", found, "two at least", "hold out a larger share, or match more points")
     rays = np.sort(shuffled[rng.choice(first, number, replace=False)])
-    times, strip = np.empty(rays.size), network.strip_of[network.rays.image[rays]]
+    times, strip = np.empty(rays.size), network.pass_of[network.rays.image[rays]]
     for k in np.unique(strip).tolist():
         mine = strip_rays(network, k)
         times[strip == k] = mine.times[np.searchsorted(mine.rays, rays[strip == k])]
@@ -193,7 +193,7 @@ class Scatter:
 def ray_scatter(solution: Solution) -> Scatter:
     """Scatter of the rays that took part in an adjustment, best one with close nodes."""
     network, rays = solution.network, solution.network.rays
-    able = solution.rays_used & np.isfinite(solution.residuals).all(axis=1) & (network.strip_of[rays.image] >= 0)
+    able = solution.rays_used & np.isfinite(solution.residuals).all(axis=1) & (network.pass_of[rays.image] >= 0)
     if rays.back_projected is not None:
         able &= ~rays.back_projected  # they have no noise
     mine = np.flatnonzero(able)

@@ -81,7 +81,7 @@ def study_nodes(
     progress(steps - 1 - closer, steps)
     own = choice.chosen == choice.closest
     solution = closest if own else adjust_unmarked(choice.chosen_network, settings, name)
-    strips, factor = range(len(network.strips)), choice.scatter.factor
+    strips, factor = range(len(network.passes)), choice.scatter.factor
     fine = [correction_series(closest, k, factor) for k in strips]
     found = tuple(StripSpectra(one, tuple(spectra(one))) for one in fine if one.times.size >= _FEWEST)
     corrections = tuple(fine) if own else tuple(correction_series(solution, k, factor) for k in strips)

@@ -10,9 +10,9 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph, lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shared_vector, variable_key
-from mgsgraph.adjustment.passes import everything, solve_in_passes
 from mgsgraph.adjustment.posterior import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
+from mgsgraph.adjustment.rounds import everything, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
@@ -192,7 +192,7 @@ def test_rows_are_admitted_again() -> None:
     whole = everything(net)
     without = replace(whole, rays=np.arange(net.rays.point.size) % 7 != 0)
     before = BundleGraph(layout, without.rows(layout)).reduction(np.zeros(layout.columns))
-    solved = solve_in_passes(layout, SolverSettings(reject=6.0), without, before, lambda _: None)
+    solved = solve_in_rounds(layout, SolverSettings(reject=6.0), without, before, lambda _: None)
     assert np.all(solved.selection.rays)
 
 

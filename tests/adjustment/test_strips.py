@@ -23,7 +23,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.network import Network, NodePrior, Strip
+from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_points import PointMatching
 
@@ -39,9 +39,9 @@ def stripped(net: Network, basis: Basis = "lagrange", nodes: int = 6, prior: Nod
     for j, image in enumerate(net.images):
         epoch, (start, stop) = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
         strips.append(
-            Strip(image.name, np.array([j]), evenly_spaced(basis, epoch, (start, stop), (stop - start) / nodes), prior)
+            Pass(image.name, np.array([j]), evenly_spaced(basis, epoch, (start, stop), (stop - start) / nodes), prior)
         )
-    return replace(net, strips=tuple(strips))
+    return replace(net, passes=tuple(strips))
 
 
 @pytest.mark.parametrize("basis", ["lagrange", "spline"])
@@ -75,9 +75,9 @@ def test_four_nodes_are_a_cubic_polynomial() -> None:
         epoch, (start, stop) = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
         nodes = evenly_spaced("lagrange", epoch, (start, stop), (stop - start) / 3.0)
         u = image.normalised(image.timing.lines(nodes.times))
-        strips.append(Strip(image.name, np.array([j]), nodes, as_nodes(plain.priors[j], nodes, u)))
+        strips.append(Pass(image.name, np.array([j]), nodes, as_nodes(plain.priors[j], nodes, u)))
     polynomial = adjust_network(plain, SolverSettings(**TIGHT))
-    through_nodes = adjust_network(replace(plain, strips=tuple(strips)), SolverSettings(**TIGHT))
+    through_nodes = adjust_network(replace(plain, passes=tuple(strips)), SolverSettings(**TIGHT))
 
     assert through_nodes.cost_initial == pytest.approx(polynomial.cost_initial, rel=1e-12)
     assert through_nodes.cost_final == pytest.approx(polynomial.cost_final, rel=1e-9)
@@ -140,11 +140,11 @@ def test_poses_and_projections_follow_from_the_whole_covariance(basis: Basis) ->
     net = stripped(network(pair(ties=60, shots=12)), basis)
     solution = adjust_network(net, SolverSettings(**TIGHT))
     posterior, image, line = Posterior.of(solution), net.images[1], np.array([0.37 * net.images[1].lines])
-    first, nodes = int(net.first_of_strips[1]), solution.nodes[1]
+    first, nodes = int(net.first_of_passes[1]), solution.nodes[1]
     covariance = solution.joint_covariance.of(range(first, first + len(nodes)))
 
     def pose(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        correction = OrientationCorrection(np.vstack([np.zeros((1, 6)), moved]), nodes=net.strips[1].nodes)
+        correction = OrientationCorrection(np.vstack([np.zeros((1, 6)), moved]), nodes=net.passes[1].nodes)
         found = image.pose(line, correction)
         return found.position[0], found.matrix[0]
 
@@ -221,12 +221,12 @@ def test_the_datum_of_lines_with_tables_of_their_own() -> None:
     """Five lines of one strip: what one image's table doesn't reach another one's does."""
     block = simulate_hrsc_block(BlockSettings(strips=1, length=300e3, points=300, spacing=25.0, terrain=None), 1)
     free = tuple(
-        replace(strip, prior=NodePrior(np.full(6, np.inf), np.zeros(6), np.zeros(6))) for strip in block.network.strips
+        replace(strip, prior=NodePrior(np.full(6, np.inf), np.zeros(6), np.zeros(6))) for strip in block.network.passes
     )
     nets = block.network, with_tables_of_their_own(block.network)
     for net in nets:
         with pytest.raises(WeakNetwork, match=r"translation along X, Y and Z, rotation about X, Y and Z, and scale"):
-            adjust_network(replace(net, strips=free), SolverSettings())
+            adjust_network(replace(net, passes=free), SolverSettings())
     one, other = (adjust_network(net, SolverSettings()) for net in nets)
     np.testing.assert_allclose(one.places, other.places, atol=1e-3)
 

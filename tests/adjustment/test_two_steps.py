@@ -10,8 +10,8 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.datum.frames import flight_axes, flight_frame
 from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.passes import everything
 from mgsgraph.adjustment.posterior import prior_covariance
+from mgsgraph.adjustment.rounds import everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.two_steps import (
@@ -161,7 +161,7 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
     net = simulate_hrsc_block(settings, seed=4).network
     joint = prior_covariance(lay_out(net, SolverSettings()))
     assert joint is not None
-    for strip, first in zip(net.strips, net.first_of_strips.tolist(), strict=False):
+    for strip, first in zip(net.passes, net.first_of_passes.tolist(), strict=False):
         times = strip.nodes.times
         ago = np.abs(times[:, None] - times)
         along = 2.0 * (times - times[0]) / (times[-1] - times[0]) - 1.0
@@ -172,7 +172,7 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
         for axis, (bias, drift, wander) in enumerate(sizes):
             want = bias**2 + drift**2 * np.multiply.outer(along, along) + wander**2 * course
             np.testing.assert_allclose(found[axis::6, axis::6], want, rtol=1e-9)
-    first, second, end = net.first_of_strips.tolist()
+    first, second, end = net.first_of_passes.tolist()
     assert not np.any(joint.of(range(first, end))[: joint.of(range(first, second)).shape[0], -6:])
     assert np.all(np.isfinite(RaysAlone(net, SolverSettings(), everything(net)).nominal()[1]))
 

@@ -57,13 +57,13 @@ def test_all_ties_rejected_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     from mgsgraph.adjustment import adjust as module
 
     net = network(pair(ties=12, shots=30))
-    solve = module.solve_in_passes
+    solve = module.solve_in_rounds
 
     def without_ties(layout, settings, selection, *rest, **more):  # type: ignore[no-untyped-def]
         ties = net.points.classes[net.rays.point] == PointClass.TIE
         return solve(layout, settings, replace(selection, rays=selection.rays & ~ties), None, *rest[1:], **more)
 
-    monkeypatch.setattr(module, "solve_in_passes", without_ties)
+    monkeypatch.setattr(module, "solve_in_rounds", without_ties)
     with pytest.raises(InputError, match=r"none of 12 tie points is left \(12 rejected, 0 not determined"):
         adjust_network(net, SolverSettings(starts=0))
 

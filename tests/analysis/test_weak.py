@@ -13,7 +13,7 @@ from mgsgraph.adjustment.datum.datum import datum_transformations, defects, scal
 from mgsgraph.adjustment.datum.frames import Frames, flight_frame
 from mgsgraph.adjustment.datum.simple import simple_basis
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.passes import everything
+from mgsgraph.adjustment.rounds import everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import weak

@@ -280,13 +280,13 @@ def test_checksums_are_looked_at_first(archive: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("version", "remedy"),
-    [(0, "adjust the case again"), (1, "adjust the case again"), (3, "or a newer one"), (99, "or a newer one")],
+    [(0, "adjust the case again"), (1, "adjust the case again"), (4, "or a newer one"), (99, "or a newer one")],
 )
 def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int, remedy: str) -> None:
     def other(parts: dict[str, Any]) -> None:
         parts.update(format=np.array(version), record=np.zeros(0, dtype=np.uint8))
 
-    message = assert_refused(edited(archive, tmp_path / "x.npz", other), f"format: {version}; expected 2")
+    message = assert_refused(edited(archive, tmp_path / "x.npz", other), f"format: {version}; expected 3")
     assert "version of mgsgraph that wrote it" in message
     assert remedy in message
 

@@ -22,8 +22,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.figures import write_figures
 from mgsgraph.figures.orientation import drawn_strip
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
-from mgsgraph.network import Network, Strip
-from mgsgraph.network.passes import seconds
+from mgsgraph.network import Network, Pass
+from mgsgraph.network.joining import seconds
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.reports.inventory import inventory
 from mgsgraph.reports.results import solution_json
@@ -35,10 +35,10 @@ from mgsgraph.units import ARCSEC, MGON
 def with_basis(basis: Basis) -> Network:
     """The block with nodes every 3 s."""
     strips = []
-    for strip in block().network.strips:
+    for strip in block().network.passes:
         nodes = evenly_spaced(basis, strip.nodes.epoch, strip.nodes.coverage, 3.0)
         strips.append(replace(strip, nodes=nodes))
-    return replace(block().network, strips=tuple(strips))
+    return replace(block().network, passes=tuple(strips))
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +61,8 @@ def mixed() -> Solution:
     u = net.images[0].normalised(net.images[0].timing.lines(nodes.times))
     trend = np.array([1.0, 0.3, 0.1, 0.05])[:, None] * net.priors[0].sigmas[0]
     prior = as_nodes(replace(net.priors[0], sigmas=trend), nodes, u)
-    strip = Strip('one, "A"', np.array([0]), nodes, prior)
-    return adjust_network(replace(net, strips=(strip,)), SolverSettings(), "mixed")
+    strip = Pass('one, "A"', np.array([0]), nodes, prior)
+    return adjust_network(replace(net, passes=(strip,)), SolverSettings(), "mixed")
 
 
 # --- the course
@@ -108,7 +108,7 @@ def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
 
 
 def test_nodes_of_a_spline_within_the_strip(spline: Solution) -> None:
-    one = spline.network.strips[0]
+    one = spline.network.passes[0]
     times = node_times(spline, 0)
     assert times.size == len(one.nodes) - 2
     c = spline.nodes[0]
@@ -125,15 +125,15 @@ def test_nodes_of_a_spline_within_the_strip(spline: Solution) -> None:
 def test_report(solution: Solution) -> None:
     one, image = strip_reports(solution)[0], solution.network.images[2]
     start, stop = seconds(image)
-    assert (one.name, one.images[2], one.nodes) == ("HRSC/00", "HRSC/00/ND", len(solution.network.strips[0].nodes))
-    assert one.spacing == pytest.approx(np.diff(solution.network.strips[0].nodes.times)[0])
+    assert (one.name, one.images[2], one.nodes) == ("HRSC/00", "HRSC/00/ND", len(solution.network.passes[0].nodes))
+    assert one.spacing == pytest.approx(np.diff(solution.network.passes[0].nodes.times)[0])
     assert one.lines == pytest.approx(one.spacing / (stop - start) * image.lines)
     middle = image.pose(np.array([0.5 * image.lines]))
     speed = np.linalg.norm(middle.velocity) * image.lines / (stop - start) * 3396e3 / np.linalg.norm(middle.position)
     assert one.ground == pytest.approx(speed * one.spacing, rel=0.03)
     assert [part[:2] for part in one.trend[:4]] == [("bias", "X"), ("bias", "Y"), ("bias", "Z"), ("bias", "rotation x")]
     assert [part[2] for part in one.trend] == solution.trends[0].tolist()
-    first = int(solution.network.first_of_strips[1]) - 1
+    first = int(solution.network.first_of_passes[1]) - 1
     variances = np.diagonal(solution.joint_covariance.block(first, first))
     np.testing.assert_allclose([part[3] for part in one.trend], np.sqrt(variances))
 
@@ -142,10 +142,10 @@ def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None
     nodes_table(solution).write_csv(tmp_path / "strips.csv")
     with (tmp_path / "strips.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == sum(len(strip.nodes) for strip in solution.network.strips)
+    assert len(rows) == sum(len(strip.nodes) for strip in solution.network.passes)
     assert [row["node"] for row in rows[:3]] == ["1", "2", "3"]
     for k, row in enumerate(rows[: len(solution.nodes[0])]):
-        nodes = solution.network.strips[0].nodes
+        nodes = solution.network.passes[0].nodes
         assert float(row["time_et_s"]) == nodes.times[k] + nodes.epoch
         size = np.linalg.norm([float(row[f"correction_{name}_m"]) for name in ("along", "across", "radial")])
         assert size == pytest.approx(np.linalg.norm(solution.nodes[0][k, :3]))
@@ -163,10 +163,10 @@ def test_calendar_is_tdb() -> None:
 
 
 def test_words_and_table(solution: Solution, mixed: Solution) -> None:
-    said = [line for line in statements(solution) if line.startswith("Strip ")]
+    said = [line for line in statements(solution) if line.startswith("Pass ")]
     assert len(said) == 2
-    nodes = len(solution.network.strips[0].nodes)
-    assert said[0].startswith(f"Strip HRSC/00 (5 images): {nodes} orientation images (lagrange), one every ")
+    nodes = len(solution.network.passes[0].nodes)
+    assert said[0].startswith(f"Pass HRSC/00 (5 images): {nodes} orientation images (lagrange), one every ")
     assert "km on the ground" in said[0]
     (datum,) = [line for line in statements(solution) if line.startswith("No laser rows")]
     assert " are 50 m in position and 0.442 mrad in rotation" in datum  # 28 and 3 mgon together
@@ -204,7 +204,7 @@ def test_check(tmp_path: Path) -> None:
     case = read_case(write_block(tmp_path))
     said = inventory(case)
     assert "orientation images of strip HRSC/01" in said
-    assert f"{len(case.network.strips[1].nodes)} orientation images (lagrange), one every" in said
+    assert f"{len(case.network.passes[1].nodes)} orientation images (lagrange), one every" in said
     assert (
         "a-priori sigmas: bias 50 m and 28 mgon, drift 10 m and 5 mgon, departures 1 m and 3 mgon, correlated over 60 s"
         in said
@@ -216,9 +216,9 @@ def test_check(tmp_path: Path) -> None:
 def test_bare_nodes_are_counted() -> None:
     """Rays between the third and the fifth node are taken out: the fourth one has none; and none at the end."""
     net = block().network
-    strip = net.strips[0]
+    strip = net.passes[0]
     strip = replace(strip, nodes=evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 6.0))
-    net = replace(net, strips=(strip,), rays=net.rays.chosen(net.rays.image < 5))
+    net = replace(net, passes=(strip,), rays=net.rays.chosen(net.rays.image < 5))
     assert bare_nodes(net) == []
     times = np.empty(net.rays.point.size)
     for j in range(5):
@@ -265,8 +265,8 @@ def test_the_same_solution_comes_back(which: str, request: pytest.FixtureRequest
     back = read_solution(tmp_path)
     write_archive(back, tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "solution.npz").read_bytes()
-    assert type(back.network.strips[0].prior) is type(solved.network.strips[0].prior)
-    assert back.network.strips[0].nodes.basis == solved.network.strips[0].nodes.basis
+    assert type(back.network.passes[0].prior) is type(solved.network.passes[0].prior)
+    assert back.network.passes[0].nodes.basis == solved.network.passes[0].nodes.basis
     assert solution_json(back) == solution_json(solved)
 
 
@@ -290,8 +290,8 @@ def edited(solved: Solution, path: Path, drop: tuple[str, ...] = (), **arrays: n
 
 def test_archives_of_before_strips_are_read(tmp_path: Path) -> None:
     solved = adjust_network(network(pair()), SolverSettings(), "pair")
-    back = read_solution(edited(solved, tmp_path / "old.npz", ("nodes", "trends", "network.strips")))
-    assert back.nodes == back.trends == back.network.strips == ()
+    back = read_solution(edited(solved, tmp_path / "old.npz", ("nodes", "trends", "network.passes")))
+    assert back.nodes == back.trends == back.network.passes == ()
     assert solution_json(back) == solution_json(solved)
 
 
@@ -302,8 +302,8 @@ def test_archives_of_before_strips_are_read(tmp_path: Path) -> None:
         (("trends",), {}, "trends.0: an array that"),
         ((), {"nodes__0": np.zeros((3, 6))}, r"nodes: shapes \[\(3, 6\)"),
         ((), {"trends__1": np.full(12, np.nan)}, "trends: not a number"),
-        ((), {"network__strips__0__nodes__times": np.arange(3.0)}, "3 nodes; expected at least 4"),
-        ((), {"network__strips__1__images": np.array([0, 1])}, "image 0; expected an image of the network, of one"),
+        ((), {"network__passes__0__nodes__times": np.arange(3.0)}, "3 nodes; expected at least 4"),
+        ((), {"network__passes__1__images": np.array([0, 1])}, "image 0; expected an image of the network, of one"),
     ],
 )
 def test_what_does_not_fit_is_refused(
@@ -323,11 +323,11 @@ def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFix
     path = write_block(tmp_path)
     assert not group(["adjust", str(path), "--out", str(tmp_path / "out"), "--no-figures"], standalone_mode=False)
     said = capsys.readouterr().out
-    nodes = len(block().network.strips[1].nodes)
-    assert f"Strip HRSC/01 (5 images): {nodes} orientation images" in said
+    nodes = len(block().network.passes[1].nodes)
+    assert f"Pass HRSC/01 (5 images): {nodes} orientation images" in said
     assert "pitch" in said
     assert (tmp_path / "out" / "strips.csv").is_file()
-    assert len(read_solution(tmp_path / "out").network.strips) == 2
+    assert len(read_solution(tmp_path / "out").network.passes) == 2
     (tmp_path / "plan.toml").write_text('format = 1\n[[profiles]]\nname = "a"\nimage = "HRSC/00/ND"\nevery_s = 1.0\n')
     with pytest.raises(InputError, match="plan: strip 'HRSC/00'; expected images with an orientation of their own"):
         group(["plan", str(tmp_path / "out"), str(tmp_path / "plan.toml")], standalone_mode=False)

@@ -118,9 +118,9 @@ def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
 def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
     """As `spacing.corrections` has them at the nodes, between which they hardly change."""
     found, net = merit("block"), networks("block")
-    means = np.empty((2, len(net.strips), 6))
+    means = np.empty((2, len(net.passes), 6))
     for step, solution in enumerate((found.steps.free, found.steps.fitted)):
-        for k, strip in enumerate(net.strips):
+        for k, strip in enumerate(net.passes):
             image = net.images[int(strip.images[2])]
             nodes, at = correction_series(solution, k), image.moments(np.linspace(0.0, float(image.lines), 101))
             times = at.times + (at.epoch - nodes.epoch)
@@ -131,7 +131,7 @@ def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
 
 def test_what_is_held_is_known_beforehand() -> None:
     """Without unknowns the orientation is not uncertain, and step 1 has nothing to add to the rays."""
-    net = replace(networks("block"), strips=(), held=np.ones(10, dtype=bool))
+    net = replace(networks("block"), passes=(), held=np.ones(10, dtype=bool))
     found = two_step_statistics(adjust_in_two_steps(net, SolverSettings()))
     assert np.all(found.whole.poses == 0.0)
     np.testing.assert_allclose(found.whole.mean[0], found.whole.mean[1], rtol=1e-9)

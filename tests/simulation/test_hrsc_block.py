@@ -65,7 +65,7 @@ def heights(network: Network, places: np.ndarray, shift: np.ndarray) -> np.ndarr
 @pytest.mark.parametrize(("line", "angle"), [("S1", 18.93), ("P1", 12.75), ("ND", 0.0), ("P2", -12.75), ("S2", -18.94)])
 def test_lines_look_ahead_and_back_over_the_ground(block: SimulatedBlock, line: str, angle: float) -> None:
     """At the spacecraft, between its nadir and the ground seen by the middle of the line, along its ground track."""
-    for strip in block.network.strips:
+    for strip in block.network.passes:
         image = block.network.images[strip.images[STEREO.index(line)]]
         middle = np.array([0.5 * image.lines])
         ground, _ = image.image_to_ground(middle, np.array([0.5 * image.samples]))
@@ -80,7 +80,7 @@ def test_lines_look_ahead_and_back_over_the_ground(block: SimulatedBlock, line: 
 
 
 def test_lines_of_a_strip_share_one_trajectory_and_the_swath(block: SimulatedBlock) -> None:
-    for strip in block.network.strips:
+    for strip in block.network.passes:
         images = [block.network.images[j] for j in strip.images]
         assert [image.name.split("/")[-1] for image in images] == list(STEREO)
         assert all(image.trajectory is images[0].trajectory for image in images)
@@ -157,7 +157,7 @@ def test_neighbours_overlap_by_the_stated_share() -> None:
 def test_strips_share_points_and_those_that_cross_fly_the_other_way(block: SimulatedBlock) -> None:
     network = block.network
     seen = np.zeros((len(network.points), 3), dtype=int)
-    np.add.at(seen, (network.rays.point, network.strip_of[network.rays.image]), 1)
+    np.add.at(seen, (network.rays.point, network.pass_of[network.rays.image]), 1)
     assert set(np.unique(seen)) == {0, 3, 4, 5}
     assert np.all(seen.max(axis=1) >= 3)
     for a, b in ((0, 1), (0, 2), (1, 2)):
@@ -259,7 +259,7 @@ def test_attitude_is_known_to_28_milligon_over_seeds(seeds: list[SimulatedBlock]
     """As the paper has it, about all three axes, in the middle of the strips; along X, Y, Z positions to 50 m."""
     found = []
     for made in seeds:
-        nodes = made.network.strips[0].nodes
+        nodes = made.network.passes[0].nodes
         found.append(correction_at(made.corrections[0], np.array([np.mean(nodes.coverage)]), nodes.epoch)[0])
     assert_unit_variance(np.array(found)[:, 3:] / (np.hypot(28.0, 3.0) * MGON))
     assert_unit_variance(np.array(found)[:, :3] / np.hypot(50.0, 1.0))
@@ -268,7 +268,7 @@ def test_attitude_is_known_to_28_milligon_over_seeds(seeds: list[SimulatedBlock]
 def test_jitter_is_a_sine_about_one_axis_that_no_prior_knows() -> None:
     jitter = Jitter(4.0 * MGON, 0.7, "roll")
     smooth, shaken = (simulate_hrsc_block(replace(TINY, jitter=one), 3) for one in (None, jitter))
-    strip = smooth.network.strips[0]
+    strip = smooth.network.passes[0]
     times = np.linspace(*strip.nodes.coverage, 4001)
     before, after = (correction_at(made.corrections[0], times, strip.nodes.epoch) for made in (smooth, shaken))
     added = after - before
@@ -279,7 +279,7 @@ def test_jitter_is_a_sine_about_one_axis_that_no_prior_knows() -> None:
     assert np.abs(added[:, 4] - basis @ fitted).max() < 0.01 * jitter.amplitude
     assert np.abs(added[:, [3, 5]]).max() < 2e-3 * jitter.amplitude  # what the finer nodes smooth of the draws' kinks
     assert np.abs(added[:, :3]).max() < 1e-2
-    prior = shaken.network.strips[0].prior
+    prior = shaken.network.passes[0].prior
     assert isinstance(prior, NodePrior)
     assert np.array_equal(prior.sigmas, SMALL.errors.prior.sigmas)
     with pytest.raises(InputError, match="other nodes"):
@@ -289,12 +289,12 @@ def test_jitter_is_a_sine_about_one_axis_that_no_prior_knows() -> None:
 def test_the_truth_may_have_nodes_of_its_own() -> None:
     """Denser ones wander between the adjustment's; with the same spacing they are the adjustment's."""
     made = simulate_hrsc_block(replace(TINY, true_spacing=1.0))
-    strip, found = made.network.strips[0], made.corrections[0].nodes
+    strip, found = made.network.passes[0], made.corrections[0].nodes
     assert found is not None
     assert found.coverage == pytest.approx(strip.nodes.coverage)
     assert np.diff(found.times).max() <= 1.0 < np.diff(strip.nodes.times).min()
     same = simulate_hrsc_block(TINY)
-    assert same.corrections[0].nodes is same.network.strips[0].nodes
+    assert same.corrections[0].nodes is same.network.passes[0].nodes
     assert np.array_equal(same.true_nodes(0), same.corrections[0].coefficients[1:])
     assert not np.any(same.corrections[0].coefficients[0])
 
@@ -326,7 +326,7 @@ def test_redraws_draw_strips_from_their_priors(block: SimulatedBlock) -> None:
         error = draw.network.rays.places - exact_places(block.network, draw.places, draw.corrections)
         assert_unit_variance(error / block.network.rays.sigmas)
         assert_unit_variance(heights(block.network, draw.places, draw.shifts[0]) / 10.0)
-        for k, strip in enumerate(block.network.strips):
+        for k, strip in enumerate(block.network.passes):
             mine = [draw.corrections[j] for j in strip.images]
             assert all(one is mine[0] for one in mine)
             assert mine[0].nodes is strip.nodes

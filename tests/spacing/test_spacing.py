@@ -63,7 +63,7 @@ def test_spacing_that_is_said_to_be_supported_is() -> None:
     with pytest.raises(InputError, match=r"nodes closer than the data supports: of 1704 nodes.*what they support"):
         require_supported(respaced(net, 0.05))
     rays = useful_rays(net, 0)
-    spacing = supported_spacing(respaced(net, 0.05).strips[0].nodes, rays)
+    spacing = supported_spacing(respaced(net, 0.05).passes[0].nodes, rays)
     assert 0.05 < spacing < 8.0
     require_supported(respaced(net, spacing))
 
@@ -72,7 +72,7 @@ def test_spacing_that_is_said_to_be_supported_is() -> None:
 def test_node_without_rays_is_named(basis: str) -> None:
     """A cloud over all that one node depends on: this node is weak, and no other."""
     net = block().network
-    nodes = evenly_spaced(basis, net.strips[0].nodes.epoch, net.strips[0].nodes.coverage, 4.0)  # type: ignore[arg-type]
+    nodes = evenly_spaced(basis, net.passes[0].nodes.epoch, net.passes[0].nodes.coverage, 4.0)  # type: ignore[arg-type]
     net = with_nodes(net, [nodes])
     mine, reach = strip_rays(net, 0), 1 if basis == "lagrange" else 2
     hidden = np.zeros(net.rays.point.size, dtype=bool)
@@ -86,7 +86,7 @@ def test_node_without_rays_is_named(basis: str) -> None:
 def test_rays_of_one_line_are_not_enough_where_two_look() -> None:
     net = block().network
     mine = strip_rays(net, 0)
-    middle = (mine.times > net.strips[0].nodes.times[3]) & (mine.times < net.strips[0].nodes.times[6])
+    middle = (mine.times > net.passes[0].nodes.times[3]) & (mine.times < net.passes[0].nodes.times[6])
     looking = np.unique(mine.line[middle])
     assert looking.size > 1
     taken = np.ones(net.rays.point.size, dtype=bool)
@@ -108,12 +108,12 @@ def test_rays_that_place_nothing_do_not_count() -> None:
 
 def test_priors_of_just_these_nodes_are_refused() -> None:
     net = block().network
-    joint = JointNodePrior(np.eye(6 * len(net.strips[0].nodes)), np.zeros(0))
-    net = replace(net, strips=(replace(net.strips[0], prior=joint),))
+    joint = JointNodePrior(np.eye(6 * len(net.passes[0].nodes)), np.zeros(0))
+    net = replace(net, passes=(replace(net.passes[0], prior=joint),))
     with pytest.raises(InputError, match="joint prior"):
         respaced(net, 4.0)
     with pytest.raises(InputError, match="no strips"):
-        respaced(replace(net, strips=()), 4.0)
+        respaced(replace(net, passes=()), 4.0)
 
 
 # --- rays held out
@@ -175,7 +175,7 @@ def test_jitter_asks_for_nodes_that_follow_it() -> None:
     close, _, wide = choice.candidates[1:]
     assert close.rms < 1.1 < 1.3 < wide.rms
     assert choice.worse[3] > 5.0 * choice.worse_errors[3]
-    assert len(choice.chosen_network.strips[0].nodes) == close.nodes
+    assert len(choice.chosen_network.passes[0].nodes) == close.nodes
 
 
 def test_calm_flight_needs_few_nodes() -> None:
@@ -306,7 +306,7 @@ def test_residuals_of_jitter_ask_until_they_are_noise() -> None:
     found = densify(respaced(block(PITCH).network, 20.0), SolverSettings())
     assert found.rounds[0].asked[0] == found.rounds[0].nodes[0] - 1
     assert found.rounds[-1].asked == (0,)
-    assert np.diff(found.network.strips[0].nodes.times).max() < 9.0
+    assert np.diff(found.network.passes[0].nodes.times).max() < 9.0
     assert found.rounds[0].sigma0 > 1.3
     assert found.rounds[-1].sigma0 < 1.1
     for this, following in pairwise(found.rounds):
@@ -361,10 +361,10 @@ def test_splines_are_halved_throughout_or_not_at_all(good: bool) -> None:
 
 def test_spline_strip_is_densified() -> None:
     net = block(PITCH).network
-    old = net.strips[0].nodes
+    old = net.passes[0].nodes
     net = with_nodes(net, [evenly_spaced("spline", old.epoch, old.coverage, 20.0)])
     found = densify(net, SolverSettings())
-    assert len(found.network.strips[0].nodes) > len(net.strips[0].nodes)
+    assert len(found.network.passes[0].nodes) > len(net.passes[0].nodes)
     assert found.rounds[-1].sigma0 < 1.1
 
 

@@ -184,7 +184,7 @@ def test_each_time_has_the_axes_of_an_image_that_covers_it() -> None:
     """Over 26 degrees of arc, of images that know the seconds of their own lines alone."""
     settings = BlockSettings(strips=1, length=1500e3, points=100, terrain=None, spacing=20.0)
     net = simulate_hrsc_block(settings, 1).network
-    nodes = net.strips[0].nodes
+    nodes = net.passes[0].nodes
     times = nodes.epoch + nodes.times
     spans = [one.timing.at(np.array([0.0, float(one.lines)]))[0] for one in net.images]
     short = [

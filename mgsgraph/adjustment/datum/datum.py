@@ -20,7 +20,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.network.passes import nominal_poses
+from mgsgraph.network.joining import nominal_poses
 from mgsgraph.wording import listed
 
 UNDETERMINED = 1e-13
@@ -129,7 +129,7 @@ def datum_transformations(layout: Layout) -> Array:
             moves[columns] = _of_image(layout, variable, middle)
         elif variable < layout.network.first_shared:
             moves[columns] = _of_shift(layout, variable - layout.variables.images, middle)
-    for k, (strip, first) in enumerate(layout.network.numbered_strips):
+    for k, (strip, first) in enumerate(layout.network.numbered_passes):
         columns = layout.variables.columns_from(first, len(strip.nodes))
         moves[columns] = _of_nodes(layout, k, middle)
     moves /= layout.scales[:, None]
@@ -148,9 +148,10 @@ def _of_image(layout: Layout, image: int, middle: Array) -> Array:
 
 def _of_nodes(layout: Layout, strip: int, middle: Array) -> Array:
     """(6 k, 7) m and rad, the nodes of a strip for the seven transformations."""
-    nodes = layout.network.strips[strip].nodes
+    one = layout.network.passes[strip]
+    nodes = one.nodes
     times = np.linspace(*nodes.coverage, 2 * _PLACES + 2 * len(nodes))
-    pose = nominal_poses(layout.network.pictures(strip), times + nodes.epoch)
+    pose = nominal_poses(layout.network.pictures(strip), times + nodes.epoch, one.axes)
     changes = _changes(layout, pose, Moments.of_times(times, nodes.epoch), middle)
     return _fitted(nodes.dense(times, nodes.epoch)[0], changes)
 

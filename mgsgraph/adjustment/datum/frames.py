@@ -190,7 +190,7 @@ class Frames:
             if columns.start <= rows.start < columns.stop:  # a tilt counts where the ground is as far as from a camera
                 reach = np.array([1.0 if term.unit == "m" else self.of(0).reach[4] for term in terms])
                 result[rows.start - columns.start : rows.stop - columns.start] *= reach[:, None]
-        for strip, after in zip(network.strips, network.first_of_strips[1:].tolist(), strict=True):
+        for strip, after in zip(network.passes, network.first_of_passes[1:].tolist(), strict=True):
             if strip.prior.trend_sigmas.size:  # by itself a trend moves nothing: its nodes do
                 rows = self.layout.columns_of(after - 1)
                 if columns.start <= rows.start < columns.stop:
@@ -220,7 +220,7 @@ class Frames:
             if image < self.layout.variables.images:
                 for first in range(columns.start, columns.stop, 6):
                     yield image, slice(first, first + 6), scales[first : first + 6]
-        for strip, first in self.layout.network.numbered_strips:
+        for strip, first in self.layout.network.numbered_passes:
             for variable in range(first, first + len(strip.nodes)):
                 columns = self.layout.columns_of(variable)
                 yield int(strip.images[0]), columns, scales[columns]
@@ -235,7 +235,7 @@ class Frames:
         if shift < len(network.shift_names):
             term = network.shift_terms[shift][inside]
             return Axis(variable, network.shift_names[shift], term.name, 0, term.unit, False)
-        if variable >= network.first_of_strips[0]:
+        if variable >= network.first_of_passes[0]:
             return self._of_strip(variable, inside)
         shared = network.shared[shift - len(network.shift_names)]
         name = " ".join([*([shared.kind] if shared.kind not in shared.name else []), shared.kind.components[inside]])
@@ -243,7 +243,7 @@ class Frames:
 
     def _of_strip(self, variable: int, inside: int) -> Axis:
         """Axis of a column of a strip's node, whose axes are those of the strip's first image, or of its trend."""
-        strip, unknown = self.layout.network.of_strips(variable)
+        strip, unknown = self.layout.network.of_passes(variable)
         what, component = strip.part(unknown, inside)
         own = unknown < len(strip.nodes)
         name = self.of(int(strip.images[0])).axes[component] if own else f"{what} of {COMPONENTS[component]}"

@@ -15,6 +15,7 @@ from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, l
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, Loss, SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import (
@@ -182,8 +183,11 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     Raises
     ------
     InputError
-        When a point that nothing else places lies on a ray that misses the body.
+        When a point that nothing else places lies on a ray that misses the body; for cameras mounted against the axes
+        of their pass where angles are not about the camera's axes.
     """
+    if settings.angles != "camera" and any(one.axes is not None for one in network.passes):
+        raise InputError("solver, angles", f"{settings.angles!r} for cameras mounted against each other", "'camera'")
     model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
     variables, points = make_variables(network), network.points.places
     for known in (network.stereo.starts if network.stereo else None, places):

@@ -33,9 +33,9 @@ def parallel(network: Network, angles: Array) -> Mask:
 
 def _pointing(network: Network, image: int) -> float:
     """A-priori sigma of the direction of an image's rays, rad, as far as it is known: rotations across the axis."""
-    strip = int(network.strip_of[image])
+    strip = int(network.pass_of[image])
     if network.held[image]:
         return 0.0
-    sigmas = (network.priors[image].sigmas if strip < 0 else network.strips[strip].sigmas[0][None])[0, 3:5]
+    sigmas = (network.priors[image].sigmas if strip < 0 else network.passes[strip].sigmas[0][None])[0, 3:5]
     known = sigmas[np.isfinite(sigmas)]
     return float(known.max(initial=0.0))

@@ -1,5 +1,5 @@
 """What is known of the shared unknowns without any point, as whitened rows: of most each by itself, about zero, of a
-strip's orientation images together (`network.strips`), and of laser profiles that cross (`network.crossovers`).
+strip's orientation images together (`network.passes`), and of laser profiles that cross (`network.crossovers`).
 """
 
 from collections.abc import Iterator
@@ -164,7 +164,7 @@ def make_prior(network: Network, variables: Variables) -> Prior:
     """Of a network."""
     weights = 1.0 / variables.prior_sigmas
     factors = list[PriorFactor]()
-    for strip, first in network.numbered_strips:
+    for strip, first in network.numbered_passes:
         weights[variables.columns_from(first, strip.widths.size)] = 0.0
         for unknowns, blocks, about in strip.prior.factors(strip.nodes):
             columns = variables.first[first + about[:, 0]] + about[:, 1]

@@ -26,7 +26,7 @@ from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import Pose
@@ -219,15 +219,16 @@ def _fill_rays(
     def fill(j: int) -> None:
         image, mine = network.images[j], parts[j]
         lines, samples = terms.lines[mine], rays.places[mine, 1]
-        pose = image.pose(lines)
-        detector, slope = image.interior.focal_plane(samples)
+        axes, focal_length = network.axes_of(j), image.interior.focal_length
+        pose = image.pose(lines).in_axes(axes)
+        detector, slope = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
         angular_rate = _angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
         u, basis = terms.basis(j, lines, terms.of_rays[mine], predicted)
         shared = effects.of(IMAGE, j, image.normalised(lines))
         scale = _peer_scale(slope) if model.angles == OPK_PEER and not predicted else np.empty((mine.size, 0))
         put_rays(
             mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
-            (pose.position, pose.matrix, pose.velocity, angular_rate), detector, image.interior.focal_length,
+            (pose.position, pose.matrix, pose.velocity, angular_rate), detector, focal_length,
             slope, scale, lines - rays.places[mine, 0], u, basis,
             shared.reshape(mine.size, math.prod(shared.shape[1:])), among, weight, units,
         )  # fmt: skip
@@ -242,8 +243,10 @@ def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Inde
 
     def fill(j: int) -> None:
         image, mine = network.images[j], parts[j]
-        slope = image.interior.focal_plane(rays.places[mine, 1])[1]
-        scale = _frozen_scale(image, rays.places[mine, 0], starts[rays.point[mine]], slope)
+        axes, focal_length = network.axes_of(j), image.interior.focal_length
+        pose = image.pose(rays.places[mine, 0]).in_axes(axes)
+        detector = Detector(*image.interior.focal_plane(rays.places[mine, 1])).in_axes(axes, focal_length)
+        scale = _frozen_scale(pose, focal_length, starts[rays.point[mine]], detector.slope)
         put_scale(mine, rays.point, store.patterns.ray_slot, store.tables, first, scale.reshape(-1, 4))
 
     in_threads(fill, range(len(parts)), rays.point.size >= _WORTHWHILE)
@@ -387,13 +390,12 @@ def _peer_scale(slope: Array) -> Array:
     return np.stack([slope[:, 1], -slope[:, 0], -slope[:, 0], -slope[:, 1]], axis=1) / square[:, None]
 
 
-def _frozen_scale(image: PushbroomImage, lines: Array, points: Array, slope: Array) -> Array:
+def _frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -> Array:
     """(k, 2, 2) focal-plane m to residual lines and samples: image motion per line, from the nominal, and detector
     slope.
     """
-    pose = image.pose(lines)
     attitude, angular_rate = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.angular_rate.T)
     ray = transform(attitude, tuple((points - pose.position).T))
     of_ray = ray_motion(attitude, ray, tuple(pose.velocity.T), angular_rate)
-    motion = image_motion(ray, of_ray, image.interior.focal_length)
+    motion = image_motion(ray, of_ray, focal_length)
     return np.stack([np.stack(row, axis=1) for row in to_lines_and_samples(motion, tuple(slope.T))], axis=1)

@@ -21,7 +21,7 @@ class SharedEffects:
             for kind in (IMAGE, RANGE)
         }
         self._effects = {
-            (j, kind): image_effect(network.images[j], kind, angles_of(model))
+            (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles_of(model)))
             for of_images in self._kinds.values()
             for j, kinds in enumerate(of_images)
             for kind in kinds
@@ -30,7 +30,7 @@ class SharedEffects:
 
     def of(self, observation: int, image: int, u: Array) -> Array:
         """(n, columns, width) directions in the states of an image's rays (IMAGE) or ranges (RANGE) at normalised
-        lines u (n,), in m and rad (or of the last component) per unit.
+        lines u (n,), in m and rad (or of the last component) per unit; rotations are in the axes of the image's pass.
         """
         kinds = self._kinds[observation][image]
         pose = 6 if observation == IMAGE else 3
@@ -46,6 +46,13 @@ class SharedEffects:
                 found[:, column, pose] = 1.0
             column += kind.width
         return found
+
+
+def _in_axes(axes: Array | None, effect: Array) -> Array:
+    """Effects (..., 6) whose rotations are about the camera's axes, in those of its pass (`Network.axes_of`)."""
+    if axes is None:
+        return effect
+    return np.concatenate([effect[..., :3], effect[..., 3:] @ axes], axis=-1)
 
 
 def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
@@ -101,12 +108,12 @@ def shift_values(network: Network, variables: Variables, orientation: Array) -> 
     return np.array(values), lift
 
 
-def strip_values(
+def pass_values(
     network: Network, variables: Variables, orientation: Array
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Of each strip its nodes (k, 6) and its trend (w,), in the vector (columns,) of all that points share."""
     nodes, trends = list[Array](), list[Array]()
-    for strip, first in network.numbered_strips:
+    for strip, first in network.numbered_passes:
         own = variables.columns_from(first, len(strip.nodes))
         nodes.append(orientation[own].reshape(-1, 6))
         trends.append(orientation[own.stop : own.stop + strip.prior.trend_sigmas.size])

@@ -78,7 +78,7 @@ def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
 
     for image, node in (side[:2], side[2:]):
         if node >= 0:
-            add(int(network.first_of_strips[network.strip_of[image]]) + node, SUPPORT, 6)
+            add(int(network.first_of_passes[network.pass_of[image]]) + node, SUPPORT, 6)
         elif network.with_polynomial[image]:
             add(image, 1, network.priors[image].sigmas.size)
         for k in acting_on(network, IMAGE)[image]:
@@ -188,12 +188,14 @@ def _directions(
 
     `by_pose` (n, 7) is the height's derivative by position, rotation and focal length.
     """
-    picture, strip = network.images[image], int(network.strip_of[image])
+    picture, strip, axes = network.images[image], int(network.pass_of[image]), network.axes_of(image)
+    if axes is not None:
+        by_pose = np.hstack([by_pose[:, :3], by_pose[:, 3:6] @ axes, by_pose[:, 6:]])
     moments = picture.moments(lines)
     node: Index | int = -1
     basis = np.zeros((lines.size, 0))
     if strip >= 0:
-        nodes = network.strips[strip].nodes
+        nodes = network.passes[strip].nodes
         node = nodes.first_of_four(moments.times, moments.epoch)
         basis = nodes.around(node, moments.times, moments.epoch)[0]
     elif network.with_polynomial[image]:

@@ -83,13 +83,13 @@ def make_variables(network: Network) -> Variables:
     angular += [np.array([term.unit == "rad" for term in terms]) for terms in network.shift_terms]
     sigmas += [shared.sigmas for shared in network.shared]
     angular += [np.full(shared.kind.width, shared.kind.unit == "rad") for shared in network.shared]
-    sigmas += [part for strip in network.strips for part in strip.sigmas]
-    angular += [part for strip in network.strips for part in strip.angular]
+    sigmas += [part for strip in network.passes for part in strip.sigmas]
+    angular += [part for strip in network.passes for part in strip.angular]
     considered = [np.zeros(prior.sigmas.size, dtype=bool) for prior in network.priors]
     for name, terms in zip(network.shift_names, network.shift_terms, strict=True):  # heights and tilts are estimated
         considered.append(np.array([term.horizontal and name in network.considered for term in terms]))
     considered += [np.full(shared.kind.width, shared.name in network.considered) for shared in network.shared]
-    considered += [np.zeros(part.size, dtype=bool) for strip in network.strips for part in strip.sigmas]
+    considered += [np.zeros(part.size, dtype=bool) for strip in network.passes for part in strip.sigmas]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
     adjusted = np.concatenate([network.with_polynomial, np.ones(len(sigmas) - len(network.images), dtype=bool)])
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
@@ -106,11 +106,11 @@ class Terms:
     """
 
     def __init__(self, network: Network, variables: Variables, lines: Array) -> None:
-        self._network, self._strip = network, network.strip_of
+        self._network, self._strip = network, network.pass_of
         own = [prior.degree + 1 for prior in network.priors]
         self.counts = np.where(self._strip >= 0, SUPPORT, np.where(variables.first[: len(own)] < 0, 0, own))
         """(images,) number of terms of each image's rays and ranges; none for one that is held."""
-        self._first_of_strips = network.first_of_strips
+        self._first_of_strips = network.first_of_passes
         rays, ranges = network.rays, network.ranges
         self.lines = lines
         """(k,) line about which each ray is laid out."""
@@ -118,7 +118,7 @@ class Terms:
         """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip."""
         self.of_ranges = np.full(ranges.point.size, -1, dtype=np.int64)
         """(r,) the same of each range."""
-        for strip in network.strips:
+        for strip in network.passes:
             for j in strip.images.tolist():
                 image = network.images[j]
                 mine = np.flatnonzero(rays.image == j)
@@ -138,7 +138,7 @@ class Terms:
         nothing, moments = np.empty((lines.size, 0)), self._network.images[image].moments(lines)
         if self._strip[image] < 0:
             return (moments.u[:, None] if self.counts[image] else nothing), nothing
-        nodes = self._network.strips[self._strip[image]].nodes
+        nodes = self._network.passes[self._strip[image]].nodes
         values, slopes = nodes.around(node, moments.times, moments.epoch)
         return nothing, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values
 

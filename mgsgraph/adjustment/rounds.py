@@ -112,7 +112,7 @@ class Solved:
     """Points eliminated at the end; None for the explicit form."""
     explicit: gtsam.NonlinearFactorGraph | None
     """The explicit graph, where that form was asked for."""
-    passes: int
+    rounds: int
     """How many there were."""
     circling: bool = False
     """Whether they ran in a circle."""
@@ -120,7 +120,7 @@ class Solved:
     """(k + r + n,) as of `blunders.Search`; None when none were sought."""
 
 
-def solve_in_passes(
+def solve_in_rounds(
     layout: Layout,
     settings: SolverSettings,
     selection: Selection,
@@ -152,7 +152,7 @@ def solve_in_passes(
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
         layout, selection, history = solved.layout, solved.selection, history + solved.history
         initial = solved.cost_initial if np.isnan(initial) else initial
-        solved = replace(solved, history=history, cost_initial=initial, passes=number)
+        solved = replace(solved, history=history, cost_initial=initial, rounds=number)
         if search is None:
             return solved
         chosen, onward, tried = _next(search, layout, solved, settings, sweeper)
@@ -264,7 +264,7 @@ def _solved(
         selection,
         reduction,
         explicit,
-        passes=1,
+        rounds=1,
     )
 
 

@@ -1,0 +1,181 @@
+"""Images of one pass: whether they can share a trajectory's correction, and which of them stands for it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import Pose
+
+LONGEST_PAUSE = 1800.0
+"""s between the images of a pass: a quarter of the shortest revolution about Mars and Moon, and so another pass."""
+_APART = 1e3
+"""m by which nominal positions at one time may differ: trajectories from other kernels do, another spacecraft's more.
+"""
+_TURNED = 1e-2
+"""rad by which nominal attitudes of cameras with the same axes may differ at one time: a correction about the axes of
+the one is one about those of the other to 1 %."""
+_LOOSE = 1e-3
+"""rad by which a mounting may change during the time that two images have in common."""
+_MOMENTS = 9
+"""Within that time, at which nominal attitudes are compared."""
+
+
+def seconds(image: PushbroomImage) -> tuple[float, float]:
+    """First and last time of an image's lines, s TDB past J2000."""
+    start, stop = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
+    return float(start), float(stop)
+
+
+def straightest(images: Sequence[PushbroomImage]) -> int:
+    """The image that looks nearest along the optical axis, of several alike the first: HRSC's nadir line."""
+    off = []
+    for image in images:
+        place, _ = image.interior.focal_plane(np.array([0.5 * image.samples]))
+        off.append(round(float(np.linalg.norm(place)) / image.interior.focal_length, 6))
+    return int(np.argmin(off))
+
+
+def nominal_poses(images: Sequence[PushbroomImage], times: Array, axes: Array | None = None) -> Pose:
+    """Nominal poses of a pass at times (n,) in s TDB past J2000, rates per second: each by an image whose lines cover
+    it, or come nearest; for images may have tables of their own, which end with their lines. Attitudes are those of the
+    pass's axes; `axes` (m, 3, 3) is how each camera is mounted against them (`network.passes.Pass`).
+    """
+    edges = np.array([seconds(image) for image in images])
+    beyond = np.maximum(edges[:, :1] - times, times - edges[:, 1:])
+    owner = np.maximum(beyond, 0.0).argmin(axis=0)
+    parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
+    for j in np.unique(owner).tolist():
+        mine = np.flatnonzero(owner == j)
+        trajectory = images[j].trajectory
+        pose = trajectory.pose(np.clip(times[mine] - trajectory.epoch, *trajectory.coverage))
+        pose = pose.in_axes(None if axes is None else axes[j])
+        for whole, part in zip(parts, (pose.position, pose.velocity, pose.matrix, pose.angular_rate), strict=True):
+            whole[mine] = part
+    return Pose(*parts)
+
+
+def mountings(images: Sequence[PushbroomImage], where: str, one_camera: bool = False) -> Array | None:
+    """How the cameras of a pass are mounted, by their nominal attitudes at times that they have in common.
+
+    Parameters
+    ----------
+    images : sequence of PushbroomImage
+        Of one pass.
+    where : str
+        What to name in errors.
+    one_camera : bool
+        Whether they are known to be lines of one camera: images without a common time then have the same axes.
+
+    Returns
+    -------
+    (m, 3, 3) or None
+        Rotations from the axes of the first image's camera to those of each camera; None where all have the same.
+
+    Raises
+    ------
+    InputError
+        For images that don't follow upon each other; for cameras that at one time are at different places, or whose
+        attitudes against each other change; for a camera that none of the others has a time in common with.
+    """
+    _require_close_in_time(images, where)
+    meetings = [(one, other, _mounted(images[one], images[other], times, where))
+                for one, other, times in _meetings(images)]  # fmt: skip
+    axes: dict[int, Array] = {0: np.eye(3)}
+    while len(axes) < len(images):
+        one, other, turn = next(_links(images, meetings, axes, one_camera), (-1, -1, np.eye(3)))
+        if one < 0:
+            alone = next(j for j in range(len(images)) if j not in axes)
+            raise InputError(
+                where, f"image {images[alone].name} of a camera of its own, which shares no time with the others",
+                "images whose lines overlap in time: their attitudes say how the cameras are mounted",
+                "make them two passes",
+            )  # fmt: skip
+        axes[other] = turn @ axes[one]
+    for one, other, turn in meetings:
+        off = _angle(turn @ axes[one] @ axes[other].T)
+        if off > _LOOSE:
+            raise InputError(
+                where, f"mountings of {images[one].name} and {images[other].name} that contradict by {off:.4f} rad "
+                "when they are followed over other images", f"at most {_LOOSE} rad", "take one of them out",
+            )  # fmt: skip
+    found = np.array([axes[j] for j in range(len(images))])
+    return found if max(_angle(one) for one in found) > _TURNED else None
+
+
+def _links(
+    images: Sequence[PushbroomImage],
+    meetings: Sequence[tuple[int, int, Array]],
+    axes: Mapping[int, Array],
+    one_camera: bool,
+) -> Iterator[tuple[int, int, Array]]:
+    """Images whose mounting is known, others whose is not, and the rotation from the one's camera to the other's: of
+    those that meet in time, then of one camera at several times.
+    """
+    for one, other, turn in meetings:
+        if one in axes and other not in axes:
+            yield one, other, turn
+        if other in axes and one not in axes:
+            yield other, one, turn.T
+    for one in axes:
+        for other in range(len(images)):
+            if other not in axes and (one_camera or _same_camera(images[one], images[other])):
+                yield one, other, np.eye(3)
+
+
+def _same_camera(one: PushbroomImage, other: PushbroomImage) -> bool:
+    """Whether two images have the same lens and the same detector line, so far as their interiors say."""
+    mine, its = one.interior, other.interior
+    return mine.focal_length == its.focal_length and np.array_equal(mine.to_pixel, its.to_pixel)
+
+
+def _require_close_in_time(images: Sequence[PushbroomImage], where: str) -> None:
+    """Raise InputError, naming `where`, unless images follow upon each other."""
+    order = sorted(images, key=lambda image: seconds(image)[0])
+    last = order[0]
+    for image in order[1:]:
+        pause = seconds(image)[0] - seconds(last)[1]
+        if pause > LONGEST_PAUSE:
+            raise InputError(
+                where, f"images {last.name} and {image.name}, {pause / 60.0:.0f} minutes apart",
+                f"images of one pass, at most {LONGEST_PAUSE / 60.0:.0f} minutes apart", "make them two passes",
+            )  # fmt: skip
+        last = max(last, image, key=lambda one: seconds(one)[1])
+
+
+def _meetings(images: Sequence[PushbroomImage]) -> Iterator[tuple[int, int, Array]]:
+    """Images that have a time in common, one < other, and moments of it, s TDB past J2000."""
+    edges = np.array([seconds(image) for image in images])
+    for one in range(len(images)):
+        starts, stops = np.maximum(edges[one, 0], edges[:, 0]), np.minimum(edges[one, 1], edges[:, 1])
+        for other in (np.flatnonzero(stops[one + 1 :] > starts[one + 1 :]) + one + 1).tolist():
+            yield one, other, np.linspace(starts[other], stops[other], _MOMENTS)
+
+
+def _mounted(one: PushbroomImage, other: PushbroomImage, times: Array, where: str) -> Array:
+    """(3, 3) from the axes of one camera to those of the other, by their nominal attitudes at some times."""
+    first, second = (image.trajectory.pose(times - image.trajectory.epoch) for image in (one, other))
+    apart = float(np.linalg.norm(first.position - second.position, axis=1).max())
+    pair = f"images {one.name} and {other.name}"
+    if apart > _APART:
+        raise InputError(
+            where, f"{pair}, whose cameras at one time are {apart:.0f} m apart",
+            "images of one spacecraft", "make them two passes",
+        )  # fmt: skip
+    turns = second.matrix @ np.swapaxes(first.matrix, 1, 2)
+    middle = turns[times.size // 2]
+    changes = max(_angle(turn @ middle.T) for turn in turns)
+    if changes > _LOOSE and _angle(middle) > _TURNED:
+        raise InputError(
+            where, f"{pair}, whose cameras turn against each other by {changes:.4f} rad in their common time",
+            f"cameras mounted on one spacecraft, at most {_LOOSE} rad", "make them two passes",
+        )  # fmt: skip
+    return middle if _angle(middle) > _TURNED else np.eye(3)
+
+
+def _angle(turn: Array) -> float:
+    """Rad by which a rotation (3, 3) turns."""
+    return float(np.linalg.norm(rotation.logarithm(turn[None])[0]))
