@@ -16,6 +16,8 @@ from mgsgraph.errors import InputError, MgsgraphError
 _Found = TypeVar("_Found")
 _LONGEST = 600
 """s of a processor's time: what takes longer goes round in circles."""
+_PATIENCE = 4 * _LONGEST
+"""s by the clock: what takes longer waits for a lock that some other thread held when the process was forked."""
 _PROTOCOL = 5
 """Of pickle, the first that keeps read-only arrays read-only."""
 
@@ -73,8 +75,9 @@ def _answer(reading: Callable[[], Any], sender: int, folder: str) -> NoReturn:
     status = 1
     try:
         faulthandler.disable()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
             signal.signal(number, signal.SIG_DFL)
+        signal.alarm(_PATIENCE)
         silence = os.open(os.devnull, os.O_WRONLY)
         for stream in (1, 2):
             os.dup2(silence, stream)

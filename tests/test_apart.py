@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -75,6 +76,15 @@ def test_a_lower_limit_of_time_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda of: (300, 300))
     monkeypatch.setattr(resource, "setrlimit", lambda of, limits: os._exit(3) if limits != (300, 300) else None)
     assert apart(lambda: 1) == 1
+
+
+def test_a_fork_that_waits_for_ever_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one does whose lock another thread held when it was forked: that costs no processor time."""
+    monkeypatch.setattr("mgsgraph.apart._PATIENCE", 1)
+    held = threading.Lock()
+    held.acquire()
+    with pytest.raises(InputError, match="SIGALRM"):
+        apart(held.acquire)
 
 
 def test_where_forks_are_unsafe_none_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
