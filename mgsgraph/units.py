@@ -21,6 +21,8 @@ MGON = 1e-3 * pi / 200.0
 """radian per milligon; 400 gon are a turn"""
 MRAD = 1e-3
 """radian per milliradian"""
+PPM = 1e-6
+"""ratio per part per million"""
 SPEED_OF_LIGHT = 299_792_458.0
 """m/s, exact (CGPM 1983)"""
 ISIS_OFFSET = 0.5

@@ -32,10 +32,13 @@ SIGMAS: Mapping[SharedKind, float] = {
     SharedKind.RANGE_BIAS: 5.0,
     SharedKind.FOCAL_LENGTH: 0.01,
     SharedKind.ORBIT_POSITION: 30.0,
+    SharedKind.LINE_RATE: 1e-4,
+    SharedKind.CAMERA_LEVER_ARM: 5.0,
+    SharedKind.ALTIMETER_LEVER_ARM: 5.0,
     SharedKind.PROFILE_HEIGHT: 10.0,
     SharedKind.PROFILE_DRIFT: 20.0,
 }
-"""s, rad and m."""
+"""s, rad, m and 1."""
 
 
 def shared(kind: SharedKind, images: Sequence[int], sigma: float | None = None) -> SharedUnknown:

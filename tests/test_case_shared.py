@@ -33,6 +33,21 @@ images = ["SIM/A"]
 sigma_m = 5.0
 """
 
+MOUNTED = """
+[[shared]]
+kind = "line rate"
+sigma_ppm = 20.0
+
+[[shared]]
+kind = "camera lever arm"
+sigma_m = [1.0, 2.0, 3.0]
+
+[[shared]]
+kind = "altimeter lever arm"
+images = ["SIM/A"]
+sigma_m = 4.0
+"""
+
 
 def with_text(case_file: Path, text: str) -> Path:
     case_file.write_text(case_file.read_text(encoding="utf-8") + text, encoding="utf-8")
@@ -52,6 +67,16 @@ def test_without_the_laser_what_only_it_feels_goes_too(case_file: Path) -> None:
     assert kinds == [SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT]
 
 
+def test_line_rate_and_lever_arms(case_file: Path) -> None:
+    found = mgsgraph.read_case(with_text(case_file, MOUNTED))
+    wanted = {SharedKind.LINE_RATE: [2e-5], SharedKind.CAMERA_LEVER_ARM: [1.0, 2.0, 3.0],
+              SharedKind.ALTIMETER_LEVER_ARM: [4.0] * 3}  # fmt: skip
+    assert {one.kind: pytest.approx(one.sigmas.tolist()) for one in found.network.shared} == wanted
+    assert "line rate: a-priori sigma 20 ppm" in inventory(found)
+    without = mgsgraph.read_case(case_file, laser=False).network.shared
+    assert [one.kind for one in without] == [SharedKind.LINE_RATE, SharedKind.CAMERA_LEVER_ARM]
+
+
 def test_check_lists_them(case_file: Path) -> None:
     said = inventory(mgsgraph.read_case(with_text(case_file, GOOD)))
     assert "Unknowns that images share" in said
@@ -63,6 +88,9 @@ def test_check_lists_them(case_file: Path) -> None:
     [
         ('kind = "range bias"', "shared\\[0\\]: no sigma; expected sigma_m for range bias"),
         ('kind = "range bias"\nsigma_s = 1.0', "sigma_s; expected sigma_m"),
+        ('kind = "line rate"\nsigma_m = 1.0', "sigma_m; expected sigma_ppm for line rate"),
+        ('kind = "line rate"\nsigma_ppm = [1.0, 2.0, 3.0]', "3.0\\]; expected a number"),
+        ('kind = "camera lever arm"\nsigma_mrad = 1.0', "sigma_mrad; expected sigma_m for camera lever arm"),
         ('kind = "range bias"\nsigma_m = 1.0\nsigma_s = 1.0', "sigma_s and sigma_m; expected sigma_m"),
         ('kind = "range bias"\nsigma_m = -1.0', "shared"),
         ('kind = "range bias"\nsigma_m = [1.0, 2.0, 3.0]', "one number for range bias"),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import Network, SharedKind
+from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 _BEYOND = 5.0
@@ -43,9 +43,6 @@ class UnexplainedRanges(NamedTuple):
     expected: float
     """m, one sigma of it by those of the orbit, the footprints and the ranges; an upper limit."""
 
-
-_ALONG_NO_RANGE = {SharedKind.CAMERA_BORESIGHT, SharedKind.ATTITUDE_TIME, SharedKind.FOCAL_LENGTH}
-"""Unknowns that leave ranges as they are."""
 
 
 def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplained, ...]:
@@ -80,7 +77,8 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedR
     """
     ranges, points, found = network.ranges, network.points, list[UnexplainedRanges]()
     places, shifts = _place_sigmas(network), _shift_sigmas(network)
-    moved = {j for one in network.shared if one.kind not in _ALONG_NO_RANGE for j in one.images.tolist()}
+    felt = [one for one in network.shared if one.kind.acts_on_ranges or one.kind.moves_footprints]
+    moved = {j for one in felt for j in one.images.tolist()}
     for j in np.unique(ranges.image).tolist():
         mine = np.flatnonzero((ranges.image == j) & np.isfinite(residuals))
         mine = mine[points.kinds[ranges.point[mine]] != PointKind.FREE]

@@ -14,7 +14,6 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
-from mgsgraph.units import MRAD
 
 _COMPARED = 0.1
 """Share of the largest effect on the ground from which an image is compared at all."""
@@ -24,16 +23,16 @@ _TAKES_PART = 0.1
 
 @dataclass(frozen=True, slots=True)
 class SharedEstimate:
-    """One column of a shared unknown: its value, and what it may be taken for. Units of reports: s, mrad, m."""
+    """One column of a shared unknown: its value, and what it may be taken for. Units of reports: s, mrad, m, ppm."""
 
     name: str
     """Name of the unknown."""
     kind: SharedKind
     """Kind of the unknown."""
     axis: str
-    """x, y or z of the camera, of a boresight; else empty."""
+    """x, y or z of the camera, of a boresight or lever arm; else empty."""
     unit: str
-    """s, mrad or m."""
+    """s, mrad, m or ppm."""
     value: float
     """Estimated value, in that unit."""
     sigma: float
@@ -61,7 +60,7 @@ def shared_estimates(solution: Solution) -> list[SharedEstimate]:
 
 def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
     shared, values = solution.network.shared[k], solution.shared[k]
-    factor = MRAD if shared.kind.unit == "rad" else 1.0
+    factor, unit = shared.kind.reported
     sigmas = np.sqrt(np.diag(solution.shared_covariance(k)))
     images = shared.images[solution.network.with_polynomial[shared.images]]
     correlation, likeness, shares, together = _with_pitch(solution, k, images)
@@ -75,7 +74,7 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
         named = images[nearest] if images.size else next(iter(shared.images.tolist()), 0)
         strong = np.abs(shares[c]) > _TAKES_PART * np.abs(shares[c]).max(initial=0.0)
         found.append(SharedEstimate(
-            shared.name, shared.kind, axis, "mrad" if factor == MRAD else shared.kind.unit,
+            shared.name, shared.kind, axis, unit,
             float(values[c]) / factor, float(sigmas[c]) / factor, float(shared.sigmas[c]) / factor,
             solution.network.images[named].name if images.size else "",
             float(correlation[c, nearest]) if images.size else float("nan"),
@@ -88,8 +87,8 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
 
 
 def _grounds(solution: Solution, shared: SharedUnknown, image: int) -> Array:
-    """(c,) metres per s or rad of each column, in the middle of an image; NaN where it moves nothing on the ground."""
-    if not (shared.kind.moves_pose or shared.kind is SharedKind.ALTIMETER_BORESIGHT):
+    """(c,) metres per s, rad, m or 1 of each column, in the middle of an image; NaN where it moves nothing there."""
+    if not (shared.kind.moves_instrument or shared.kind is SharedKind.ALTIMETER_BORESIGHT):
         return np.full(shared.kind.width, np.nan)
     return np.asarray(np.linalg.norm(ground_shift(solution.network.images[image], shared.kind), axis=1))
 

@@ -195,7 +195,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     kind: Literal[
         "attitude-time bias", "position-time bias", "camera boresight", "altimeter boresight", "range bias",
-        "focal length", "orbit position",
+        "focal length", "orbit position", "line rate", "camera lever arm", "altimeter lever arm",
     ]  # fmt: skip
     """What it is."""
     images: tuple[str, ...] = ()
@@ -208,13 +208,15 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Of a boresight: about the camera's axes x, y, z alike, or three numbers."""
     sigma_m: float | list[float] | None = None
     """Of a range bias or a focal length; of an orbit's position radially, along and across the flight alike, or three
-    numbers."""
+    numbers; of a lever arm along the camera's axes x, y, z alike, or three numbers."""
+    sigma_ppm: Sigma | None = None
+    """Of a line rate."""
 
     def unknown(self, names: Sequence[str], where: str) -> SharedUnknown:
         """The record; `names` are those of all images, and `where` names this table in errors."""
         kind = SharedKind(self.kind)
-        wanted = _SHARED_SIGMAS[kind.unit]
-        given = {key: value for key in _SHARED_SIGMAS.values() if (value := getattr(self, key)) is not None}
+        wanted = f"sigma_{kind.reported[1]}"
+        given = {key: value for key in _SHARED_SIGMAS if (value := getattr(self, key)) is not None}
         if set(given) != {wanted}:
             raise InputError(where, listed(list(given)) if given else "no sigma", f"{wanted} for {self.kind}")
         for name in self.images:
@@ -226,13 +228,13 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         members = [list(names).index(name) for name in self.images or names]
         if kind.width == 1 and isinstance(given[wanted], list):
             raise InputError(f"{where}, {wanted}", f"{given[wanted]}", f"one number for {self.kind}")
-        sigmas = _three_sigmas(given[wanted], f"{where}, {wanted}")[: kind.width] * (MRAD if kind.turns else 1.0)
+        sigmas = _three_sigmas(given[wanted], f"{where}, {wanted}")[: kind.width] * kind.reported[0]
         with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
 
 
-_SHARED_SIGMAS = {"s": "sigma_s", "rad": "sigma_mrad", "m": "sigma_m"}
-"""Key of a shared unknown's sigma by its unit."""
+_SHARED_SIGMAS = ("sigma_s", "sigma_mrad", "sigma_m", "sigma_ppm")
+"""Keys of a shared unknown's sigma, by its unit in reports."""
 
 
 class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -232,8 +232,8 @@ class Network:
         return np.flatnonzero(self.shifts.profile == self.shifts.names.index(shared.profile))
 
     def beams(self, shared: SharedUnknown) -> tuple[Index, Index]:
-        """Constrained points whose footprint an altimeter's boresight moves, ascending, and the range of each: the
-        first that it has from one of the unknown's images.
+        """Constrained points whose footprint an altimeter's boresight or lever arm moves, ascending, and the range of
+        each: the first that it has from one of the unknown's images.
         """
         constrained = self.points.kinds[self.ranges.point] == PointKind.CONSTRAINED
         mine = np.flatnonzero(np.isin(self.ranges.image, shared.images) & constrained)

@@ -5,7 +5,9 @@ the image's own orientation correction, so that the two add up to one correction
 attitude-time bias turns the camera by its inertial angular velocity (from the sampled attitude: the noise of a CK's
 records is smoothed out); a position-time bias moves it by its inertial velocity. The body goes on turning by its own
 clock, so both together are a shift of the lines' times except for that: some 240 m/s times the cosine of the latitude
-on Mars.
+on Mars. A line rate scales the lines' times about the image's middle, so that the camera is where it is at another
+time, the body turned by as much. A lever arm moves an instrument along the camera's axes: the camera for image rays,
+the laser for ranges, which are not felt by one another.
 """
 
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.units import MRAD, PPM
 
 DEGREE = 5
 """Of the polynomials: the velocity of an orbit's arc of 20 deg is one to 2e-9, of 60 deg to 1e-6."""
@@ -47,6 +50,12 @@ class SharedKind(StrEnum):
     """m: to be added to the nominal one."""
     ORBIT_POSITION = "orbit position"
     """m: what images are farther out, along their flight and to its left than their orbits say; of the ranges, too."""
+    LINE_RATE = "line rate"
+    """Ratio: by what share the line period is longer than the nominal one, about the image's middle line."""
+    CAMERA_LEVER_ARM = "camera lever arm"
+    """m: where the camera is farther along its own axes x, y, z than the trajectory says; not of the ranges."""
+    ALTIMETER_LEVER_ARM = "altimeter lever arm"
+    """m: where the laser is farther along the camera's axes x, y, z; moves a-priori footprints as much."""
     PROFILE_HEIGHT = "profile height"
     """m: what the shots of a laser profile are too low, in its middle, and how much more at its end (drift)."""
     PROFILE_DRIFT = "profile drift"
@@ -55,7 +64,7 @@ class SharedKind(StrEnum):
     @property
     def width(self) -> int:
         """Number of columns: three angles or axes of the flight, height and drift, east and north, or one."""
-        if self.turns or self is SharedKind.ORBIT_POSITION:
+        if self.turns or self.is_lever_arm or self is SharedKind.ORBIT_POSITION:
             return 3
         return 2 if self.of_profile else 1
 
@@ -66,10 +75,17 @@ class SharedKind(StrEnum):
 
     @property
     def unit(self) -> str:
-        """Unit of its values."""
+        """Unit of its values; empty for a ratio."""
         if self in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME):
             return "s"
+        if self is SharedKind.LINE_RATE:
+            return ""
         return "rad" if self.turns else "m"
+
+    @property
+    def reported(self) -> tuple[float, str]:
+        """Unit in which reports and case files have its values, and what one of these is in `unit`."""
+        return {"rad": (MRAD, "mrad"), "": (PPM, "ppm")}.get(self.unit, (1.0, self.unit))
 
     @property
     def turns(self) -> bool:
@@ -77,10 +93,20 @@ class SharedKind(StrEnum):
         return self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT)
 
     @property
+    def is_lever_arm(self) -> bool:
+        """Whether it is a place of an instrument along a camera's axes."""
+        return self in (SharedKind.CAMERA_LEVER_ARM, SharedKind.ALTIMETER_LEVER_ARM)
+
+    @property
     def moves_pose(self) -> bool:
         """Whether it changes where the camera is or how it stands."""
-        turned = (SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT)
-        return self in (*turned, SharedKind.POSITION_TIME, SharedKind.ORBIT_POSITION)
+        turned = (SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT, SharedKind.LINE_RATE)
+        return self in (*turned, SharedKind.POSITION_TIME, SharedKind.ORBIT_POSITION, SharedKind.CAMERA_LEVER_ARM)
+
+    @property
+    def moves_instrument(self) -> bool:
+        """Whether it acts by where the camera of rays, or the laser of ranges, is or how it stands (`image_effect`)."""
+        return self.moves_pose or self is SharedKind.ALTIMETER_LEVER_ARM
 
     @property
     def acts_on_rays(self) -> bool:
@@ -90,7 +116,8 @@ class SharedKind(StrEnum):
     @property
     def acts_on_ranges(self) -> bool:
         """Whether it acts on laser ranges: they begin where the camera is, and know nothing of attitude."""
-        return self in (SharedKind.POSITION_TIME, SharedKind.RANGE_BIAS, SharedKind.ORBIT_POSITION)
+        moved = (SharedKind.POSITION_TIME, SharedKind.ORBIT_POSITION, SharedKind.ALTIMETER_LEVER_ARM)
+        return self is SharedKind.RANGE_BIAS or self in moved
 
     @property
     def of_laser(self) -> bool:
@@ -100,7 +127,7 @@ class SharedKind(StrEnum):
     @property
     def moves_footprints(self) -> bool:
         """Whether it moves a-priori positions of laser footprints."""
-        return self is SharedKind.ALTIMETER_BORESIGHT or self.of_profile
+        return self in (SharedKind.ALTIMETER_BORESIGHT, SharedKind.ALTIMETER_LEVER_ARM) or self.of_profile
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -160,21 +187,22 @@ class SharedUnknown:
 
 
 def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Array:
-    """What a unit of an unknown that moves the pose does to an image's orientation correction.
+    """What a unit of an unknown that moves an instrument does to an image's orientation correction (of the laser, to
+    the place where its ranges begin).
 
     Parameters
     ----------
     image : PushbroomImage
         With its nominal orientation.
     kind : SharedKind
-        One that `moves_pose`.
+        One that `moves_instrument`.
     angles : Angles
         What the rotation part of corrections is.
 
     Returns
     -------
     (kind.width, DEGREE + 1, 6)
-        Coefficients of u^0, u^1, ... in m and rad per s, rad or m of the unknown.
+        Coefficients of u^0, u^1, ... in m and rad per s, rad, m or 1 of the unknown.
 
     Raises
     ------
@@ -188,6 +216,11 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
     if kind is SharedKind.CAMERA_BORESIGHT:
         for axis in range(3):
             effect[axis, :, 3 + axis] = 1.0
+    elif kind.is_lever_arm:
+        effect[:, :, :3] = np.swapaxes(pose.matrix, 0, 1)
+    elif kind is SharedKind.LINE_RATE:
+        later = _past_middle(image, lines)
+        effect[0] = np.hstack([pose.velocity, pose.angular_rate]) * later[:, None]
     else:
         period, spin = image.timing.at(lines)[1][:, None], _spin(image)
         velocity = pose.velocity / period + np.cross(spin, pose.position)
@@ -200,6 +233,12 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
     if angles != "camera":
         effect[:, :, 3:] = [_added_angles(pose, angles, turned) for turned in effect[:, :, 3:]]
     return _fitted(image, kind, image.normalised(lines), effect)
+
+
+def _past_middle(image: PushbroomImage, lines: Array) -> Array:
+    """(n,) lines by which a line period that is twice as long makes lines (n,) later."""
+    times, periods = image.timing.at(lines)
+    return np.asarray((times - image.timing.at(np.array([0.5 * image.lines]))[0]) / periods)
 
 
 def _flight_axes(positions: Array, velocities: Array) -> Array:
@@ -273,7 +312,7 @@ def off_nadir(image: PushbroomImage, times: Array, footprints: Array) -> Array:
 
 
 def ground_shift(image: PushbroomImage, kind: SharedKind) -> Array:
-    """(kind.width, 3) m per s, rad or m: how far the ground moves that the middle of an image shows (or, by the
+    """(kind.width, 3) m per s, rad, m or 1: how far the ground moves that the middle of an image shows (or, by the
     altimeter's boresight, a footprint there), level with the ellipsoid.
     """
     line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
@@ -282,6 +321,8 @@ def ground_shift(image: PushbroomImage, kind: SharedKind) -> Array:
     arm, up = place - pose.position, place[0] / np.array([image.body.equatorial] * 2 + [image.body.polar]) ** 2
     if kind is SharedKind.ALTIMETER_BORESIGHT:
         moved = np.cross(pose.matrix[0], arm)
+    elif kind is SharedKind.ALTIMETER_LEVER_ARM:
+        moved = pose.matrix[0]
     else:
         effect = image_effect(image, kind, "camera")[:, 0]
         moved = effect[:, :3] + np.cross(effect[:, 3:] @ pose.matrix[0], arm)

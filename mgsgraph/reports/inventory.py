@@ -181,7 +181,7 @@ def _shared(network: Network) -> str:
     """Unknowns that images share, with what is known of them beforehand."""
     lines = ["Unknowns that images share"]
     for one in network.shared:
-        scale, unit = (MRAD, "mrad") if one.kind.unit == "rad" else (1.0, one.kind.unit)
+        scale, unit = one.kind.reported
         sigmas = ", ".join(f"{sigma / scale:.3g}" for sigma in one.sigmas)
         kind = "" if one.name == one.kind else f" ({one.kind})"
         names = [network.images[j].name for j in one.images.tolist()]

@@ -224,6 +224,65 @@ def test_an_orbit_that_truly_lies_elsewhere_is_found() -> None:
     assert np.abs(solution.residuals).max() < 0.02
 
 
+def test_lines_that_truly_take_longer_are_found() -> None:
+    """By a ten-thousandth, about the middle of each image, whose label says a shorter period."""
+    longer = 1e-4
+    net = network(simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2), held=(True, True))
+    images = []
+    for image in net.images:
+        (middle,), (period,) = image.timing.at(np.array([0.5 * image.lines]))
+        shorter = period / (1.0 + longer)
+        timing = replace(image.timing, start_times=middle - 0.5 * image.lines * np.array([shorter]),
+                         periods=np.array([shorter]))  # fmt: skip
+        images.append(replace(image, timing=timing))
+    net = replace(net, images=tuple(images), shared=(shared(SharedKind.LINE_RATE, [0, 1], 1e-2),))
+    solution = adjust_network(net, SolverSettings())
+    sigma = float(np.sqrt(solution.shared_covariance(0)[0, 0]))
+    assert sigma < 0.01 * longer
+    assert abs(solution.shared[0][0] - longer) < 4.0 * sigma + 1e-3 * longer
+    assert np.abs(solution.residuals).max() < 0.02
+    assert solution.cost_initial > 10.0 * solution.cost_final
+
+
+ARM = np.array([3.0, -5.0, 8.0])
+"""m along the camera's axes."""
+
+
+def test_a_camera_that_truly_sits_elsewhere_is_found() -> None:
+    """At that lever arm from where its tables have it; footprints, without ranges, are where they are."""
+    net = network(simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2), held=(True, True))
+    images = []
+    for image in net.images:
+        table, camera = image.trajectory.position, image.trajectory.camera  # type: ignore[attr-defined]
+        nearer = replace(table, positions=table.positions - np.einsum("a,nac->nc", ARM, camera.at(table.times)[0]))
+        images.append(replace(image, trajectory=replace(image.trajectory, position=nearer)))
+    none = net.ranges.chosen(np.zeros(0, dtype=np.int64))
+    wanted = shared(SharedKind.CAMERA_LEVER_ARM, [0, 1], 1e3)
+    solution = adjust_network(replace(net, images=tuple(images), ranges=none, shared=(wanted,)), SolverSettings())
+    sigmas = np.sqrt(np.diag(solution.shared_covariance(0)))
+    assert np.count_nonzero(sigmas < 0.01) == 2  # along the line of sight a narrow angle says little
+    assert np.all(np.abs(solution.shared[0] - ARM) < 4.0 * sigmas + 1e-3)
+    assert np.abs(solution.residuals).max() < 0.02
+
+
+def test_a_laser_that_truly_sits_elsewhere_is_found() -> None:
+    """Its ranges begin at that lever arm from the trajectory, and footprints are given as far on the other side."""
+    net = network(simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2), held=(True, True))
+    owner = net.images[0]
+    assert not net.ranges.image.any()
+    arm = np.einsum("a,nac->nc", ARM, owner.trajectory.pose(net.ranges.times - owner.trajectory.epoch).matrix)
+    places, true = net.points.places.copy(), net.points.places[net.ranges.point]
+    centre = owner.trajectory.pose(net.ranges.times - owner.trajectory.epoch).position
+    longer = np.linalg.norm(true - centre - arm, axis=1) - np.linalg.norm(true - centre, axis=1)
+    places[net.ranges.point] -= arm
+    net = replace(net, ranges=replace(net.ranges, values=net.ranges.values + longer),
+                  points=replace(net.points, places=places),
+                  shared=(shared(SharedKind.ALTIMETER_LEVER_ARM, [0], 1e3),))  # fmt: skip
+    solution = adjust_network(net, SolverSettings())
+    np.testing.assert_allclose(solution.shared[0], ARM, atol=0.05)
+    assert np.abs(solution.range_residuals).max() < 0.05
+
+
 # --- what is known of them
 
 

@@ -30,8 +30,10 @@ BODY = ("position X", "position Y", "position Z", *FLIGHT[3:])
 _LONG = 10.0 * DEG
 """Arc from mid-image to either end from which an image is that long."""
 _ORDERS = ("constant", "linear", "quadratic", "cubic")
-_PER_SECOND = 1e-3
-"""rad/s, about what a camera turns that looks down all along a low orbit: what a second of time bias counts for."""
+_TURNING = {"s": 1e-3, "": 1e-2}
+"""rad, what a unit of an unknown without length counts for: per second of time bias about what a camera turns that
+looks down all along a low orbit; of a line rate half the angle along a long image.
+"""
 _LEVEL = 1e-9
 """Sine below which a direction counts as parallel to another."""
 
@@ -199,7 +201,7 @@ class Frames:
             rows = self.layout.columns_of(network.first_shared + k)
             if columns.start <= rows.start < columns.stop and shared.kind.unit != "m":
                 distance = self.of(int(shared.images[0])).reach[4]
-                turning = _PER_SECOND if shared.kind.unit == "s" else 1.0
+                turning = _TURNING.get(shared.kind.unit, 1.0)
                 result[rows.start - columns.start : rows.stop - columns.start] *= distance * turning
         return result
 

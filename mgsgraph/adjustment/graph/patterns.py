@@ -263,7 +263,7 @@ class _PatternObservations:
             mine = np.flatnonzero(of_image[self.image] & np.isin(self.kind, kinds))
             number = np.full(mine.size, network.first_shared + k)
             _add_singles(observation, variable, inside, mine, number, shared.kind.width)
-            if not shared.kind.moves_pose:
+            if not shared.kind.moves_instrument:
                 self.width[mine] = np.where(self.kind[mine] == IMAGE, 7, 4)
         for at, k in zip(self._stereo.tolist(), self._combination.tolist(), strict=True):
             observation.append(np.full(self._on_stereo[k][0].size, at))

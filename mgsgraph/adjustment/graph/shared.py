@@ -25,7 +25,7 @@ class SharedEffects:
             for of_images in self._kinds.values()
             for j, kinds in enumerate(of_images)
             for kind in kinds
-            if kind.moves_pose
+            if kind.moves_instrument
         }
 
     def of(self, observation: int, image: int, u: Array) -> Array:
@@ -34,12 +34,12 @@ class SharedEffects:
         """
         kinds = self._kinds[observation][image]
         pose = 6 if observation == IMAGE else 3
-        own = [kind for kind in kinds if not kind.moves_pose]
+        own = [kind for kind in kinds if not kind.moves_instrument]
         width = pose + bool(own)
         found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for kind in kinds:
-            if kind.moves_pose:
+            if kind.moves_instrument:
                 effect = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
                 found[:, column : column + kind.width, :pose] = effect[:, :, :pose]
             else:
@@ -57,8 +57,8 @@ def _in_axes(axes: Array | None, effect: Array) -> Array:
 
 def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
     """Points (p,), ascending, whose footprint a shared unknown moves, and how: (p, width, 3) m per rad of an
-    altimeter's boresight, a row per camera axis; m per m of a profile's height and drift upward, or of its drift
-    eastward and northward.
+    altimeter's boresight, m per m of its lever arm, a row per camera axis; m per m of a profile's height and drift
+    upward, or of its drift eastward and northward.
     """
     if shared.kind.of_profile:
         points = network.footprints_moved(shared)
@@ -72,7 +72,10 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
     for j in np.unique(ranges.image).tolist():
         mine, image = ranges.image == j, network.images[j]
         since = ranges.times[mine] - image.trajectory.epoch
-        motion[mine] = beam_motion(image, since, network.points.places[points[mine]])
+        if shared.kind is SharedKind.ALTIMETER_LEVER_ARM:
+            motion[mine] = image.trajectory.pose(since).matrix
+        else:
+            motion[mine] = beam_motion(image, since, network.points.places[points[mine]])
     return points, motion
 
 
