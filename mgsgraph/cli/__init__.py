@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib import import_module
 from types import FrameType
@@ -109,6 +110,7 @@ def main() -> None:
     guard_streams()
     try:
         _require_memory()
+        _require_text((os.getcwd(), *sys.argv[1:]))
         status = group(standalone_mode=False)
         _end_of_signals()  # all is written, only the interpreter's end is left
         if sys.stdout is not None:  # closed by the caller
@@ -160,6 +162,16 @@ def _require_memory() -> None:
     if limit != resource.RLIM_INFINITY and limit < _LEAST:
         raise MgsgraphError(f"{limit / 1e6:.0f} MB of memory for a process (ulimit -v); expected {_LEAST / 1e6:.0f} MB "
                             "at least; raise the limit")  # fmt: skip
+
+
+def _require_text(words: Iterable[str]) -> None:
+    """Raise MgsgraphError for a word whose bytes are no UTF-8: no record, project or page could hold such a name."""
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            found = f"{one_line(word)}: bytes that are no UTF-8"
+            raise MgsgraphError(f"{found}; expected a name that is text; rename it") from None
 
 
 def _end_of_signals() -> None:

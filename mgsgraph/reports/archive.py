@@ -134,6 +134,9 @@ def _require_finite(solution: Solution) -> None:
         "places": [solution.places[solution.determined]], "lift": [] if solution.lift is None else [solution.lift],
         "nodes": list(solution.nodes), "trends": list(solution.trends),
     }  # fmt: skip
+    for name in ("sigmas_without_laser", "median_sigmas_without_laser"):
+        value = getattr(solution, name)
+        parts[name] = [] if value is None else [value]
     for name, values in parts.items():
         if not all(np.all(np.isfinite(one)) for one in values):
             raise InputError(name, "not a number", "finite numbers", _ANEW)

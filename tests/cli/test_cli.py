@@ -257,6 +257,15 @@ def test_what_cleans_up_behind_an_interrupt_is_let_do_so() -> None:
     assert (done.returncode, done.stdout) == (130, "cleaned up\n")
 
 
+def test_names_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    """Bytes that are no UTF-8 came as half a character to the first record that should hold the name."""
+    code = "import sys; sys.argv[1:] = ['init', 'a\\udcff']; from mgsgraph.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "no UTF-8" in done.stderr
+
+
 def test_too_little_memory_for_the_libraries_is_said_before_they_are_loaded(case_file: Path) -> None:
     """With 512 MB, OpenBLAS or numba would spin, and heed no signal."""
     command = ["bash", "-c", 'ulimit -v 512000; exec "$@"', "bash", *COMMAND, "check", str(case_file)]

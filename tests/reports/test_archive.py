@@ -271,6 +271,14 @@ def test_no_code_of_an_archive_is_run(archive: Path, tmp_path: Path) -> None:
     assert (tmp_path / "ran").exists()
 
 
+@pytest.mark.parametrize("name", ["sigmas_without_laser", "median_sigmas_without_laser"])
+def test_sigmas_that_are_no_numbers(archive: Path, tmp_path: Path, name: str) -> None:
+    def other(parts: dict[str, Any]) -> None:
+        parts[name] = np.full(3, np.nan)
+
+    assert_refused(edited(archive, tmp_path / "x.npz", other), name)
+
+
 def test_checksums_are_looked_at_first(archive: Path, tmp_path: Path) -> None:
     content = bytearray(archive.read_bytes())
     content[content.index(b"{'descr': '<f8'")] ^= 1  # NumPy would trip over the header
