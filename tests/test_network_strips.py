@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.network import JointNodePrior, NodePrior, Pass
-from mgsgraph.network.passes import normalised
+from mgsgraph.network.node_priors import normalised
 
 TIMES = np.array([0.0, 2.0, 3.0, 7.0, 11.0])
 NODES = OrientationImages("lagrange", 0.0, TIMES)

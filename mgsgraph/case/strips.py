@@ -69,7 +69,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class StripPriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.passes`.
+    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.node_priors`.
 
     Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
     of the attitude is what Spiegel et al. (papers/003) state of Mars Express; all others are those of simulated blocks.

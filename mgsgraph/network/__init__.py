@@ -1,8 +1,8 @@
 """The network of an adjustment, its parts, and how its images hang together."""
 
 from mgsgraph.network.network import Network as Network
-from mgsgraph.network.passes import JointNodePrior as JointNodePrior
-from mgsgraph.network.passes import NodePrior as NodePrior
+from mgsgraph.network.node_priors import JointNodePrior as JointNodePrior
+from mgsgraph.network.node_priors import NodePrior as NodePrior
 from mgsgraph.network.passes import Pass as Pass
 from mgsgraph.network.records import TERRAIN as TERRAIN
 from mgsgraph.network.records import GroundPoints as GroundPoints

@@ -10,7 +10,7 @@ from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import JointNodePrior, NodePrior
-from mgsgraph.network.passes import normalised
+from mgsgraph.network.node_priors import normalised
 
 Axis = Literal["pitch", "roll", "yaw"]
 """About the camera's x (across), y (flight) or z (optical axis): HRSC's."""

@@ -21,7 +21,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import NodePrior, Pass
-from mgsgraph.network.passes import normalised
+from mgsgraph.network.node_priors import normalised
 from mgsgraph.spacing.rays import ray_scatter
 
 AXES = FLIGHT

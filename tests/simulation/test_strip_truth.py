@@ -6,7 +6,7 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.network import JointNodePrior, NodePrior
-from mgsgraph.network.passes import LinearFactor, normalised
+from mgsgraph.network.node_priors import LinearFactor, normalised
 from mgsgraph.simulation.hrsc_block import TrajectoryErrors
 from mgsgraph.simulation.strip_truth import Jitter, correction_at, drawn_nodes, true_correction
 
