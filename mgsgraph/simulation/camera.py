@@ -17,6 +17,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
@@ -51,11 +52,16 @@ def interior_orientation(
 
 
 def line_image(
-    name: str, size: tuple[int, int], interior: InteriorOrientation, timing: LineTiming, trajectory: Trajectory
+    name: str,
+    size: tuple[int, int],
+    interior: InteriorOrientation,
+    timing: LineTiming,
+    trajectory: Trajectory,
+    body: Ellipsoid = MARS,
 ) -> PushbroomImage:
-    """Image of Mars of (lines, samples)."""
+    """Image of (lines, samples)."""
     return PushbroomImage(
-        name=name, lines=size[0], samples=size[1], interior=interior, timing=timing, trajectory=trajectory, body=MARS
+        name=name, lines=size[0], samples=size[1], interior=interior, timing=timing, trajectory=trajectory, body=body
     )
 
 

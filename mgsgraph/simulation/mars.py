@@ -7,6 +7,8 @@ from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG
 
+Pair = tuple[float, float]
+"""A value at J2000 and its change."""
 MARS = Ellipsoid(3_396_190.0, 3_376_200.0)
 """IAU 2009 (Archinal et al. 2011), the radii of MOLA's products."""
 GRAVITY = 4.282837e13
@@ -47,11 +49,19 @@ def kepler(times: Array, periapsis: float, eccentricity: float, gravity: float) 
 
 
 def body_matrix(times: Array) -> Array:
-    """J2000 to IAU_MARS (n, 3, 3) at times (n,) in s TDB past J2000: R3(W) R1(90 - dec) R3(90 + ra) (SPICE tipbod)."""
+    """J2000 to IAU_MARS (n, 3, 3) at times (n,) in s TDB past J2000."""
+    return turning_matrix(times, POLE_RA, POLE_DEC, MERIDIAN)
+
+
+def turning_matrix(times: Array, pole_ra: Pair, pole_dec: Pair, prime_meridian: Pair) -> Array:
+    """J2000 to body-fixed (n, 3, 3) at times (n,) in s TDB past J2000: R3(W) R1(90 - dec) R3(90 + ra) (SPICE tipbod).
+
+    Right ascension and declination of the pole are in deg and deg per century, the meridian in deg and deg per day.
+    """
     centuries, zero = times / _CENTURY, np.zeros_like(times)
-    ascension = (POLE_RA[0] + POLE_RA[1] * centuries + 90.0) * DEG
-    tilt = (90.0 - POLE_DEC[0] - POLE_DEC[1] * centuries) * DEG
-    meridian = np.remainder(MERIDIAN[0] + MERIDIAN[1] * times / _DAY, 360.0) * DEG
+    ascension = (pole_ra[0] + pole_ra[1] * centuries + 90.0) * DEG
+    tilt = (90.0 - pole_dec[0] - pole_dec[1] * centuries) * DEG
+    meridian = np.remainder(prime_meridian[0] + prime_meridian[1] * times / _DAY, 360.0) * DEG
     angles = ((2, meridian), (0, tilt), (2, ascension))
     about = [np.stack([angle if axis == k else zero for k in range(3)], 1) for axis, angle in angles]
     spin, equator, node = (rotation.exponential(-vector) for vector in about)

@@ -2,7 +2,7 @@
 
 All fly a Kepler orbit that is at an apse at its epoch (`Orbit`). There are three ways to say which one:
 
-* `circular_orbit` and `circular_trajectory`: a circle at MGS's altitude past a site (pair, strip, bridge image);
+* `circular_orbit` and `circular_trajectory`: a circle past a site (pair, strip, bridge image; rigs over the Moon);
 * `site_pass`: MGS over a study site, with the published emission angle and ground speed;
 * `hrsc_flight.PericentrePass`: Mars Express over a block of HRSC strips.
 
@@ -10,7 +10,9 @@ A camera at nadir turns with the orbit; one that looks aside is held in inertial
 what is wrong with the kernels (`sites.KernelErrors`) is in the nominal trajectory of a study site alone.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,22 +49,24 @@ _INCLINATION = 92.9 * DEG
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Orbit:
-    """A Kepler orbit about Mars, inertial (J2000), which is at one of its apses at the epoch."""
+    """A Kepler orbit, inertial (J2000), which is at one of its apses at the epoch."""
 
     epoch: float
     """s TDB past J2000."""
     outward: Array
-    """(3,) unit: from Mars' centre to the spacecraft at the epoch."""
+    """(3,) unit: from the body's centre to the spacecraft at the epoch."""
     flight: Array
     """(3,) unit: direction of flight at the epoch."""
     radius: float
-    """m, distance from Mars' centre at the epoch."""
+    """m, distance from the body's centre at the epoch."""
     eccentricity: float
     """0 for a circle; negative where the epoch is at the apoapsis."""
+    gravity: float = GRAVITY
+    """m^3/s^2, GM of the body."""
 
     def state(self, times: Array) -> tuple[Array, Array]:
         """Position (n, 3) in m and velocity (n, 3) in m/s, inertial, at times (n,) in s past the epoch."""
-        along, across = kepler(times, self.radius, self.eccentricity, GRAVITY)
+        along, across = kepler(times, self.radius, self.eccentricity, self.gravity)
         return (
             along[0][:, None] * self.outward + across[0][:, None] * self.flight,
             along[1][:, None] * self.outward + across[1][:, None] * self.flight,
@@ -104,6 +108,21 @@ def quaternions(matrices: Array) -> Array:
 # --- circles: pair, strip and bridge image
 
 
+class CentralBody(NamedTuple):
+    """A body as circles about it need it."""
+
+    ellipsoid: Ellipsoid
+    """Its surface."""
+    gravity: float
+    """m^3/s^2, GM."""
+    to_fixed: Callable[[Array], Array]
+    """Rotations (n, 3, 3) from J2000 to the body-fixed frame at times (n,) in s TDB past J2000."""
+
+
+MARS_BODY = CentralBody(MARS, GRAVITY, fixed_pole_matrix)
+"""Mars as pair, strip and bridge image have it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CircularPass:
     """A flight on a circle past a site, which the optical axis meets at the epoch."""
@@ -118,16 +137,26 @@ class CircularPass:
     """m, of the orbit above the site's distance from the centre."""
     off_nadir: float = 0.0
     """rad, at the spacecraft between the optical axis and nadir, across track; zero for tracking nadir."""
+    body: CentralBody = MARS_BODY
+    """About which it flies."""
+    turning: bool | None = None
+    """Whether the camera turns about the orbit's normal as nadir does; otherwise it is held in inertial space. None:
+    held where the axis is off nadir, as MGS did it."""
 
     def __post_init__(self) -> None:
         assign(self, site=frozen(self.site, "circular pass, site", (3,)))
 
+    @property
+    def turns(self) -> bool:
+        """Whether the camera turns with the orbit."""
+        return self.off_nadir == 0.0 if self.turning is None else self.turning
+
 
 def circular_orbit(flown: CircularPass) -> Orbit:
-    """The circle of a pass; InputError where its off-nadir axis would miss Mars."""
+    """The circle of a pass; InputError where its off-nadir axis would miss the body."""
     site = flown.site
     radius = float(np.linalg.norm(site)) + flown.altitude
-    to_inertial = fixed_pole_matrix(np.array([flown.epoch]))[0].T
+    to_inertial = flown.body.to_fixed(np.array([flown.epoch]))[0].T
     zenith = to_inertial @ (site / np.linalg.norm(site))
     east = to_inertial @ (np.cross([0.0, 0.0, 1.0], site) / np.hypot(site[0], site[1]))
     flight = np.cos(flown.heading) * np.cross(zenith, east) + np.sin(flown.heading) * east
@@ -137,24 +166,33 @@ def circular_orbit(flown: CircularPass) -> Orbit:
         raise InputError("simulated orbit, off_nadir", found, "less, about 20 deg")
     aside = np.arcsin(sine) - flown.off_nadir  # angle at the body's centre between the site and the orbit's plane
     outward = np.cos(aside) * zenith + np.sin(aside) * np.cross(flight, zenith)
-    return Orbit(flown.epoch, outward, flight, radius, 0.0)
+    return Orbit(flown.epoch, outward, flight, radius, 0.0, flown.body.gravity)
+
+
+def circular_attitude(flown: CircularPass, times: Array) -> Array:
+    """J2000 to the camera frame (n, 3, 3) at times (n,) in s past the epoch: +X forward, +Z the axis to the site."""
+    orbit = circular_orbit(flown)
+    axis = flown.body.to_fixed(np.array([flown.epoch]))[0].T @ flown.site - orbit.radius * orbit.outward
+    axis = axis / np.linalg.norm(axis)
+    camera = np.stack([orbit.flight, np.cross(axis, orbit.flight), axis])
+    swept = np.sqrt(orbit.gravity / orbit.radius**3) * times if flown.turns else np.zeros(times.size)
+    turned = swept[:, None] * np.cross(orbit.outward, orbit.flight)
+    return np.asarray(camera @ rotation.exponential(-turned))
 
 
 def circular_trajectory(flown: CircularPass, half: float, step: float = TABLE_STEP) -> Trajectory:
     """The pass, sampled every `step` seconds for `half` seconds and a step either side of its epoch."""
-    samples = int(np.ceil(half / step)) + 1
-    times: Array = step * np.arange(-samples, samples + 1, dtype=np.float64)
-    orbit = circular_orbit(flown)
-    axis = fixed_pole_matrix(np.array([flown.epoch]))[0].T @ flown.site - orbit.radius * orbit.outward
-    axis = axis / np.linalg.norm(axis)
-    camera = np.stack([orbit.flight, np.cross(axis, orbit.flight), axis])
-    tracks_nadir = flown.off_nadir == 0.0  # then the camera turns about the orbit's normal, otherwise it is held
-    swept = np.sqrt(GRAVITY / orbit.radius**3) * times if tracks_nadir else np.zeros(times.size)
-    turned = swept[:, None] * np.cross(orbit.outward, orbit.flight)
+    times = circle_times(half, step)
     return sampled_trajectory(
-        flown.epoch, times, orbit.state(times), camera @ rotation.exponential(-turned),
-        fixed_pole_matrix(flown.epoch + times), _CIRCLE_MOUNT, _CIRCLE_TILT,
+        flown.epoch, times, circular_orbit(flown).state(times), circular_attitude(flown, times),
+        flown.body.to_fixed(flown.epoch + times), _CIRCLE_MOUNT, _CIRCLE_TILT,
     )  # fmt: skip
+
+
+def circle_times(half: float, step: float = TABLE_STEP) -> Array:
+    """Times (n,) in s past the epoch, every `step` seconds for `half` seconds and a step either side of it."""
+    samples = int(np.ceil(half / step)) + 1
+    return np.asarray(step * np.arange(-samples, samples + 1, dtype=np.float64))
 
 
 def ground_track(flown: CircularPass, times: Array) -> tuple[Array, Array]:
@@ -163,25 +201,25 @@ def ground_track(flown: CircularPass, times: Array) -> tuple[Array, Array]:
     """
     orbit = circular_orbit(flown)
     positions, velocities = orbit.state(times)
-    to_body = fixed_pole_matrix(flown.epoch + times)
+    to_body = flown.body.to_fixed(flown.epoch + times)
     up = np.einsum("nij,nj->ni", to_body, positions) / orbit.radius
     along = np.einsum("nij,nj->ni", to_body, velocities)
     east = np.cross([0.0, 0.0, 1.0], up)
     east /= np.linalg.norm(east, axis=1, keepdims=True)
     north = np.cross(up, east)
     heading = np.arctan2(np.einsum("ni,ni->n", along, east), np.einsum("ni,ni->n", along, north))
-    return on_ellipsoid(up), heading
+    return on_ellipsoid(up, body=flown.body.ellipsoid), heading
 
 
-def on_ellipsoid(directions: Array, height: Array | float = 0.0) -> Array:
+def on_ellipsoid(directions: Array, height: Array | float = 0.0, body: Ellipsoid = MARS) -> Array:
     """Points (n, 3) in m, body-fixed, at a height above the ellipsoid, towards unit vectors (n, 3) from its centre."""
-    points, _, _ = intersect_ellipsoid(2.0 * MARS.equatorial * directions, -directions, MARS, height)
+    points, _, _ = intersect_ellipsoid(2.0 * body.equatorial * directions, -directions, body, height)
     return points
 
 
-def site_at(longitude: float, latitude: float) -> Array:
+def site_at(longitude: float, latitude: float, body: Ellipsoid = MARS) -> Array:
     """Point (3,) in m, body-fixed, of the ellipsoid at a longitude and planetocentric latitude in rad."""
-    return np.asarray(on_ellipsoid(from_planetocentric(np.array([[longitude, latitude, 1.0]])))[0])
+    return np.asarray(on_ellipsoid(from_planetocentric(np.array([[longitude, latitude, 1.0]])), body=body)[0])
 
 
 # --- MGS over a study site
