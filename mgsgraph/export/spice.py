@@ -24,6 +24,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export.round_trip import Reprojection, images_of, reprojection
 from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, adjusted_nodes
+from mgsgraph.export.spice_paths import Paths, united_paths
 from mgsgraph.export.spice_texts import (
     CLOCK,
     META_KERNEL,
@@ -92,7 +93,10 @@ class SpiceNaming:
 
 
 def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = None) -> list[Path]:
-    """Write the adjusted trajectory of every image, one segment each, and a meta-kernel.
+    """Write the adjusted trajectory of every pass and image, and a meta-kernel.
+
+    Images of a pass are of one spacecraft, whose SPK has one path, and each of a camera whose frame has a CK of its
+    own, with its mounting as adjusted.
 
     Parameters
     ----------
@@ -131,8 +135,8 @@ class _Export:
     """What all files are made of."""
 
     body: Body
-    carriers: Sequence[Carrier]
-    """One for each image."""
+    paths: Paths
+    """Ids of each image, and the path of each spacecraft."""
     nodes: Sequence[AdjustedNodes]
     """Of each."""
     clock: int
@@ -142,6 +146,11 @@ class _Export:
     named: bool
     """Whether ids are the mission's."""
     comments: Sequence[str]
+
+    @property
+    def carriers(self) -> Sequence[Carrier]:
+        """One for each image."""
+        return self.paths.carriers
 
     @property
     def segments(self) -> Iterator[tuple[Carrier, AdjustedNodes, Array, str]]:
@@ -154,15 +163,15 @@ def _exported(solution: Solution, naming: SpiceNaming) -> _Export:
     for name in naming.images.keys() - {image.name for image in solution.network.images}:
         raise InputError(f"NAIF ids of {name}", "no image of the solution", "one that was adjusted")
     body = _body(solution, naming)
-    carriers = _carriers(solution, naming, reprojection(solution))
+    network, carriers = solution.network, _carriers(solution, naming, reprojection(solution))
     nodes = [
         adjusted_nodes(one.image, solution.correction(j), (one.covered[0] - 1.0, one.covered[1] + 1.0))
         for j, one in enumerate(carriers)
     ]  # a line more than is promised: times are rounded
-    _require_apart(carriers, nodes)
+    paths = united_paths(carriers, nodes, network.pass_of.tolist(), naming.images)
     clock = naming.clock or MissionClock(CLOCK, ())
-    comments = _comments(solution, body, carriers, nodes)
-    return _Export(body, carriers, nodes, clock.spacecraft, clock.kernels, bool(naming.images), comments)
+    comments = _comments(solution, body, paths, nodes)
+    return _Export(body, paths, nodes, clock.spacecraft, clock.kernels, bool(naming.images), comments)
 
 
 def _body(solution: Solution, naming: SpiceNaming) -> Body:
@@ -191,26 +200,8 @@ def _carriers(solution: Solution, naming: SpiceNaming, wanted: Reprojection) -> 
     return carriers
 
 
-def _require_apart(carriers: Sequence[Carrier], nodes: Sequence[AdjustedNodes]) -> None:
-    """Raise InputError unless images of the same spacecraft or camera are at different times."""
-    spans = [(part.epoch + part.times[0], part.epoch + part.times[-1]) for part in nodes]
-    order = np.argsort([span[0] for span in spans]).tolist()
-    last: dict[int, int] = {}
-    for j in order:
-        for code in {carriers[j].spacecraft, carriers[j].camera}:
-            before = last.get(code)
-            if before is not None and spans[before][1] >= spans[j][0]:
-                names = f"{carriers[before].image.name} and {carriers[j].image.name}"
-                raise InputError(
-                    f"NAIF id {code}", f"both {names} at the same time, which have orientation of their own",
-                    "ids that differ", "leave the ids of one of them to the export",
-                )  # fmt: skip
-            if before is None or spans[before][1] < spans[j][1]:
-                last[code] = j
-
-
 def _comments(
-    solution: Solution, body: Body, carriers: Sequence[Carrier], nodes: Sequence[AdjustedNodes]
+    solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes]
 ) -> tuple[str, ...]:
     """Where the files come from, and what holds in all of them; printable ASCII."""
     versions = ", ".join(f"{name} {version}" for name, version in solution.versions.items())
@@ -222,9 +213,10 @@ def _comments(
         f"Frame {body.frame}: body-fixed, as adjusted. Positions are geometric (no light time, no aberration).",
         "Time biases of the mission's kernels are in positions and attitudes already and must NOT be added again",
         "(MOC: attitude bias of -1.15 s). Camera +Z is out of the lens; camera constants: adjusted.ti.",
+        *_words_of_passes(solution, paths),
         "",
     ]
-    for one, part in zip(carriers, nodes, strict=True):
+    for one, part in zip(paths.carriers, nodes, strict=True):
         start, stop = part.epoch + part.times[[0, -1]]
         said += [
             f"Image {one.image.name}: spacecraft {one.spacecraft}, camera {one.camera} ({one.frame}),",
@@ -235,6 +227,18 @@ def _comments(
         ]
     plain = [line if line.isascii() and line.isprintable() else ascii(line)[1:-1] for line in said]
     return tuple(part for line in plain for part in (wrap(line, _WIDTH, subsequent_indent="  ") or [""]))
+
+
+def _words_of_passes(solution: Solution, paths: Paths) -> list[str]:
+    """Which spacecraft each pass is, and why an image of it is another."""
+    said, images = [], solution.network.images
+    for one in solution.network.passes:
+        names = [images[j].name for j in one.images.tolist() if images[j].name not in paths.apart]
+        code = next(carrier.spacecraft for carrier in paths.carriers if carrier.image.name in names)
+        said.append(f"Pass {one.name!r}: one trajectory, spacecraft {code}, of the images {', '.join(names)}.")
+    for name, off in paths.apart.items():
+        said.append(f"Image {name}: a spacecraft of its own, {off:.3g} m off the trajectory of its pass.")
+    return said
 
 
 def _texts(folder: Path, export: _Export) -> tuple[list[str], tuple[str, ...]]:
@@ -277,13 +281,16 @@ def _opened(name: str, export: _Export) -> Iterator[int]:
 
 def _write_positions(name: str, export: _Export) -> None:
     with _opened(name, export) as handle:
-        for one, nodes, times, segment in export.segments:
-            states = np.hstack([nodes.positions, nodes.velocities]) / KM
-            first, last = float(times[0]), float(times[-1])
-            spiceypy.spkw13(
-                handle, one.spacecraft, export.body.code, export.body.frame, first, last, segment, _DEGREE,
-                times.size, states, times,
-            )  # fmt: skip
+        for spacecraft, path in export.paths.of_spacecraft.items():
+            for image, first, last in path:
+                nodes, name = export.nodes[image], export.carriers[image].image.name[:_SEGMENT]
+                times = nodes.times + nodes.epoch
+                used = slice(max(int(np.searchsorted(times, first, side="right")) - 1, 0), None)
+                states = np.hstack([nodes.positions, nodes.velocities])[used] / KM
+                spiceypy.spkw13(
+                    handle, spacecraft, export.body.code, export.body.frame, first, last, name, _DEGREE,
+                    states.shape[0], states, times[used],
+                )  # fmt: skip
 
 
 def _write_attitudes(name: str, export: _Export) -> None:

@@ -49,6 +49,8 @@ class AdjustedNodes:
     """(n, 3) rad/s, angular velocity of the camera against the body-fixed frame, in body-fixed axes."""
     error: float
     """px, largest between nodes, where it was measured."""
+    pixel: float
+    """m across the line of sight, of the smallest line or sample."""
 
 
 def adjusted_nodes(
@@ -77,7 +79,7 @@ def adjusted_nodes(
         off = _errors(image, correction, nodes, distance) / pixel
         wrong = off > TOLERANCE
         if not wrong.any():
-            return AdjustedNodes(*nodes, error=float(off.max()))
+            return AdjustedNodes(*nodes, error=float(off.max()), pixel=pixel)
         known = nodes[1]
         times = np.sort(np.concatenate([known, 0.5 * (known[1:] + known[:-1])[wrong]]))
     raise InputError(

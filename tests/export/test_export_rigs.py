@@ -1,0 +1,191 @@
+"""Exports of passes with mounted cameras: one trajectory for each spacecraft, and all that moves poses is in them."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import spiceypy
+from rigs import BORESIGHT, adjusted_rig, rig
+from strip_files import write_block
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import adjust, read_case
+from mgsgraph.errors import InputError
+from mgsgraph.export.bundle_orientation import orientation_polynomials
+from mgsgraph.export.control_back import control_differences
+from mgsgraph.export.csm import write_csm
+from mgsgraph.export.csm_back import csm_differences
+from mgsgraph.export.isis import write_isis
+from mgsgraph.export.round_trip import measured_places, reprojection
+from mgsgraph.export.spice import NaifIds, SpiceNaming, write_spice
+from mgsgraph.export.spice_back import spice_differences
+from mgsgraph.export.spice_nodes import TOLERANCE
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.network import NodePrior, Pass, SharedKind, SharedUnknown
+from mgsgraph.network.joining import mountings, seconds
+
+HADLEY = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "jigsaw_nac.toml"
+CSM = 2e-4
+"""px, by which places of model states may be off (docs/exchange.md)."""
+VALUES = {
+    SharedKind.CAMERA_BORESIGHT: [2e-4, -3e-4, 5e-4],
+    SharedKind.ATTITUDE_TIME: [0.02],
+    SharedKind.POSITION_TIME: [0.02],
+    SharedKind.ORBIT_POSITION: [60.0, -80.0, 90.0],
+    SharedKind.FOCAL_LENGTH: [0.05],
+}
+"""Of an unknown of R alone."""
+
+
+def segments(folder: Path) -> dict[int, list[tuple[float, float]]]:
+    """Times of the segments of the SPK, in order, of each spacecraft, as SPICE lists them."""
+    handle, found = spiceypy.dafopr(str(folder / "adjusted.bsp")), dict[int, list[tuple[float, float]]]()
+    spiceypy.dafbfs(handle)
+    while spiceypy.daffna():
+        (start, stop), (body, *_) = spiceypy.dafus(spiceypy.dafgs(5), 2, 6)
+        found.setdefault(int(body), []).append((float(start), float(stop)))
+    spiceypy.dafcls(handle)
+    return {body: sorted(spans) for body, spans in found.items()}
+
+
+@cache
+def adjusted_with(kind: SharedKind) -> Solution:
+    """The rig's solution with such an unknown of R alone, about nothing."""
+    one = SharedUnknown("of R", kind, np.array([1]), 1e-3 * np.abs(VALUES[kind]))
+    solution = adjust_network(replace(rig(), shared=(one,)), SolverSettings())
+    return replace(solution, shared=(np.zeros(kind.width),))
+
+
+def with_unknown(kind: SharedKind) -> Solution:
+    """The same with a value of the unknown."""
+    return replace(adjusted_with(kind), shared=(np.array(VALUES[kind]),))
+
+
+def by_hand(image: PushbroomImage, kind: SharedKind) -> PushbroomImage:
+    """R with such a nominal orientation as the unknown makes of it: nothing of `network.shared` is used."""
+    values, trajectory = np.array(VALUES[kind]), image.trajectory
+    assert isinstance(trajectory, Trajectory)
+    camera, position = trajectory.camera, trajectory.position
+    if kind is SharedKind.FOCAL_LENGTH:
+        return replace(image, interior=replace(image.interior, focal_length=image.interior.focal_length + values[0]))
+    if kind is SharedKind.CAMERA_BORESIGHT:
+        camera = replace(camera, constant=rotation.exponential(-values[None])[0] @ camera.constant)
+    elif kind is SharedKind.ATTITUDE_TIME:
+        camera = replace(camera, times=camera.times - values[0])
+    elif kind is SharedKind.POSITION_TIME:
+        position = replace(position, times=position.times - values[0])
+    else:
+        up = position.positions / np.linalg.norm(position.positions, axis=1)[:, None]
+        left = np.cross(position.positions, position.velocities)
+        left /= np.linalg.norm(left, axis=1)[:, None]
+        moved = values[0] * up + values[1] * np.cross(left, up) + values[2] * left
+        position = replace(position, positions=position.positions + moved)
+    return replace(image, trajectory=replace(trajectory, camera=camera, position=position))
+
+
+@pytest.mark.parametrize("kind", VALUES)
+def test_what_moves_poses_is_in_all_exports(kind: SharedKind, tmp_path: Path) -> None:
+    solution, plain = with_unknown(kind), adjusted_with(kind)
+    images = [*plain.network.images]
+    images[1] = by_hand(images[1], kind)
+    wanted = reprojection(replace(plain, network=replace(plain.network, images=tuple(images))))
+    mine = np.array(wanted.image) == "R"
+    moved = np.linalg.norm(wanted.places[mine] - reprojection(plain).places[mine], axis=1)
+    assert mine.sum() > 60
+    assert moved.max() > 1.0
+    write_spice(solution, tmp_path)
+    write_csm(solution, tmp_path)
+    linear = 2e-3 * moved.max()  # a small angle beside others, an even motion
+    assert spice_differences(tmp_path, wanted).max() < linear
+    assert csm_differences(tmp_path, wanted).max() < linear
+    assert spice_differences(tmp_path, reprojection(solution)).max() < 2.0 * TOLERANCE
+    assert csm_differences(tmp_path, reprojection(solution)).max() < CSM
+
+
+def test_a_rig_comes_back_on_one_trajectory(tmp_path: Path) -> None:
+    solution = adjusted_rig()
+    write_spice(solution, tmp_path)
+    write_csm(solution, tmp_path)
+    write_isis(solution, tmp_path)
+    assert spice_differences(tmp_path, reprojection(solution)).max() < 2.0 * TOLERANCE
+    assert csm_differences(tmp_path, reprojection(solution)).max() < CSM
+    assert control_differences(tmp_path, measured_places(solution)).predicted.max() < 1e-6
+    assert {code: len(spans) for code, spans in segments(tmp_path).items()} == {-900_001: 1, -900_003: 1}
+    text = (tmp_path / "adjusted.tf").read_text()
+    assert "FRAME_-900002000_CENTER = -900001\n" in text
+    assert "Pass 'one pass': one trajectory, spacecraft -900001, of the images L, R." in (
+        tmp_path / "adjusted.tm"
+    ).read_text()
+
+
+def test_lines_of_a_strip_say_its_position_once(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    solution = adjust(read_case(write_block(tmp_path)))
+    write_spice(solution, tmp_path / "out")
+    found = segments(tmp_path / "out")
+    assert len(found) == len(solution.network.passes)
+    for code, one in zip(sorted(found, reverse=True), solution.network.passes, strict=True):
+        times = np.array(found[code])
+        assert np.all(times[1:, 0] >= times[:-1, 1])
+        covered = np.array([seconds(solution.network.images[j]) for j in one.images])
+        assert times.min() < covered.min()
+        assert times.max() > covered.max()
+
+
+def test_cameras_on_paths_of_their_own_are_told_apart(tmp_path: Path) -> None:
+    solution = with_unknown(SharedKind.ORBIT_POSITION)
+    write_spice(solution, tmp_path)
+    assert len(segments(tmp_path)) == 3
+    assert "Image R: a spacecraft of its own, 135 m off" in (tmp_path / "adjusted.tm").read_text()
+    ids = {"L": NaifIds(-85, -85600), "R": NaifIds(-85, -85610)}
+    with pytest.raises(InputError, match=r"NAIF id -85: both L and R at the same time, whose perspective centres are"):
+        write_spice(solution, tmp_path, SpiceNaming(images=ids))
+
+
+def test_the_missions_ids_of_a_rig(tmp_path: Path) -> None:
+    solution = adjusted_rig()
+    ids = {"L": NaifIds(-85, -85600), "R": NaifIds(-85, -85610)}
+    write_spice(solution, tmp_path, SpiceNaming(images=ids))
+    assert spice_differences(tmp_path, reprojection(solution)).max() < 2.0 * TOLERANCE
+    assert len(segments(tmp_path)[-85]) == 1
+    with pytest.raises(InputError, match=r"NAIF id -85600: both L and R at the same time"):
+        write_spice(solution, tmp_path, SpiceNaming(images=ids | {"R": NaifIds(-85, -85600)}))
+    network = replace(solution.network, passes=())
+    apart = adjust_network(network, SolverSettings())
+    with pytest.raises(InputError, match=r"NAIF id -85: both L and R at the same time, which have orientation of"):
+        write_spice(apart, tmp_path, SpiceNaming(images=ids))
+
+
+def test_polynomials_of_a_rig_hold_its_boresight() -> None:
+    """The angles of R change by its boresight's whole value where nothing else does."""
+    solution, values = adjusted_rig(), np.array([0.0, 0.0, 5e-4])
+    nodes = tuple(np.zeros_like(one) for one in solution.nodes)
+    still = replace(solution, nodes=nodes, trends=tuple(np.zeros_like(one) for one in solution.trends))
+    left, right = (orientation_polynomials(replace(still, shared=(values,)), j, 2) for j in range(2))
+    np.testing.assert_allclose(left.correction, 0.0, atol=1e-12)
+    assert np.abs(right.correction[5, 0]) == pytest.approx(5e-4, rel=1e-3)
+    assert rig().shared == (BORESIGHT,)
+
+
+def test_the_real_rig_comes_back(shared_data: Path, tmp_path: Path) -> None:
+    network = read_case(HADLEY).network
+    start, stop = np.min([seconds(one) for one in network.images]), np.max([seconds(one) for one in network.images])
+    nodes = evenly_spaced("lagrange", start, (0.0, stop - start), (stop - start) / 3.0)
+    prior = NodePrior(np.array([1.0] * 3 + [2.9e-4] * 3), np.zeros(6), np.zeros(6))
+    one = Pass("rig", np.array([0, 1]), nodes, prior, mountings(network.images, "rig"))
+    boresight = SharedUnknown("of R", SharedKind.CAMERA_BORESIGHT, np.array([1]), np.full(3, 3e-4))
+    solution = adjust_network(replace(network, passes=(one,), shared=(boresight,)), SolverSettings())
+    assert one.axes is not None
+    assert np.linalg.norm(rotation.logarithm(one.axes[1:])[0]) > 3.1
+    write_spice(solution, tmp_path)
+    write_csm(solution, tmp_path)
+    assert len(segments(tmp_path)) == 1
+    assert spice_differences(tmp_path, reprojection(solution)).max() < TOLERANCE
+    assert csm_differences(tmp_path, reprojection(solution)).max() < CSM
