@@ -41,6 +41,7 @@ from mgsgraph.network.observations import (
 )
 from mgsgraph.network.shared import off_nadir
 from mgsgraph.network.terrain_control import coverage, terrain_ground
+from mgsgraph.registration.carriers import Members, carriers, shots_carried
 from mgsgraph.registration.footprints import Registration, footprints_in_images, points_in_images
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG, MRAD
@@ -62,7 +63,7 @@ def shots_in_images(images: Sequence[PushbroomImage], shots: AltimeterShots) -> 
 
 
 def laser_profile(
-    taken: AltimeterShots, name: str, wanted: ShotsInput, image: PushbroomImage | None
+    taken: AltimeterShots, name: str, wanted: ShotsInput, image: PushbroomImage | None, ranged: str | None = None
 ) -> LaserProfile:
     """Shots as observations with the sigmas that are wanted, or else those of their altimeter.
 
@@ -76,6 +77,8 @@ def laser_profile(
         Sigmas, and whether ranges are used.
     image : PushbroomImage, optional
         Taken along with the shots, whose orientation carries the ranges.
+    ranged : str, optional
+        Name of one of several images that carry the ranges, which have been checked already; in place of `image`.
 
     Raises
     ------
@@ -87,7 +90,7 @@ def laser_profile(
     assert wanted.ground_sigma_m is not None
     if image is not None:
         require_ranges(image, taken.times, taken.footprints, taken.ranges, taken.source, taken.ids)
-    ranged = image.name if image is not None and wanted.ranges else None
+    ranged = (ranged if image is None else image.name) if wanted.ranges else None
     return taken.profile(
         wanted.range_sigma_m, wanted.ground_sigma_m, ranged, name, wanted.height_sigma_m, wanted.pulse_share,
         ranged=ranged is not None,
@@ -110,6 +113,8 @@ class Parts:
         self.shared: list[SharedUnknown] = []
         """Unknown heights and drifts of profiles, unknown pointing of their beams."""
         self._beams: dict[int, tuple[str, float]] = {}
+        self.passes: list[Members] = []
+        """Images of passes: shots along any of them are along the one trajectory."""
         self.footprints: dict[str, float] = {}
         """Diameter of the laser's spots on the ground, m, by profile."""
 
@@ -149,18 +154,20 @@ class Parts:
             self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
 
     def add_shots(self, shots: AltimeterShots, wanted: ShotsInput, pointed: frozenset[str]) -> AltimeterShots:
-        """Shots of a profile that fall in an image: constrained points, with a range from the simultaneous image
-        and, if asked for, back-projected image coordinates. Returns the shots taken: all but the check points. Images
-        in `pointed` have an altimeter's boresight already.
+        """Shots of a profile that fall in an image: constrained points, with a range from the simultaneous image, or
+        from the trajectory of the pass, and, if asked for, back-projected image coordinates. Returns the shots taken:
+        all but the check points. Images in `pointed` have an altimeter's boresight already.
         """
         seen, usable = shots_in_images(self.images, shots)
         if wanted.image:
-            owner: int | None = self._image(wanted.image, shots.source)
+            named = self._image(wanted.image, shots.source)
+            owners = np.where(seen.simultaneous[named], named, -1)
+            usable &= seen.shots_with(named)
         else:
-            owner = seen.simultaneous_image(seen.simultaneous & usable, "name it: image = ... in [[shots]]")
-        usable &= seen.shots_with(owner)
+            owners = carriers(seen, usable, self.passes, "name it: image = ... in [[shots]]")
+            usable &= shots_carried(seen, owners, self.passes)
         if not np.any(usable):
-            where = f"image {self.images[owner].name}" if owner is not None else "any image"
+            where = " and ".join(f"image {self.images[j].name}" for j in np.unique(owners[owners >= 0])) or "any image"
             raise InputError(
                 shots.source,
                 f"{shots.times.size} shots, none of which fall in {where}",
@@ -169,20 +176,31 @@ class Parts:
             )
         if wanted.check_every is not None:
             usable[np.flatnonzero(usable)[wanted.check_every - 1 :: wanted.check_every]] = False
-        taken = shots.chosen(usable)
+        taken, carried = shots.chosen(usable), owners[usable]
         name = Path(shots.source).stem
-        profile = laser_profile(taken, name, wanted, None if owner is None else self.images[owner])
+        profile = self._laser_profile(taken, name, wanted, carried)
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
-        if owner is not None and wanted.ranges:
+        if carried.max() >= 0 and wanted.ranges:
             mine = np.arange(first, first + n)
-            self._ranges.append((mine, np.full(n, owner), profile.times, profile.ranges, profile.range_sigmas))
+            self._ranges.append((mine, carried, profile.times, profile.ranges, profile.range_sigmas))
         self._add_shifts(name, taken, wanted, first)
-        self._add_beam(name, taken, wanted, owner, pointed)
+        self._add_beam(name, taken, wanted, carried, pointed)
         if wanted.image_rows == "back-projected":
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
         return taken
+
+    def _laser_profile(self, taken: AltimeterShots, name: str, wanted: ShotsInput, carried: Index) -> LaserProfile:
+        """As `laser_profile`, of shots that several images of a pass carry: ranges are checked against each."""
+        of_each = [(self.images[j], np.flatnonzero(carried == j)) for j in np.unique(carried[carried >= 0]).tolist()]
+        if len(of_each) < 2:
+            return laser_profile(taken, name, wanted, of_each[0][0] if of_each else None)
+        for image, mine in of_each:
+            names = [taken.ids[k] for k in mine.tolist()]
+            require_ranges(image, *(one[mine] for one in (taken.times, taken.footprints, taken.ranges)), taken.source,
+                           names)  # fmt: skip
+        return laser_profile(taken, name, wanted, None, ranged=of_each[0][0].name)
 
     def _add_shifts(self, name: str, taken: AltimeterShots, wanted: ShotsInput, first: int) -> None:
         """A profile's unknown shift and drift, called as its file; of a file with several, one for each."""
@@ -199,32 +217,34 @@ class Parts:
                 self.shared.append(SharedUnknown.of_drift(full, wanted.drift_sigma_m))
 
     def _add_beam(
-        self, name: str, taken: AltimeterShots, wanted: ShotsInput, owner: int | None, pointed: frozenset[str]
+        self, name: str, taken: AltimeterShots, wanted: ShotsInput, carried: Index, pointed: frozenset[str]
     ) -> None:
         """What a profile's beam points elsewhere in common, as an unknown; profiles along one image have one beam."""
         sigma = wanted.beam_sigma_mrad
-        if owner is None or not wanted.ranges:
+        along = np.unique(carried[carried >= 0])
+        if not (along.size and wanted.ranges):
             if sigma:
                 found = f"beam_sigma_mrad = {sigma:g} without ranges of an image taken along with the shots"
                 raise InputError(taken.source, found, "ranges = true and such an image", "take beam_sigma_mrad out")
             return
-        image = self.images[owner]
+        image = self.images[along[0]]
         if sigma is None:
-            off = off_nadir(image, taken.times - image.trajectory.epoch, taken.footprints)
+            mine = carried == along[0]
+            off = off_nadir(image, taken.times[mine] - image.trajectory.epoch, taken.footprints[mine])
             sigma = _BEAM_SIGMA if np.median(off) > _OFF_NADIR and image.name not in pointed else 0.0
-        other, known = self._beams.setdefault(owner, (name, sigma))
+        other, known = self._beams.setdefault(int(along[0]), (name, sigma))
         if wanted.beam_sigma_mrad is None:  # the beam is known by the profile before
             sigma = known
         if known != sigma:
             found = f"beam_sigma_mrad of {known:g} and {sigma:g} mrad for {other} and {name}, both along {image.name}"
             raise InputError(taken.source, found, "one number: they have one beam")
         if other == name:
-            self._beam_of(name, sigma, owner)
+            self._beam_of(name, sigma, along)
 
-    def _beam_of(self, name: str, sigma: float, owner: int) -> None:
+    def _beam_of(self, name: str, sigma: float, along: Index) -> None:
         """The unknown, where its sigma in mrad is not zero."""
         if sigma:
-            sigmas, along = np.full(3, sigma * MRAD), np.array([owner])
+            sigmas = np.full(3, sigma * MRAD)
             self.shared.append(SharedUnknown(f"beam of {name}", SharedKind.ALTIMETER_BORESIGHT, along, sigmas))
 
     def add_altimetry(self, cloud: AltimetryCloud, wanted: AltimetryInput) -> None:

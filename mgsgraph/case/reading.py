@@ -37,6 +37,7 @@ from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
+from mgsgraph.registration.carriers import Members
 from mgsgraph.ties import TiePoints
 
 _LEAST_SHOTS = 12
@@ -120,6 +121,7 @@ def case_of(
     of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
     priors = wanted.priors(str(path))
     parts = Parts(images)
+    parts.passes = [Members(tuple(one)) for one in of_strips]
     names = [image.name for image in images]
     tie_points, notes = _read_ties(wanted, parts, folder)
     if tie_points:
