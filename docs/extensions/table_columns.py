@@ -41,10 +41,12 @@ from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.strips import nodes_table
 from mgsgraph.reports.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.reports.unexplained import unexplained_table
+from mgsgraph.reports.vibrations import vibrations_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
+from mgsgraph.spacing.vibrations import ResidualVibrations
 
 _MORE = """
 [[shared]]
@@ -90,6 +92,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "strips.csv", nodes_table(solution)
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "unexplained.csv", unexplained_table(unexplained(linearised))
+    yield "vibrations.csv", vibrations_table(ResidualVibrations((), ()))
     yield "components.csv", components_table(components_of(linearised))
     yield "likelihood.csv", likelihood_table(())
     registration = _registration()

@@ -42,8 +42,8 @@ TABLES = (
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",
-    ANALYSIS, "unexplained.csv", "components.csv", "components_iterated.csv", "reliability.csv", "likelihood.csv",
-    "sigmas.tif",
+    ANALYSIS, "unexplained.csv", "vibrations.csv", "components.csv", "components_iterated.csv", "reliability.csv",
+    "likelihood.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
     DEM, "dem.tif", "ortho.tif", "shots.csv",
@@ -52,8 +52,8 @@ TABLES = (
 """Files of results but for figures."""
 FIGURES = (
     "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
-    "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "unexplained", "spacings", "spectrum",
-    "course", "matches", "dem", "costs", "profiles", "shifts", "story", "minima",
+    "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "unexplained", "vibrations", "spacings",
+    "spectrum", "course", "matches", "dem", "costs", "profiles", "shifts", "story", "minima",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"

@@ -30,6 +30,7 @@ from mgsgraph.reports.reliability import (
 )
 from mgsgraph.reports.sigmas import Section, curve_section, raster_section
 from mgsgraph.reports.unexplained import unexplained_section
+from mgsgraph.reports.vibrations import vibrations_section
 
 if TYPE_CHECKING:
     from mgsgraph.figures.sheet import Sheet
@@ -96,6 +97,7 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield raster_section(posterior, wanted.raster, wanted.cell, wanted.sigma)
     if wanted.unexplained:
         yield unexplained_section(posterior, name)
+        yield vibrations_section(posterior, name)
     if wanted.honesty:
         yield _honesty(posterior, name)
         yield linearity_section(posterior)
