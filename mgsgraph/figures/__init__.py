@@ -17,6 +17,7 @@ from mgsgraph.figures.ground_map import map_sheet
 from mgsgraph.figures.minima import minima_sheets
 from mgsgraph.figures.orientation import orientation_sheets
 from mgsgraph.figures.overlay import overlay_sheets, pixels_of
+from mgsgraph.figures.passes import MOST_PASSES
 from mgsgraph.figures.registration import registration_sheets
 from mgsgraph.figures.residuals import residual_sheets
 from mgsgraph.figures.sheet import Sheet, save
@@ -42,8 +43,8 @@ def write_figures(solution: Solution, folder: Path, connected: Connectivity | No
     Returns
     -------
     list of str
-        Names of the files in the folder: residuals, orientation, registration (where laser points are measured in
-        images), map, connectivity and minima (where there are several), each as .png and .svg, numbered (residuals_1,
+        Names of the files in the folder: residuals, strips and pass (where there are passes), orientation,
+        registration (where laser points are measured in images), map, connectivity and minima (where there are several), each as .png and .svg, numbered (residuals_1,
         ...) where a kind takes several sheets.
     """
     return save(_sheets(solution, connected), folder)
@@ -52,7 +53,7 @@ def write_figures(solution: Solution, folder: Path, connected: Connectivity | No
 def _sheets(solution: Solution, connected: Connectivity | None) -> Iterator[Sheet]:
     """One after another, so that no more than one is in memory."""
     yield from residual_sheets(solution)
-    yield from orientation_sheets(solution)
+    yield from orientation_sheets(solution, MOST_PASSES)
     rays = solution.network.rays
     if np.any(solution.network.points.classes[rays.point] == PointClass.LASER):
         yield from registration_sheets(solution)

@@ -76,7 +76,7 @@ def test_the_trajectory_of_a_pass_carries_shots_between_its_images() -> None:
 
 def test_images_of_several_trajectories_are_refused() -> None:
     everything = np.ones(SHOTS, dtype=bool)
-    with pytest.raises(InputError, match=r"shots simultaneous with L1 and R1 and L2; expected images of one pass; name"):
+    with pytest.raises(InputError, match="shots simultaneous with L1 and R1 and L2; expected images of one pass"):
         carriers(found(), everything, [], "name it")
     with pytest.raises(InputError, match="images of one pass"):
         carriers(found(), everything, [Members((0, 1))], "")

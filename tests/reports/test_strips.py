@@ -20,7 +20,7 @@ from mgsgraph.case.reading import read_case
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.figures import write_figures
-from mgsgraph.figures.orientation import drawn_strip
+from mgsgraph.figures.passes import drawn_strip
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.network import Network, Pass
 from mgsgraph.network.joining import seconds
@@ -237,7 +237,6 @@ def test_bare_nodes_are_counted() -> None:
 def test_the_curve_passes_through_its_nodes(solution: Solution, spline: Solution) -> None:
     for one in (solution, spline):
         drawn = drawn_strip(one, 1)
-        assert drawn.nodes is not None
         assert drawn.nodes[0] == pytest.approx(0.0, abs=1e-6)
         assert drawn.nodes[-1] == pytest.approx(drawn.places[-1])
         for (curve, sigma), at in zip(drawn.curves, drawn.at_nodes, strict=True):
