@@ -37,6 +37,9 @@ class OrientationImages:
     times: Array
     """(k,) s past the epoch, increasing: at least four. A spline's are evenly spaced, and the first and the last one
     lie outside of what it describes."""
+    span: tuple[float, float] | None = None
+    """s past the epoch, times at which the trend of a prior has s = -1 and 1; None for the first and the last time that
+    they describe. Nodes that are continued keep that of the first ones."""
 
     def __post_init__(self) -> None:
         if self.basis not in get_args(Basis):
@@ -50,6 +53,8 @@ class OrientationImages:
         if self.basis == "spline" and np.ptp(steps) > _EVEN * steps.mean():
             found = f"spacings of {steps.min():g} to {steps.max():g} s"
             raise InputError("orientation images, times", found, "even ones for a uniform spline", "take lagrange")
+        if self.span is not None and not (np.all(np.isfinite(self.span)) and self.span[0] < self.span[1]):
+            raise InputError("orientation images, span", f"{self.span}", "two times, the first one earlier")
         assign(self, times=times)
 
     def __len__(self) -> int:
@@ -64,6 +69,11 @@ class OrientationImages:
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, that they describe."""
         return float(self.inner[0]), float(self.inner[-1])
+
+    @property
+    def trend_span(self) -> tuple[float, float]:
+        """Times, s past the epoch, between which a prior's trend is counted from s = -1 to 1."""
+        return self.coverage if self.span is None else self.span
 
     @property
     def spacing(self) -> float:
@@ -100,6 +110,27 @@ class OrientationImages:
             result[0, np.arange(times.size), first + k] = values[:, k]
             result[1, np.arange(times.size), first + k] = rates[:, k]
         return result[0], result[1]
+
+    def over(self, start: float, stop: float) -> "OrientationImages":
+        """The nodes of the same grid that times from start to stop, s past the epoch, need, four at least: those that
+        are there keep their times and the span of their trend; before and after them the grid goes on at its spacing.
+        """
+        beyond, steps = len(self) - self.inner.size >> 1, np.diff(self.times)
+        if self.basis == "spline":
+            steps[:] = steps.mean()
+        first, last = self.coverage
+        missing = (first - start) / steps[0], (stop - last) / steps[-1]
+        before, after = (max(int(np.ceil(count - _EVEN)), 0) for count in missing)
+        times = np.concatenate([
+            self.times[0] - steps[0] * np.arange(before, 0, -1), self.times,
+            self.times[-1] + steps[-1] * np.arange(1, after + 1),
+        ])  # fmt: skip
+        inner = times[beyond : times.size - beyond]
+        low = max(int(np.searchsorted(inner, start + _EVEN * steps[0], "right")) - 1, 0)
+        high = min(int(np.searchsorted(inner, stop - _EVEN * steps[-1])), inner.size - 1)
+        while high - low < SUPPORT - 1 and high - low < inner.size - 1:
+            low, high = (low - 1, high) if low > 0 else (low, high + 1)
+        return replace(self, times=times[low : high + 1 + 2 * beyond], span=self.trend_span)
 
     def with_nodes_at(self, times: Array) -> "OrientationImages":
         """The same with other nodes."""

@@ -19,8 +19,10 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.shared import image_motion
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, StateStore, stretches
 from mgsgraph.incremental.sweep import Sweep, probes
-from mgsgraph.incremental.tree import Tree
+from mgsgraph.incremental.trajectories import expected, prior_rows
+from mgsgraph.incremental.tree import TOGETHER, PriorRows, Tree
 from mgsgraph.network import Network
+from mgsgraph.network.definitions import Definitions
 from mgsgraph.network.parts import Members, Unknown, known_images, part
 from mgsgraph.ties import PointKind
 
@@ -77,11 +79,13 @@ class Engine:
 
     def __init__(self, settings: SolverSettings, store: StateStore) -> None:
         self._settings, self._store = settings, store
-        self._begin(store.shared(), store.reduced())
+        self._begin(store.shared(), store.reduced(), store.definitions())
 
-    def _begin(self, shared: dict[Unknown, Shared], systems: dict[Members, ReducedSystem]) -> None:
-        """Stand as unknowns and systems say, with no points laid out."""
-        self.shared, self.systems = shared, systems
+    def _begin(
+        self, shared: dict[Unknown, Shared], systems: dict[Members, ReducedSystem], known: Definitions
+    ) -> None:
+        """Stand as unknowns, systems and definitions say, with no points laid out."""
+        self.shared, self.systems, self.known = shared, systems, known
         self._lay_nothing_out()
         self._grow()
         self._take_values()
@@ -94,13 +98,14 @@ class Engine:
         """The tree of all unknowns and systems: from reduced systems, never from points."""
         self._tree, self.value = Tree(), {unknown: one.value for unknown, one in self.shared.items()}
         self._holding: defaultdict[Unknown, set[Members]] = defaultdict(set)
-        self._tree.change({unknown: one.prior_sigmas for unknown, one in self.shared.items()}, self.systems)
+        units = {unknown: one.prior_sigmas for unknown, one in self.shared.items()}
+        self._tree.change(units, self.systems, rows=prior_rows(self.known) if self.shared else ())
         self._hold(self.systems)
 
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
         """Restore the engine's state when anything within fails."""
-        before = dict(self.shared), dict(self.systems)
+        before = dict(self.shared), dict(self.systems), self.known
         try:
             yield
         except BaseException:
@@ -113,8 +118,10 @@ class Engine:
         networks: Mapping[Members, Network],
         new: Mapping[Unknown, Shared],
         dropped: Sequence[Unknown] = (),
+        known: Definitions | None = None,
     ) -> Settled:
-        """Put bundles in the place of others, with unknowns that come and go, and settle.
+        """Put bundles in the place of others, with unknowns that come and go, and settle. `known` are the passes from
+        now on, where they have changed.
 
         Raises
         ------
@@ -125,14 +132,17 @@ class Engine:
         """
         before = dict(self.value)
         self.shared |= new
-        self.value |= {unknown: one.value for unknown, one in new.items()}
+        rows = None if known is None else prior_rows(known)
+        self.known = self.known if known is None else known
+        self.value |= self._expected(new, rows or ())
         places = places_by_name(self._store.bundle(members) for members in gone)
         self._forget(gone)
         for members, network in networks.items():
             self._changing[members] = Sweep(network, self._settings, _places_of(network, places))
         systems = self._made(networks)
         dropped = [*dropped, *self._unfelt(gone, networks)]
-        self._tree.change({unknown: one.prior_sigmas for unknown, one in new.items()}, systems, gone, dropped)
+        units = {unknown: one.prior_sigmas for unknown, one in new.items()}
+        self._tree.change(units, systems, gone, dropped, rows)
         for unknown in dropped:
             del self.shared[unknown], self.value[unknown]
         self._take(systems)
@@ -145,12 +155,22 @@ class Engine:
         self._settle_down()
         return Settled(bundles, reached, updates, len(systems) + len(others), converged)
 
+    def _expected(self, new: Mapping[Unknown, Shared], rows: Iterable[PriorRows]) -> dict[Unknown, Array]:
+        """Values with which new unknowns begin: zero, and of orientation images what their neighbours make likely."""
+        nodes = {unknown: one.prior for unknown, one in new.items() if unknown.kind in TOGETHER}
+        likely = expected(rows, nodes, self.value) if nodes else {}
+        return {unknown: likely.get(unknown, one.value) for unknown, one in new.items()}
+
     def adopted(
-        self, shared: Mapping[Unknown, Shared], networks: Mapping[Members, Network], places: Mapping[str, Array]
+        self,
+        shared: Mapping[Unknown, Shared],
+        networks: Mapping[Members, Network],
+        places: Mapping[str, Array],
+        known: Definitions,
     ) -> dict[Members, Bundle]:
         """Begin again from values of the unknowns and all bundles; places (3,) of points by name, as far as known."""
         self._lay_nothing_out()
-        self.shared, kept = dict(shared), dict[Members, Bundle]()
+        self.shared, self.known, kept = dict(shared), known, dict[Members, Bundle]()
         self.value = {unknown: one.value for unknown, one in shared.items()}
         sweeps = {m: Sweep(network, self._settings, _places_of(network, places)) for m, network in networks.items()}
         found = {m: sweep.system(self.value, self._motion(m, sweep.network)) for m, sweep in sweeps.items()}
@@ -183,12 +203,19 @@ class Engine:
 
     # --- books
 
-    def _hold(self, systems: Iterable[Members]) -> None:
-        for members in systems:
-            for unknown in members:
+    def _hold(self, systems: Mapping[Members, ReducedSystem]) -> None:
+        for members, system in systems.items():
+            for unknown in system.unknowns:
                 self._holding[unknown].add(members)
 
+    def _let_go(self, members: Members, system: ReducedSystem) -> None:
+        for unknown in system.unknowns:
+            self._holding[unknown].discard(members)
+
     def _take(self, systems: Mapping[Members, ReducedSystem]) -> None:
+        for members in systems:
+            if members in self.systems:
+                self._let_go(members, self.systems[members])
         self.systems |= systems
         self._hold(systems)
 
@@ -196,9 +223,8 @@ class Engine:
         for members in gone:
             self._sweeps.drop(members)
             self._probes.drop(members)
-            if self.systems.pop(members, None) is not None:
-                for unknown in members:
-                    self._holding[unknown].discard(members)
+            if (system := self.systems.pop(members, None)) is not None:
+                self._let_go(members, system)
 
     def _unfelt(self, gone: Sequence[Members], networks: Iterable[Members]) -> list[Unknown]:
         """Shifts that no bundle feels any longer, not even one whose points have no place."""
@@ -236,7 +262,7 @@ class Engine:
 
     def _motion(self, members: Members, network: Network) -> Array:
         """(2,) pixels per m and per rad of the image of a bundle that has most of them."""
-        moving = [self.shared[unknown].motion for unknown in members if unknown.kind == "image"]
+        moving = [self.shared[unknown].motion for unknown in members if unknown.kind in ("image", "node")]
         moving = moving or [image_motion(one) for one in known_images(network)]  # all of them held
         return max((motion[[0, 3]] for motion in moving), key=lambda motion: float(motion[1]))
 
@@ -283,7 +309,7 @@ class Engine:
             if members not in changed and step @ np.linalg.solve(joint, step) < _REACH**2:
                 continue
             reached[members] = joint
-            near = {other for unknown in members for other in self._holding[unknown]} - seen
+            near = {other for unknown in system.unknowns for other in self._holding[unknown]} - seen
             seen |= near
             waiting += near
         return reached
@@ -361,7 +387,7 @@ class Engine:
             found = chosen, Sweep(part(bundle.network, chosen), self._settings, bundle.places[chosen])
             self._probes.put(members, chosen.size, found)
         chosen, sweep = found
-        now = sweep.placed(self.value, None, joint)
+        now = sweep.placed(self.value, None, joint, self.systems[members].unknowns)
         sigmas = np.sqrt(np.diagonal(bundle.covariances[chosen], axis1=1, axis2=2))
         with np.errstate(invalid="ignore", divide="ignore"):
             moved = np.abs(now.places - bundle.places[chosen]) / sigmas

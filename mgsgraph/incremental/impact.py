@@ -22,10 +22,12 @@ _NAME = 28
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedImages:
-    """Images that a change reached; i of them."""
+    """Images that a change reached, and orientation images of passes (then position and rotation are those at their
+    time); i of them.
+    """
 
     names: tuple[str, ...]
-    """(i)"""
+    """(i) of an orientation image the pass and its time past the pass's epoch."""
     new: Mask
     """(i,) whether the change brought them."""
     moves: Array
@@ -224,14 +226,14 @@ def impact(
     kept = settled.bundles
     was = _Was(old, kept)
     reached = {unknown for members in settled.reached for unknown in members} | set(after) - set(before)
-    names = sorted(u.name for u in reached if u.kind == "image" and u in after)
+    moving = sorted(u for u in reached if u.kind in ("image", "node") and u in after)
     now = {name for members, one in kept.items() if members not in was for name in one.network.points.ids}
     adding = verb == "add"
     neighbours, linked = _neighbours(subjects, kept)
     return Impact(
         verb,
         tuple(subjects),
-        _moved_images(names, before, after),
+        _moved_images(moving, before, after),
         _moved_points(kept, was),
         neighbours if adding else {},
         tuple(name for name in subjects if name not in linked) if adding else (),
@@ -244,13 +246,13 @@ def impact(
 
 
 def _moved_images(
-    names: Sequence[str], before: Mapping[Unknown, Shared], after: Mapping[Unknown, Shared]
+    unknowns: Sequence[Unknown], before: Mapping[Unknown, Shared], after: Mapping[Unknown, Shared]
 ) -> MovedImages:
-    unknowns = [Unknown("image", name) for name in names]
     table = np.array([_moved_image(before.get(u), after[u]) for u in unknowns]).reshape(len(unknowns), 22)
     moves, in_sigmas, first, second, ground = np.split(table, [6, 7, 13, 19], axis=1)
     new = np.array([unknown not in before for unknown in unknowns], dtype=bool)
-    return MovedImages(tuple(names), new, moves, in_sigmas[:, 0], first, second, *ground.T)
+    names = tuple(unknown.name for unknown in unknowns)
+    return MovedImages(names, new, moves, in_sigmas[:, 0], first, second, *ground.T)
 
 
 def _moved_image(before: Shared | None, after: Shared) -> list[float]:

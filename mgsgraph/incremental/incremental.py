@@ -19,7 +19,14 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.closing import Closing, closing
 from mgsgraph.incremental.engine import Engine
 from mgsgraph.incremental.impact import Impact, impact
-from mgsgraph.incremental.shared import image_motion, shared_image, shared_of, shared_shift
+from mgsgraph.incremental.shared import (
+    image_motion,
+    shared_by_images,
+    shared_image,
+    shared_of,
+    shared_pass,
+    shared_shift,
+)
 from mgsgraph.incremental.state import (
     ImagesByName,
     InMemory,
@@ -32,9 +39,22 @@ from mgsgraph.incremental.state import (
     without,
 )
 from mgsgraph.incremental.sweep import Sweep
-from mgsgraph.network import Network
+from mgsgraph.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
+from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
+from mgsgraph.network.corrections import whole_correction
+from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.observations import observed
-from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images, with_images
+from mgsgraph.network.parts import (
+    Members,
+    Unknown,
+    bundles,
+    image_columns,
+    joined,
+    known_images,
+    pass_unknowns,
+    unknowns,
+    with_images,
+)
 from mgsgraph.notebook import card
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import MRAD
@@ -94,16 +114,36 @@ class IncrementalAdjustment:
         return dict(self._engine.value)
 
     def correction(self, image: str) -> OrientationCorrection:
-        """Present orientation correction of an image; zero for a held one."""
-        known, unknown = self._known(image), Unknown("image", image)
-        value = np.zeros(known.prior.sigmas.size) if known.held else self._engine.value[unknown]
-        return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
+        """Present orientation correction of an image, with what shared unknowns do to it; zero for a held one."""
+        alone = with_definitions(_alone(self._known(image)), self._engine.known)
+        own, value = Unknown("image", image), self._engine.value
+        zero = np.zeros(alone.priors[0].sigmas.size)
+        values = [value.get(name, zero) if name != own or not alone.held[0] else zero for name in unknowns(alone)]
+        return whole_correction(alone, 0, values, self.settings.angles)
+
+    def trajectory(self, name: str) -> tuple[Array, Array, Array]:
+        """Times (k,) in s TDB past J2000 of the orientation images of a pass, their coefficients (k, 6) and the
+        covariance (k, 6, 6) of each, m and rad, straight from iSAM2.
+
+        Raises InputError for an unknown pass.
+        """
+        if name not in self._engine.known.passes:
+            there = ", ".join(self._engine.known.passes) or "it has none"
+            raise InputError(f"pass {name}", "no such pass", f"one of the adjustment's ({there})")
+        one = self._engine.known.passes[name]
+        nodes = pass_unknowns(one)[: len(one.nodes)]
+        values = np.array([self._engine.value[node] for node in nodes])
+        covariances = np.array([self._engine.joint([node]) for node in nodes])
+        return one.nodes.times + one.nodes.epoch, values, covariances
 
     def covariance(self, *images: str) -> Array:
         """Joint covariance (d, d) of the coefficients of some images, m and rad, straight from iSAM2."""
         for image in images:
             if self._known(image).held:
                 raise InputError(f"image {image}", "held: it has no unknowns", "an adjusted image")
+            if (one := self._engine.known.of_image(image)) is not None:
+                found, remedy = f"of pass {one.name!r}: it has no coefficients of its own", "ask for `trajectory`"
+                raise InputError(f"image {image}", found, "an image with an orientation of its own", remedy)
         return self._engine.joint([Unknown("image", image) for image in images])
 
     def points(self, ids: Sequence[str] | None = None) -> tuple[tuple[str, ...], Array, Array]:
@@ -138,7 +178,9 @@ class IncrementalAdjustment:
             raise InputError("incremental adjustment", "no points", "observations in at least one image")
         networks, places = zip(*parts, strict=True)
         images = [self.store.image(name) for name in self.images]
-        return with_images(joined(networks), images), np.concatenate(places)
+        known = self.store.definitions()
+        networks = tuple(with_definitions(one, known) for one in networks)
+        return with_definitions(with_images(joined(networks), images), known), np.concatenate(places)
 
     # --- what may be done
 
@@ -176,7 +218,8 @@ class IncrementalAdjustment:
             known = [self.store.image(name) if name in there else one for name, one in named]
             more = [one for one in known if one.image.name not in there]
             # of images that are there, a network doesn't say anew what is known of them
-            return self._added(more, with_images(images, known))
+            brought = definitions(images)
+            return self._added(more, with_images(with_definitions(images, Definitions()), known), brought)
         new = self._new_images(images, prior)
         every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
         addition = observed(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
@@ -190,7 +233,10 @@ class IncrementalAdjustment:
         images = tuple(dict.fromkeys(images))
         for image in images:
             self._known(image)
-        return self._change("remove", list(images), [], *without(self.store, images))
+        before = self.store.definitions()
+        after = shortened(self.store, before, images)
+        changed = without(self.store, images, after, turned_bundles(self.store, before, after))
+        return self._change("remove", list(images), [], *changed, after)
 
     def close(self, name: str = "adjustment", progress: Progress = lambda _: None) -> tuple[Closing, Solution]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
@@ -211,24 +257,32 @@ class IncrementalAdjustment:
         rejected = solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected
         network = solution.network.with_rejected(*rejected)
         there = set(self.images)
+        known = definitions(network)
         with engine.all_or_nothing():
-            for one in known_images(network):
-                _require_finite_prior(one)
+            for one, own in zip(known_images(network), network.with_polynomial.tolist(), strict=True):
+                if own:
+                    _require_finite_prior(one)
             places = dict(zip(network.points.ids, solution.places, strict=True))
-            kept = engine.adopted(shared_of(solution), bundles(network), places)
+            kept = engine.adopted(shared_of(solution), bundles(network), places, known)
             for one in known_images(network):
                 if one.image.name not in there or not _alike(one, self.store.image(one.image.name)):
                     self.store.put_image(one)
             self.store.replace(self.store.members(), kept)
             for name in there - {image.name for image in network.images}:
                 self.store.drop_image(name)
+            self.store.put_definitions(known)
             self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
             self.store.put_shared(engine.shared)
 
     # --- how
 
-    def _added(self, new: Sequence[KnownImage], addition: Network | None) -> Impact:
-        return self._change("add", [one.image.name for one in new], new, *with_addition(self.store, addition))
+    def _added(
+        self, new: Sequence[KnownImage], addition: Network | None, brought: Definitions | None = None
+    ) -> Impact:
+        before = self.store.definitions()
+        after = extended(self.store, before, brought or Definitions(), new)
+        changed = with_addition(self.store, addition, after, turned_bundles(self.store, before, after))
+        return self._change("add", [one.image.name for one in new], new, *changed, after)
 
     def _known(self, image: str) -> KnownImage:
         if image not in set(self.images):
@@ -250,10 +304,23 @@ class IncrementalAdjustment:
                 raise InputError(f"image {name}", found, "an image that is new", "remove it first to replace it")
         return new
 
-    def _new_unknowns(self, new: Sequence[KnownImage], networks: Mapping[Members, Network]) -> dict[Unknown, Shared]:
-        """Orientation of new images, and shifts that come with an addition; at zero."""
-        found = dict[Unknown, Shared]()
+    def _new_unknowns(
+        self, new: Sequence[KnownImage], networks: Mapping[Members, Network], known: Definitions
+    ) -> dict[Unknown, Shared]:
+        """Orientation of new images, shifts that come with an addition, orientation images of passes that are new or go
+        on, and new unknowns that images share; at zero.
+        """
+        found, angles = dict[Unknown, Shared](), self.settings.angles
+        every = ImagesByName(self.store, new)
+        for one in known.passes.values():
+            if one is not self._engine.known.passes.get(one.name):
+                found |= shared_pass(one, every, angles)
+        for name, unknown in known.shared.items():
+            found[Unknown("shared", name)] = shared_by_images(unknown, every, angles)
+        found = {unknown: one for unknown, one in found.items() if unknown not in self._engine.shared}
         for one in new:
+            if known.of_image(one.image.name) is not None:
+                continue
             _require_finite_prior(one)
             if not one.held:
                 unknown = Unknown("image", one.image.name)
@@ -272,17 +339,22 @@ class IncrementalAdjustment:
         new: Sequence[KnownImage],
         gone: Sequence[Members],
         networks: Mapping[Members, Network],
+        known: Definitions,
     ) -> Impact:
-        """Put bundles in the place of others, keep what has come of it, and say what has happened."""
+        """Put bundles in the place of others, keep what has come of it, and say what has happened; `known` are the
+        passes and shared unknowns from now on.
+        """
         began, engine, removing = time.perf_counter(), self._engine, verb == "remove"
         require_one_body(self.store, new)
         before = dict(engine.shared)
         old = {members: self.store.bundle(members) for members in gone}
         with engine.all_or_nothing():
             dropped = [u for name in subjects if removing and (u := Unknown("image", name)) in before]
-            settled = engine.replaced(gone, networks, self._new_unknowns(new, networks), dropped)
+            dropped += [unknown for unknown in unknowns_of(engine.known) if unknown not in set(unknowns_of(known))]
+            settled = engine.replaced(gone, networks, self._new_unknowns(new, networks, known), dropped, known)
             old |= {members: self.store.bundle(members) for members in settled.bundles if members not in networks}
             report = impact(verb, subjects, settled, old, before, engine.shared)
+            self.store.put_definitions(known)
             self._keep(settled, gone, networks, new, before)
             for name in subjects if removing else ():
                 self.store.drop_image(name)
@@ -305,6 +377,14 @@ class IncrementalAdjustment:
         self.store.renew(there)
         self.store.put_shared({unknown: one for unknown, one in shared.items() if one is not before.get(unknown)})
         self.store.drop_shared([unknown for unknown in before if unknown not in shared])
+
+
+def _alone(known: KnownImage) -> Network:
+    """A network of one image without any point."""
+    nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    points = GroundPoints((), nothing, nothing, none, np.zeros((0, 3, 3)))
+    rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
+    return Network(*image_columns([known]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
 
 
 def _alike(one: KnownImage, other: KnownImage) -> bool:

@@ -16,6 +16,7 @@ from mgsgraph.adjustment.graph.variables import HELD
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import Network
+from mgsgraph.network.definitions import Definitions, with_definitions
 from mgsgraph.network.parts import KnownImage as KnownImage
 from mgsgraph.network.parts import Members, Unknown, bundles, joined, without_images
 from mgsgraph.units import KM
@@ -174,6 +175,12 @@ class StateStore(Protocol):
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
 
+    def definitions(self) -> Definitions:
+        """Passes and shared unknowns; those of the networks of bundles may be older ones."""
+
+    def put_definitions(self, known: Definitions) -> None:
+        """Take these in the place of all that there are."""
+
 
 class ImagesByName(Mapping[str, KnownImage]):
     """New images, and those of a store, read when they are asked for."""
@@ -203,6 +210,7 @@ class InMemory:
         self._bundles = dict[Members, Bundle]()
         self._bundle_of = dict[str, Members]()
         self._seen_by = dict[str, dict[Members, None]]()
+        self._definitions = Definitions()
 
     def image_names(self) -> list[str]:
         """All images, in the order in which they came."""
@@ -271,23 +279,53 @@ class InMemory:
         """New systems and places for bundles whose points are the same."""
         self._bundles |= bundles
 
+    def definitions(self) -> Definitions:
+        """Passes and shared unknowns."""
+        return self._definitions
 
-def with_addition(store: StateStore, addition: Network | None) -> tuple[list[Members], dict[Members, Network]]:
+    def put_definitions(self, known: Definitions) -> None:
+        """Take these in the place of all that there are."""
+        self._definitions = known
+
+
+def with_addition(
+    store: StateStore, addition: Network | None, known: Definitions | None = None, turned: Iterable[Members] = ()
+) -> tuple[list[Members], dict[Members, Network]]:
     """Bundles with points that an addition sees, too, and what they become with it.
 
-    Raises InputError when the two contradict each other (`network.parts.joined`).
+    Parameters
+    ----------
+    addition : Network or None
+        Points with their rows.
+    known : Definitions, optional
+        Passes and shared unknowns from now on; those of the store when absent.
+    turned : iterable of Members
+        Bundles that become others in any case, as the passes that they see are not what they were.
+
+    Raises
+    ------
+    InputError
+        When the two contradict each other (`network.parts.joined`).
     """
+    known = store.definitions() if known is None else known
     if addition is None:
-        return [], {}
-    gone = sorted(set(store.bundles_of(addition.points.ids).values()))
-    return _completed(store, gone, [*(store.bundle(members).network for members in gone), addition])
+        gone = sorted(set(turned))
+        return _completed(store, gone, [store.bundle(members).network for members in gone], known)
+    gone = sorted({*store.bundles_of(addition.points.ids).values(), *turned})
+    return _completed(store, gone, [*(store.bundle(members).network for members in gone), addition], known)
 
 
-def without(store: StateStore, images: Sequence[str]) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles that some images see, and what is left of them; points that nothing else sees go with the images."""
-    gone = list(dict.fromkeys(members for image in images for members in store.seen_by(image)))
+def without(
+    store: StateStore, images: Sequence[str], known: Definitions | None = None, turned: Iterable[Members] = ()
+) -> tuple[list[Members], dict[Members, Network]]:
+    """Bundles that some images see, and what is left of them; points that nothing else sees go with the images.
+    `known` and `turned` as in `with_addition`.
+    """
+    known = store.definitions() if known is None else known
+    gone = list(dict.fromkeys([*(members for image in images for members in store.seen_by(image)), *turned]))
     parts = (store.bundle(members).network for members in gone)
-    return _completed(store, gone, [rest for network in parts if (rest := without_images(network, images)) is not None])
+    rest = [left for network in parts if (left := without_images(network, images)) is not None]
+    return _completed(store, gone, rest, known)
 
 
 def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
@@ -303,11 +341,13 @@ def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
 
 
 def _completed(
-    store: StateStore, gone: list[Members], parts: list[Network]
+    store: StateStore, gone: list[Members], parts: list[Network], known: Definitions
 ) -> tuple[list[Members], dict[Members, Network]]:
     """Bundles of some parts, together with those that were there before of the same unknowns."""
+    parts = [with_definitions(one, known) for one in parts]
     found = bundles(joined(parts)) if parts else {}
     there = set(store.members()) - set(gone)
     if others := [members for members in found if members in there]:
-        found = bundles(joined([*parts, *(store.bundle(members).network for members in others)]))
+        more = (with_definitions(store.bundle(members).network, known) for members in others)
+        found = bundles(joined([*parts, *more]))
     return [*gone, *others], found

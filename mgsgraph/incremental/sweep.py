@@ -1,7 +1,8 @@
 """One bundle laid out for the kernel: its points solved and eliminated, placed, and their covariances."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,12 +13,13 @@ from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.rounds import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.incremental.state import Bundle, ReducedSystem
+from mgsgraph.incremental.state import Bundle, ReducedSystem, stretches
 from mgsgraph.kernel.reduction import Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
-from mgsgraph.network import Network
-from mgsgraph.network.parts import Unknown, unknowns
+from mgsgraph.network import Network, NodePrior, Pass
+from mgsgraph.network.parts import Members, Unknown, unknowns
 
 TOLERANCE = 2e-3
 """Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`closing.CLOSE`),
@@ -30,6 +32,9 @@ _MOST_ROUNDS = 20
 """Times that rows of stereo surfaces are made anew for the same unknowns."""
 _PROBES = 48
 """Points that represent all of a bundle: their moves are polynomials of the line, of low degree."""
+
+_NOTHING = NodePrior(np.full(6, np.inf), np.zeros(6), np.zeros(6))
+"""Prior of orientation images of which nothing is known."""
 
 
 def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array, relief: Array) -> float:
@@ -68,6 +73,33 @@ def slack(network: Network, settings: SolverSettings, motion: Array, spread: Arr
     return allowed if settings.loss == "none" else min(allowed, _ROBUST_SHARE * least)
 
 
+def about(network: Network) -> Network:
+    """A network with the orientation images alone that its rays and ranges are about, and one more on either side, of
+    which nothing is known beforehand: what is eliminated of its points knows nothing of that.
+    """
+    if not network.passes:
+        return network
+    near = (replace(one, nodes=_near(network, one), prior=_NOTHING, whole=False) for one in network.passes)
+    return replace(network, passes=tuple(near))
+
+
+def _near(network: Network, one: Pass) -> OrientationImages:
+    """The nodes of a pass near the rays and ranges of a network."""
+    found = list[Index]()
+    if network.stereo is not None or len(one.nodes) <= SUPPORT:
+        return one.nodes
+    for j in one.images.tolist():
+        image, epoch = network.images[j], network.images[j].trajectory.epoch
+        times, _ = image.timing.at(network.rays.places[network.rays.image == j, 0])
+        found.append(one.nodes.first_of_four(times, epoch))
+        found.append(one.nodes.first_of_four(network.ranges.times[network.ranges.image == j], 0.0))
+    nodes = np.concatenate(found)
+    if nodes.size == 0:
+        return one.nodes
+    first, last = max(int(nodes.min()) - 1, 0), int(nodes.max()) + SUPPORT + 1
+    return one.nodes.with_nodes_at(one.nodes.times[first:last])
+
+
 class Sweep:
     """A bundle that the kernel goes over.
 
@@ -86,8 +118,9 @@ class Sweep:
 
     def __init__(self, network: Network, settings: SolverSettings, places: Array | None = None) -> None:
         self.network, self._settings = network, settings
-        self._names = unknowns(network)
-        layout = lay_out(network, settings, places)
+        self._seen = about(network)
+        self._names = unknowns(self._seen)
+        layout = lay_out(self._seen, settings, places)
         self._select(layout, unmarked(network))
         self._last: Reduction | None = None
         self._spread: Array | None = None
@@ -123,31 +156,70 @@ class Sweep:
         found, layout = self.reduce(values), self._layout
         if layout.columns == 0 or not np.any(determined_points(self._rows)):
             return None
-        (group,) = layout.group_variables
-        normal, gradient = dense(found, layout.groups, self._blocks, 0)
-        names = tuple(self._names[v] for v in group)
+        names, at, normal, gradient = self._joined(found)
         if self._spread is None or self._relief is None:  # hardly change where the points are as near as this
-            self._spread = np.trace(self._covariances(found, None), axis1=1, axis2=2)
+            self._spread = np.trace(self._covariances(found, None, {}), axis1=1, axis2=2)
             self._relief = self._stereo_relief(found)
         allowed = slack(self.network, self._settings, motion, self._spread, self._relief)
-        return ReducedSystem(names, found.orientation, normal, gradient, found.cost, allowed)
+        return ReducedSystem(names, at, normal, gradient, found.cost, allowed)
 
-    def placed(self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None) -> Bundle:
-        """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of the unknowns in
-        the order of the system, absent where it has none.
+    def _joined(self, found: Reduction) -> tuple[Members, Array, Array, Array]:
+        """Unknowns that the points feel, values (d,), normal matrix (d, d) and gradient (d,): one set of unknowns, or
+        several where rays are seen about other orientation images than thought before.
+        """
+        layout = self._layout
+        felt = sorted({v for group in layout.group_variables for v in group})
+        first = dict(zip(felt, np.cumsum([0, *(layout.variables.width[v] for v in felt)]).tolist(), strict=False))
+        at = np.concatenate([found.orientation[layout.columns_of(v)] for v in felt])
+        normal, gradient = np.zeros((at.size, at.size)), np.zeros(at.size)
+        for group, members in enumerate(layout.group_variables):
+            mine = np.concatenate([np.zeros(0, dtype=np.int64), *(
+                np.arange(first[v], first[v] + layout.variables.width[v]) for v in members
+            )])  # fmt: skip
+            own, right = dense(found, layout.groups, self._blocks, group)
+            normal[np.ix_(mine, mine)] += own
+            gradient[mine] += right
+        return tuple(self._names[v] for v in felt), at, normal, gradient
+
+    def placed(
+        self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None,
+        of: Members = (),
+    ) -> Bundle:  # fmt: skip
+        """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of some unknowns, of
+        those of the system when not said, in their order; absent where it has none.
         """
         found = self.reduce(values, COSTS)
-        return Bundle(self.network, system, self._ordered(found.points), self._covariances(found, joint))
+        of = of or (() if system is None else system.unknowns)
+        place = stretches(of, values)
+        return Bundle(self.network, system, self._ordered(found.points), self._covariances(found, joint, place))
 
-    def _covariances(self, found: Reduction, joint: Array | None) -> Array:
-        """(n, 3, 3) m^2 of the points, NaN for undetermined ones; without `joint`, as if the unknowns were known."""
+    def _covariances(self, found: Reduction, joint: Array | None, place: Mapping[Unknown, slice]) -> Array:
+        """(n, 3, 3) m^2 of the points, NaN for undetermined ones; without `joint`, as if the unknowns were known. These
+        have a place in it.
+        """
         layout, target = self._layout, self._blocks
-        blocks = np.zeros(target.size) if joint is None else sparse(joint, layout.groups, target, 0)
+        blocks = np.zeros(target.size)
+        for group, members in enumerate(layout.group_variables if joint is not None else ()):
+            blocks += sparse(self._joint_of(members, joint, place), layout.groups, target, group)
         return self._ordered(
             point_covariances(
                 self._rows, layout.groups, target, layout.model, found.orientation, blocks, found.points
             )
         )
+
+    def _joint_of(self, members: Sequence[int], joint: Array, place: Mapping[Unknown, slice]) -> Array:
+        """Covariance (d, d) of some variables, out of that of unknowns. An orientation image that is not among these is
+        one about which a ray has just come to lie: it has no weight there yet.
+        """
+        every = np.arange(joint.shape[0])
+        columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
+            every[place[name]] if (name := self._names[v]) in place else np.full(self._layout.variables.width[v], -1)
+            for v in members
+        )])  # fmt: skip
+        known = np.flatnonzero(columns >= 0)
+        found = np.zeros((columns.size, columns.size))
+        found[np.ix_(known, known)] = joint[np.ix_(columns[known], columns[known])]
+        return found
 
     def _stereo_relief(self, found: Reduction) -> Array:
         """(k, 2) for `slack`: by how much heights differ from what the rows say of them a step away, where these take
@@ -160,10 +232,10 @@ class Sweep:
         level = np.zeros(rows.points.size) if control.level is None else control.level[rows.points]
         for way in range(2):
             ahead = points + _STEP * east_north(points)[:, way]
-            there = linear_rows(self.network, layout.model, layout.variables, found.orientation, ahead, rows)
+            there = linear_rows(self._seen, layout.model, layout.variables, found.orientation, ahead, rows)
             assert there is not None
             said, say = (
-                heights_at(one, self.network, layout.variables, found.orientation, there.reference)
+                heights_at(one, self._seen, layout.variables, found.orientation, there.reference)
                 for one in (rows, there)
             )
             turned = np.sum((there.normals - rows.normals) ** 2, axis=1)
@@ -186,7 +258,8 @@ class Sweep:
     def _vector(self, values: Mapping[Unknown, Array]) -> Array:
         vector, layout = np.zeros(self._layout.columns), self._layout
         for v in layout.variables.adjusted():
-            vector[layout.columns_of(v)] = values[self._names[v]]
+            if self._names[v] in values:  # nodes that no ray is about may have gone
+                vector[layout.columns_of(v)] = values[self._names[v]]
         return vector
 
     def _ordered(self, values: Array) -> Array:

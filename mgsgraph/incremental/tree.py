@@ -40,6 +40,24 @@ def _solvable(what: str) -> Iterator[None]:
         raise SolverError(f"iSAM2 can't {what} ({said}); {remedy}") from error
 
 
+TOGETHER = ("node", "trend")
+"""Kinds of unknowns that are known beforehand together: those of passes."""
+
+
+class PriorRows:
+    """Whitened rows sum_v blocks[v] x_v on unknowns of a pass, about zero; equal where they say the same."""
+
+    def __init__(self, unknowns: Members, blocks: Sequence[Array]) -> None:
+        self.unknowns, self.whitened = unknowns, tuple(blocks)
+        self._content = unknowns, b"".join(np.ascontiguousarray(block).tobytes() for block in blocks)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PriorRows) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+
 class Tree:
     """Unknowns with their priors, and reduced systems on them."""
 
@@ -49,6 +67,7 @@ class Tree:
         self._scale = dict[Unknown, Array]()
         self._slots = dict[Members, int]()
         self._priors = dict[Unknown, int]()
+        self._rows = dict[PriorRows, int]()
         self._next = 0
         self._taken = dict[Unknown, Array]()
 
@@ -61,26 +80,36 @@ class Tree:
         systems: Mapping[Members, ReducedSystem] | None = None,
         gone: Iterable[Members] = (),
         dropped: Iterable[Unknown] = (),
+        rows: Iterable[PriorRows] | None = None,
     ) -> None:
         """Put unknowns (with a-priori sigmas (d,)) and systems in, take others out; a system whose members are there
-        replaces the one that was.
+        replaces the one that was. `rows` are all that is known beforehand of the unknowns of passes, whose sigmas are
+        mere units; None leaves them as they are.
 
         Raises SolverError when the sum can't be eliminated; the tree is of no use after that.
         """
         systems, dropped = dict(systems or {}), list(dropped)
         removed = [self._slots.pop(members) for members in {*gone, *systems} if members in self._slots]
-        removed += [self._priors.pop(unknown) for unknown in dropped]
-        factors, values, of_slot = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[Members | Unknown]()
+        removed += [self._priors.pop(unknown) for unknown in dropped if unknown in self._priors]
+        known = self._rows if rows is None else dict.fromkeys(rows)
+        removed += [self._rows.pop(one) for one in list(self._rows) if one not in known]
+        factors, values, of_slot = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[Members | Unknown | PriorRows]()
         for unknown, sigmas in (new or {}).items():
             key = self._keys[unknown] = self._next
             self._next += 1
             self._scale[unknown] = sigmas
             values.insert(key, np.zeros(sigmas.size))
+            if unknown.kind in TOGETHER:
+                continue
             factors.add(
                 gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Unit.Create(sigmas.size))
             )
             of_slot.append(unknown)
         with _solvable("eliminate the change"):
+            for one in known:
+                if one not in self._rows:
+                    factors.add(self._linear(one.unknowns, one.whitened, np.zeros(one.whitened[0].shape[0])))
+                    of_slot.append(one)
             for members, system in systems.items():
                 factors.add(self._factor(system))
                 of_slot.append(members)
@@ -88,6 +117,8 @@ class Tree:
         for owner, slot in zip(of_slot, result.getNewFactorsIndices(), strict=True):
             if isinstance(owner, Unknown):
                 self._priors[owner] = int(slot)
+            elif isinstance(owner, PriorRows):
+                self._rows[owner] = int(slot)
             else:
                 self._slots[owner] = int(slot)
         for unknown in dropped:
@@ -99,10 +130,14 @@ class Tree:
         scale = np.concatenate([self._scale[unknown] for unknown in system.unknowns])
         jacobian, error = square_root(system.normal, system.gradient, system.cost, scale)
         parts = stretches(system.unknowns, self._scale)
-        terms = [(self._keys[unknown], jacobian[:, part] * scale[part]) for unknown, part in parts.items()]
+        blocks = [jacobian[:, part] for part in parts.values()]
+        return self._linear(system.unknowns, blocks, jacobian @ system.at - error)
+
+    def _linear(self, unknowns: Members, blocks: Sequence[Array], right: Array) -> gtsam.LinearContainerFactor:
+        """Rows sum_v blocks[v] x_v = right (r,), per m and rad, as GTSAM factor on whitened unknowns."""
+        terms = [(self._keys[v], block * self._scale[v]) for v, block in zip(unknowns, blocks, strict=True)]
         # from Python, a conditional alone takes rows on any number of unknowns
-        unit = gtsam.noiseModel.Unit.Create(error.size)
-        rows = gtsam.GaussianConditional(terms, 1, jacobian @ system.at - error, unit)
+        rows = gtsam.GaussianConditional(terms, 1, right, gtsam.noiseModel.Unit.Create(right.size))
         return gtsam.LinearContainerFactor(gtsam.JacobianFactor(rows))
 
     def values(self) -> dict[Unknown, Array]:

@@ -171,6 +171,8 @@ class Network:
                 if self.held[j]:
                     raise InputError(f"{where}, image {image.name}", "it is held", "images that are adjusted")
                 edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
+                if not strip.whole:
+                    continue
                 since, slack = edges + (image.trajectory.epoch - strip.nodes.epoch), 2.0 * float(period.max())
                 if since[0] < start - slack or since[1] > stop + slack:
                     raise InputError(

@@ -186,6 +186,6 @@ def _about(unknown: int, columns: Index) -> Index:
 
 
 def normalised(nodes: OrientationImages) -> Array:
-    """(k,) times of the nodes as s = -1 .. 1 over the pass; a spline's outer ones lie beyond."""
-    start, stop = nodes.coverage
+    """(k,) times of the nodes as s = -1 .. 1 over the pass (`trend_span`); a spline's outer ones lie beyond."""
+    start, stop = nodes.trend_span
     return (2.0 * nodes.times - start - stop) / (stop - start)

@@ -1,6 +1,6 @@
 """Networks taken apart into bundles (points that depend on the same shared unknowns) and put together again."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Index, Mask
+from mgsgraph.network.definitions import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
+from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
 from mgsgraph.network.stereo_control import joined_control
 from mgsgraph.ties import PointKind
@@ -32,13 +35,18 @@ class KnownImage:
 class Unknown(NamedTuple):
     """An unknown that points share; its name outlives the order of a network's images and profiles."""
 
-    kind: Literal["image", "shift"]
-    """Orientation of an image, or horizontal shift of a laser profile or of the terrain model."""
+    kind: Literal["image", "shift", "shared", "node", "trend"]
+    """Orientation of an image; horizontal shift of a laser profile or of the terrain model; what several images share;
+    an orientation image of a pass, and the bias and drift of its trajectory."""
     name: str
-    """Of the image, of the profile, or "terrain model"."""
+    """Of the image, of the profile, or "terrain model"; of the shared unknown; of the pass, and its node's time."""
 
     def __str__(self) -> str:
-        return f"{'image' if self.kind == 'image' else 'shift of'} {self.name}"
+        return f"{_WORDS[self.kind]} {self.name}"
+
+
+_WORDS = {"image": "image", "shift": "shift of", "shared": "shared unknown", "node": "orientation image of",
+          "trend": "bias and drift of"}  # fmt: skip
 
 
 def known_images(network: Network) -> list[KnownImage]:
@@ -56,29 +64,35 @@ def image_columns(known: Sequence[KnownImage]) -> tuple[tuple[PushbroomImage, ..
 
 
 Members = tuple[Unknown, ...]
-"""The shared unknowns that points depend on, in order; they identify a bundle. A held image has none."""
+"""The shared unknowns that points depend on, in order; they identify a bundle. A held image has none. The orientation
+images among them are those about the measured lines; a reduced system may have others, of the predicted lines."""
 
 
 def unknowns(network: Network) -> Members:
     """Shared unknowns of a network, in the order of a layout's variables."""
     images = (Unknown("image", image.name) for image in network.images)
-    return (*images, *(Unknown("shift", name) for name in network.shift_names))
+    shifts = (Unknown("shift", name) for name in network.shift_names)
+    shared = (Unknown("shared", one.name) for one in network.shared)
+    return (*images, *shifts, *shared, *(unknown for one in network.passes for unknown in pass_unknowns(one)))
 
 
-def require_nothing_shared(network: Network) -> None:
-    """Raise InputError where images share unknowns or a strip: what is kept bundle by bundle can't hold them."""
+def pass_unknowns(one: Pass | NamedPass) -> Members:
+    """Orientation images of a pass and, where it has one, its trend; a node is known by its time, which stays."""
+    nodes = (Unknown("node", f"{one.name} at {time!r} s") for time in one.nodes.times.tolist())
+    return (*nodes, *([Unknown("trend", one.name)] if one.prior.trend_sigmas.size else []))
+
+
+def require_separable(network: Network) -> None:
+    """Raise InputError for what is kept bundle by bundle and can't hold: rows of several profiles, unknowns that depend
+    on all points of a profile, and heights and tilts of a terrain model.
+    """
     for one in network.shared:
-        raise InputError(
-            f"shared unknown {one.name!r}", f"{one.kind} in what is adjusted image by image",
-            "orientation and shifts alone",
-            "adjust such a case as a whole (`mgsgraph adjust`), or take [[shared]] out and state beam_sigma_mrad = 0",
-        )
-    for strip in network.passes:
-        raise InputError(
-            f"strip {strip.name!r}", "orientation images in what is adjusted image by image",
-            "images with an orientation of their own",
-            "adjust such a case as a whole (`mgsgraph adjust`), or take [[strips]] out",
-        )
+        if one.kind.of_profile:
+            raise InputError(
+                f"shared unknown {one.name!r}", f"{one.kind} in what is adjusted image by image",
+                "unknowns of images, and horizontal shifts",
+                "adjust such a case as a whole (`mgsgraph adjust`), or take it out",
+            )
     if network.crossovers is not None:
         raise InputError(
             "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
@@ -98,7 +112,7 @@ def part(network: Network, points: Index) -> Network:
 
     Without points, or without any of their rows in an image, there is no network: the points' images are its images.
     """
-    require_nothing_shared(network)
+    require_separable(network)
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
@@ -124,6 +138,8 @@ def part(network: Network, points: Index) -> Network:
         network.areoid,
         stereo=None if stereo is None else replace(stereo, images=image[stereo.images]),
     )
+    if network.passes or network.shared:
+        return with_definitions(found.considering(network.considered), definitions(network))
     return found.considering(network.considered)
 
 
@@ -174,23 +190,51 @@ def _unknowns_of_points(network: Network) -> tuple[Index, Index, Mask]:
     """Which point depends on which shared unknown: pairs (unknown, point), each once, by point; and (n,) whether a
     point has a ray, a range or a height above a stereo surface.
     """
-    m, count = len(network.images), network.first_shared
-    pairs = [network.rays.point * count + network.rays.image, network.ranges.point * count + network.ranges.image]
+    m, count = len(network.images), int(network.first_of_passes[-1])
     seen = np.zeros(len(network.points), dtype=bool)
     seen[network.rays.point] = seen[network.ranges.point] = True
+    pairs = [*_of_orientation(network, count), *_of_shared(network, count)]
     if network.shifts is not None:
         moved = np.flatnonzero(network.shifts.profile >= 0)
         pairs.append(moved * count + m + network.shifts.profile[moved])
     if network.surface is not None and network.terrain_moves:
         on = np.flatnonzero(np.isfinite(network.surface.sigmas))
-        pairs.append(on * count + count - 1)
+        pairs.append(on * count + network.first_shared - 1)
     if network.stereo is not None:
         on = np.flatnonzero(network.stereo.surface >= 0)
         pairs += [on * count + side for side in network.stereo.images[network.stereo.surface[on]].T]
         seen[on] = True
     point, unknown = np.divmod(np.unique(np.concatenate(pairs)), count)
-    free = np.append(~network.held, np.ones(count - m, dtype=bool))[unknown]
+    free = np.append(network.with_polynomial, np.ones(count - m, dtype=bool))[unknown]
     return unknown[free], point[free], seen
+
+
+def _of_orientation(network: Network, count: int) -> Iterator[Index]:
+    """Pairs, point * count + unknown, of images that points have rays and ranges of, or of the orientation images."""
+    rays, ranges = network.rays, network.ranges
+    yield rays.point * count + rays.image
+    yield ranges.point * count + ranges.image
+    for one, first in network.numbered_passes:
+        for j in one.images.tolist():
+            image = network.images[j]
+            seen, shot = np.flatnonzero(rays.image == j), np.flatnonzero(ranges.image == j)
+            times, _ = image.timing.at(rays.places[seen, 0])
+            node = np.concatenate([
+                one.nodes.first_of_four(times, image.trajectory.epoch), one.nodes.first_of_four(ranges.times[shot], 0.0)
+            ])  # fmt: skip
+            point = np.concatenate([rays.point[seen], ranges.point[shot]])
+            yield ((point * count + first + node)[:, None] + np.arange(SUPPORT)).ravel()
+
+
+def _of_shared(network: Network, count: int) -> Iterator[Index]:
+    """The same of unknowns that images share."""
+    for k, one in enumerate(network.shared, network.first_shared):
+        acting = one.kind.acts_on_rays, one.kind.acts_on_ranges
+        for acts, rows in zip(acting, (network.rays, network.ranges), strict=True):
+            if acts:
+                yield rows.point[np.isin(rows.image, one.images)] * count + k
+        if one.kind.moves_footprints:
+            yield network.footprints_moved(one) * count + k
 
 
 def joined(networks: Sequence[Network]) -> Network:
@@ -204,7 +248,7 @@ def joined(networks: Sequence[Network]) -> Network:
         When one image measures a point twice, or parts contradict each other (class, a-priori place, terrain model).
     """
     for net in networks:
-        require_nothing_shared(net)
+        require_separable(net)
     if len(networks) == 1:
         return networks[0]
     images = {one.image.name: one for net in networks for one in known_images(net)}
@@ -225,14 +269,16 @@ def joined(networks: Sequence[Network]) -> Network:
         _joined_shifts(networks, place_of, len(points)), _joined_surface(networks, place_of, len(points)), areoid,
         stereo=joined_control([net.stereo for net in networks], place_of, image_of, len(points)),
     )  # fmt: skip
-    return found.considering(_joined_considered(networks))
+    found = found.considering(_joined_considered(networks))
+    return with_definitions(found, united([definitions(net) for net in networks]))
 
 
 def _joined_considered(networks: Sequence[Network]) -> tuple[str, ...]:
     """Unknowns that all parts which have them consider; InputError where one considers what another estimates."""
     names = dict.fromkeys(name for net in networks for name in net.considered)
     for name in names:
-        if any(name in net.shift_names and name not in net.considered for net in networks):
+        there = [{*net.shift_names, *(one.name for one in net.shared)} for net in networks]
+        if any(name in some and name not in net.considered for net, some in zip(networks, there, strict=True)):
             remedy = "name it in `considered` (of a terrain model: shift = false) for both, or for neither"
             raise InputError(f"unknown {name!r}", "considered in one part, estimated in another", "one of them", remedy)
     return tuple(names)
@@ -341,13 +387,16 @@ def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: i
 
 def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
     """A network with all of these images, in their order; those that no measure names are in it, too."""
-    require_nothing_shared(network)
+    require_separable(network)
     place = {one.image.name: j for j, one in enumerate(images)}
     number = np.array([place[image.name] for image in network.images], dtype=np.int64)
     rays, ranges, (pictures, priors, held) = network.rays, network.ranges, image_columns(images)
-    stereo = network.stereo
-    return replace(
+    stereo, known = network.stereo, definitions(network)
+    found = replace(
         network,
+        passes=(),
+        shared=(),
+        considered=tuple(name for name in network.considered if name in network.shift_names),
         stereo=None if stereo is None else replace(stereo, images=number[stereo.images]),
         images=pictures,
         priors=priors,
@@ -355,6 +404,7 @@ def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
         rays=replace(rays, image=number[rays.image]),
         ranges=replace(ranges, image=number[ranges.image]),
     )
+    return with_definitions(found, known)
 
 
 def without_images(network: Network, names: Iterable[str]) -> Network | None:

@@ -30,6 +30,9 @@ class Pass:
     axes: Array | None = None
     """(m, 3, 3) how each camera is mounted: rotation from the axes of the pass, about which nodes turn, to the camera's
     own; None where all cameras have the axes of the pass."""
+    whole: bool = True
+    """Whether its nodes reach over all lines of its images; else over those with rows alone, or they are those of one
+    polynomial, which holds before and after them."""
 
     def __post_init__(self) -> None:
         if not self.name:

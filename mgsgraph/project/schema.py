@@ -9,7 +9,7 @@ The points, rays and ranges of a bundle are written together, one after the othe
 by which they are read and removed, so that only names need an index.
 """
 
-FORMAT = 5
+FORMAT = 6
 """Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -29,6 +29,16 @@ _STEREO = (
     rejected INTEGER NOT NULL DEFAULT 0, -- 1: a blunder to the last batch adjustment
     level INTEGER NOT NULL DEFAULT 0 -- 1: as if the ground were level, for its horizontal position isn't found
 )""",
+)
+_COMMON = (
+    """CREATE TABLE pass ( -- images on one trajectory
+    name TEXT PRIMARY KEY,
+    record BLOB NOT NULL -- .npz: names of images, times of the orientation images, prior, how cameras are mounted
+) WITHOUT ROWID""",
+    """CREATE TABLE shared_by_images ( -- unknowns that several images share
+    name TEXT PRIMARY KEY,
+    record BLOB NOT NULL -- .npz: kind, names of images, a-priori sigmas
+) WITHOUT ROWID""",
 )
 TABLES = (
     """CREATE TABLE meta ( -- what this file is
@@ -51,7 +61,8 @@ TABLES = (
 ) WITHOUT ROWID""",
     """CREATE TABLE shared ( -- adjusted unknowns that points share
     id INTEGER PRIMARY KEY AUTOINCREMENT,
-    kind TEXT NOT NULL, -- image: orientation coefficients; shift: of a laser profile or of the terrain model
+    kind TEXT NOT NULL, -- image: orientation coefficients; shift: of a laser profile or of the terrain model;
+    -- shared: of several images; node, trend: orientation image of a pass (position, rotation), its bias and drift
     name TEXT NOT NULL,
     prior BLOB NOT NULL, -- float64 (d), m and rad, a-priori sigmas
     motion BLOB NOT NULL, -- float64 (d), pixels by which image places move, per m and per rad
@@ -150,6 +161,7 @@ TABLES = (
     folder TEXT, -- of its products, in the project's folder
     kind TEXT NOT NULL DEFAULT 'batch' -- batch or incremental
 )""",
+    *_COMMON,
     """CREATE VIEW measures AS -- for reading: rays with the names of their points and images
     SELECT point.name AS point, image.name AS image, line, sample, sigma_line, sigma_sample, back_projected
     FROM ray JOIN point ON point.id = ray.point JOIN image ON image.id = ray.image""",
@@ -169,5 +181,6 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
         "ALTER TABLE bundle ADD COLUMN terrain_considered INTEGER NOT NULL DEFAULT 0",
     ),
     4: (),  # had no checksum, which every change writes
+    5: _COMMON,  # every image had an orientation of its own, and nothing was shared
 }
 """Statements by which a format becomes the next one."""

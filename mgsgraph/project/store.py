@@ -14,6 +14,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.network import TERRAIN, Network, ProfileShifts, Surface
+from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, with_definitions
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
 from mgsgraph.project.grids import StoredGrids
@@ -39,6 +40,8 @@ _BUNDLE = (
 )  # fmt: skip
 _AT_HAND = 100
 """Bundles that are kept after they were read: a change looks at the same ones several times."""
+_COMMON: dict[str, Any] = {"pass": NamedPass, "shared_by_images": NamedShared}
+"""Records of passes and of unknowns that images share, by table."""
 _SHARED = ("prior", "motion", "ground", "value", "covariance")
 
 
@@ -55,6 +58,7 @@ class ProjectStore:
         self._grids = StoredGrids(connection, where)
         self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
         self._stereo = StoredStereo(connection, where)
+        self._definitions: Definitions | None = None
 
     # --- images
 
@@ -113,6 +117,30 @@ class ProjectStore:
         for unknown in unknowns:
             if not self._connection.execute("DELETE FROM shared WHERE kind = ? AND name = ?", unknown).rowcount:
                 raise KeyError(unknown)
+
+    # --- passes and unknowns that images share
+
+    def definitions(self) -> Definitions:
+        """Passes and shared unknowns; read once and kept."""
+        if self._definitions is None:
+            passes, shared = (
+                {name: unpack(record, kind, f"{self._where}, {table} {name}") for name, record in self._ask(
+                    f"SELECT name, record FROM {table} ORDER BY name"
+                )}
+                for table, kind in _COMMON.items()
+            )  # fmt: skip
+            self._definitions = Definitions(passes, shared)
+        return self._definitions
+
+    def put_definitions(self, known: Definitions) -> None:
+        """Take these in the place of all that there are."""
+        before = self.definitions()
+        for table, was, now in zip(_COMMON, (before.passes, before.shared), (known.passes, known.shared), strict=True):
+            gone = [(name,) for name in was if name not in now]
+            self._connection.executemany(f"DELETE FROM {table} WHERE name = ?", gone)
+            new = [(name, pack(one)) for name, one in now.items() if was.get(name) is not one]
+            self._connection.executemany(f"INSERT OR REPLACE INTO {table} (name, record) VALUES (?, ?)", new)
+        self._definitions = known
 
     # --- bundles
 
@@ -178,6 +206,7 @@ class ProjectStore:
             None if areoid is None else self._grids.grid(areoid),
             stereo=self._stereo.control(Run(first, points), read.numbers, numbers, read.places),
         ).considering([*self._considered_profiles, *([TERRAIN] if stays else [])])
+        network = with_definitions(network, self.definitions())
         system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
         return Bundle(network, system, read.places, read.covariances)
 
@@ -244,7 +273,7 @@ class ProjectStore:
         names = self.image_names()
         images, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
         read = points_of(self._connection, None, adjusted=self._stereo.there)
-        return Network(
+        network = Network(
             *image_columns(known),
             read.points,
             rays_of(self._connection, None, read.numbers, images),
@@ -254,6 +283,7 @@ class ProjectStore:
             self.areoid,
             stereo=self._stereo.control(None, read.numbers, images, read.places),
         ).considering(self.considered)
+        return with_definitions(network, self.definitions())
 
     @property
     def considered(self) -> list[str]:
@@ -341,7 +371,8 @@ class ProjectStore:
             members, unknowns = _members(text), _members(own or "[]")
             images = {(number, unknown.name) for unknown in members if unknown.kind == "image"}
             self._require(images <= seen, f"a bundle lacks its images ({text})")
-            self._require(set(unknowns) <= set(members), f"a bundle was reduced to others' unknowns ({text})")
+            stay = {unknown for unknown in unknowns if unknown.kind != "node"}  # nodes follow the predicted lines
+            self._require(stay <= set(members), f"a bundle was reduced to others' unknowns ({text})")
             self._require(not held.intersection(unknowns), f"a bundle adjusts an image that is held ({text})")
             solved = all(unknown in sizes for unknown in unknowns)  # others wait for a solution
             right = not solved or sum(int(sizes[unknown]) for unknown in unknowns) == (size or 0)
