@@ -17,7 +17,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import NodePrior, Pass
+from mgsgraph.network.definitions import alike
 from mgsgraph.network.joining import mountings, seconds, straightest
+from mgsgraph.project.project import open_project
 from mgsgraph.units import MGON, MRAD
 
 
@@ -254,17 +256,20 @@ def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_pa
     assert len(net.passes[0].nodes) == 17  # 15,088 lines in 16 intervals
 
 
-# --- who can't take them
+# --- in projects
 
 
-def test_projects_refuse_them_and_leave_nothing_behind(folder: Path, tmp_path: Path) -> None:
-    said = "strip 'HRSC/00': orientation images in what is adjusted image by image"
-    with pytest.raises(InputError, match=said):
-        group(["init", str(tmp_path / "project"), "--case", str(folder / "case.toml")], standalone_mode=False)
-    assert not (tmp_path / "project").exists()
-    group(["init", str(tmp_path / "project")], standalone_mode=False)
-    with pytest.raises(InputError, match="adjust such a case as a whole"):
-        group(["add", str(tmp_path / "project"), str(folder / "case.toml")], standalone_mode=False)
+def test_projects_keep_them(folder: Path, tmp_path: Path) -> None:
+    """The project's network is the case's, pass by pass."""
+    group(["init", str(tmp_path / "project"), "--case", str(folder / "case.toml")], standalone_mode=False)
+    with open_project(tmp_path / "project") as project:
+        kept = project.store.network()
+    wanted = mgsgraph.read_case(folder / "case.toml").network
+    assert len(kept.points) == len(wanted.points)
+    for one, other in zip(kept.passes, wanted.passes, strict=True):
+        assert [kept.images[j].name for j in one.images] == [wanted.images[j].name for j in other.images]
+        np.testing.assert_array_equal(one.nodes.times, other.nodes.times)
+        assert alike(one.prior, other.prior)
 
 
 def test_times_and_spacings_are_one_choice() -> None:

@@ -32,6 +32,8 @@ _REACH = 0.5 * NOTICEABLE
 than they do, and several ways may lead farther, hence the half."""
 _LIKELY = 0.7 * NOTICEABLE
 """Sigmas by which a probe has to move, or share by which its sigmas have to change, for its bundle to be looked at."""
+_ANYWHERE = 1e3
+"""m, sigma of a point's coordinate from which on its place is of no use as a beginning."""
 _KEPT = 150_000
 """Points that stay laid out for the kernel between two changes (about 1 kB each)."""
 
@@ -396,8 +398,14 @@ class Engine:
 
 
 def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:
-    """Places (3,) in m of all points, NaN for undetermined ones."""
-    return {name: place for one in bundles for name, place in zip(one.network.points.ids, one.places, strict=True)}
+    """Places (3,) in m of all points, NaN for undetermined ones, and for those that rays all but parallel leave
+    anywhere along themselves: no place to begin at with another ray.
+    """
+    found = dict[str, Array]()
+    for one in bundles:
+        poor = np.any(one.sigmas > _ANYWHERE, axis=1)[:, None]
+        found |= zip(one.network.points.ids, np.where(poor, np.nan, one.places), strict=True)
+    return found
 
 
 def _places_of(network: Network, places: Mapping[str, Array]) -> Array:

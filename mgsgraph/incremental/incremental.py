@@ -52,6 +52,7 @@ from mgsgraph.network.parts import (
     joined,
     known_images,
     pass_unknowns,
+    require_separable,
     unknowns,
     with_images,
 )
@@ -191,6 +192,7 @@ class IncrementalAdjustment:
         prior: OrientationPrior | None = None,
         tie_sigma: float = 1.0,
         shot_sigma: float = 30.0,
+        brought: Definitions | None = None,
     ) -> Impact:
         """Add images with what is observed in them (and, of points that were there before, in others).
 
@@ -204,6 +206,9 @@ class IncrementalAdjustment:
             Of a PushbroomImage; that of the image added last when absent.
         tie_sigma, shot_sigma : float
             px, of the image coordinates of tie points for which their file says nothing, and of laser footprints.
+        brought : Definitions, optional
+            Passes and shared unknowns that new images join or begin; those of the network when absent. The trajectory
+            of a pass that is there is continued over the lines of its new images, on its own grid.
 
         Raises
         ------
@@ -213,17 +218,18 @@ class IncrementalAdjustment:
             With the nominal orientation of a new image. In all cases nothing has changed then.
         """
         if isinstance(images, Network):
+            require_separable(images)
             there = set(self.images)
             named = ((one.image.name, one) for one in known_images(images))
             known = [self.store.image(name) if name in there else one for name, one in named]
             more = [one for one in known if one.image.name not in there]
             # of images that are there, a network doesn't say anew what is known of them
-            brought = definitions(images)
+            brought = definitions(images) if brought is None else brought
             return self._added(more, with_images(with_definitions(images, Definitions()), known), brought)
         new = self._new_images(images, prior)
         every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
         addition = observed(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
-        return self._added(new, addition)
+        return self._added(new, addition, brought)
 
     def remove(self, *images: str) -> Impact:
         """Take images out with their measures; points that nothing else sees go, too.

@@ -12,7 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.state import StateStore
 from mgsgraph.incremental.tree import PriorRows
@@ -23,6 +25,8 @@ from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
 
 _UNTURNED = 1e-3
 """Of a mounting's matrix, by which two statements of it may differ."""
+_SAME_WAY = 0.1
+"""rad by which attitudes may differ, at times that are not the same, of lines of one camera."""
 _NEIGHBOURS = 6
 """Images of a pass, nearest in time, against which another one's clock, position and mounting are tried."""
 
@@ -52,7 +56,7 @@ def extended(
             continue
         joining = [fresh[image] for image in one.images if image in fresh]
         if joining:
-            passes[name] = _joined_by(store, passes[name], joining)
+            passes[name] = _joined_by(store, passes[name], joining, one.axes is None)
     shared = united([Definitions(shared=known.shared), Definitions(shared=brought.shared)]).shared
     return Definitions(passes, shared)
 
@@ -71,7 +75,7 @@ def shortened(store: StateStore, known: Definitions, gone: Iterable[str]) -> Def
 
 def _over(one: NamedPass, images: Sequence[PushbroomImage]) -> NamedPass:
     """A pass with the nodes that its images need."""
-    if is_polynomial(one):
+    if _with_given_nodes(one):
         return one
     edges = np.array([seconds(image) for image in images]) - one.nodes.epoch
     nodes = one.nodes.over(float(edges[:, 0].min()), float(edges[:, 1].max()))
@@ -79,23 +83,24 @@ def _over(one: NamedPass, images: Sequence[PushbroomImage]) -> NamedPass:
     return one if same else replace(one, nodes=nodes)
 
 
-def is_polynomial(one: NamedPass) -> bool:
-    """Whether a pass is one polynomial, which holds at all times."""
-    return bool(getattr(one.prior, "polynomial", False))
+def _with_given_nodes(one: NamedPass) -> bool:
+    """Whether what is known of a pass is said of its nodes together, so that they stay: a polynomial, a joint prior."""
+    return isinstance(one.prior, JointNodePrior) or bool(getattr(one.prior, "polynomial", False))
 
 
-def _joined_by(store: StateStore, one: NamedPass, joining: Sequence[PushbroomImage]) -> NamedPass:
-    """A pass with more images: mounted as their nominal attitudes say, its nodes continued over their lines."""
+def _joined_by(store: StateStore, one: NamedPass, joining: Sequence[PushbroomImage], alike: bool) -> NamedPass:
+    """A pass with more images: mounted as their nominal attitudes say, its nodes continued over their lines. `alike`:
+    where they have no time in common, lines that look the same way are of one camera.
+    """
     where = f"pass {one.name!r}"
-    if isinstance(one.prior, JointNodePrior):
-        raise InputError(where, "a joint prior of given nodes, which can't be continued", "another prior")
     there = [store.image(name).image for name in one.images]
     edges = np.array([seconds(image) for image in there])
     for image in joining:
         start, stop = seconds(image)
         apart = np.maximum(edges[:, 0] - stop, start - edges[:, 1])
         near = sorted(np.argsort(apart, kind="stable")[:_NEIGHBOURS].tolist())
-        found = mountings([there[k] for k in near] + [image], where)
+        one_camera = alike and one.axes is None and _turned(there[int(np.argmin(apart))], image) < _SAME_WAY
+        found = mountings([there[k] for k in near] + [image], where, one_camera)
         axes = None if one.axes is None else one.axes[near[0]]
         turn = np.eye(3) if found is None else found[-1]
         turn = turn if axes is None else turn @ axes
@@ -106,10 +111,21 @@ def _joined_by(store: StateStore, one: NamedPass, joining: Sequence[PushbroomIma
     start, stop = float(edges[:, 0].min()) - one.nodes.epoch, float(edges[:, 1].max()) - one.nodes.epoch
     if first <= start and stop <= last:
         return one
-    if is_polynomial(one):
-        return replace(one, whole=False)
+    if _with_given_nodes(one):
+        if one.nodes.basis == "lagrange" and len(one.nodes) == SUPPORT:
+            return replace(one, whole=False)  # one cubic polynomial, which holds before and after them
+        found = f"images beyond its nodes, {first:.3f} to {last:.3f} s past its epoch, whose joint prior can't go on"
+        raise InputError(where, found, "images within them")
     nodes = one.nodes.over(min(first, start), max(last, stop))
     return one if np.array_equal(nodes.times, one.nodes.times) else replace(one, nodes=nodes)
+
+
+def _turned(one: PushbroomImage, other: PushbroomImage) -> float:
+    """Rad by which the nominal attitudes of two images differ where they come nearest in time."""
+    (first, last), (start, stop) = seconds(one), seconds(other)
+    times = np.clip(0.5 * (max(first, start) + min(last, stop)), [first, start], [last, stop])
+    poses = [image.trajectory.pose(times[k : k + 1] - image.trajectory.epoch) for k, image in enumerate((one, other))]
+    return float(np.linalg.norm(rotation.logarithm(poses[1].matrix @ np.swapaxes(poses[0].matrix, 1, 2))[0]))
 
 
 def turned_bundles(store: StateStore, before: Definitions, after: Definitions) -> list[Members]:

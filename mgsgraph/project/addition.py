@@ -1,7 +1,7 @@
 """What is to be added to a project: images from their files, and the measures of ties and shots that name them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
+from mgsgraph.network.definitions import Definitions, definitions, united, with_definitions
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.network.terrain_control import over_terrain
@@ -62,6 +63,8 @@ class Addition:
     """Files of tie points."""
     notes: tuple[str, ...] = ()
     """What of these was left out, in sentences."""
+    definitions: Definitions = field(default_factory=Definitions)
+    """Passes and shared unknowns that new images join or begin."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -115,11 +118,14 @@ def read_addition(
     """
     there = store.image_names()
     networks, new, sources, notes = list[Network](), list[NewImage](), list(ties), list[str]()
+    brought = list[Definitions]()
     for wanted in images:
         if wanted.path.suffix.lower() in _CASES:
             found, case = _of_case(wanted.path)
             new += found
-            networks += [] if case is None else [store.with_known_grids(case.network)]
+            if case is not None:
+                brought.append(definitions(case.network))
+                networks.append(with_definitions(store.with_known_grids(case.network), Definitions()))
             sources += [] if case is None else case.networks
             notes += [] if case is None else case.notes
     sigmas = settings.measures
@@ -147,13 +153,15 @@ def read_addition(
         networks.append(on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
     if not networks:
-        return Addition(tuple(new), None, files, tuple(_names(new)), tuple(sources), tuple(notes))
+        unlinked = tuple(_names(new))
+        return Addition(tuple(new), None, files, unlinked, tuple(sources), tuple(notes), united(brought))
     network = joined(networks)
     named = [image.name for image in network.images]
     pictures = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
     linked = _linked(network, store)
     unconnected = tuple(name for name in _names(new) if name not in linked)
-    return Addition(tuple(new), with_images(network, pictures), files, unconnected, tuple(sources), tuple(notes))
+    whole = with_images(network, pictures)
+    return Addition(tuple(new), whole, files, unconnected, tuple(sources), tuple(notes), united(brought))
 
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:

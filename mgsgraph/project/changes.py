@@ -17,7 +17,9 @@ from mgsgraph.incremental.closing import Closing
 from mgsgraph.incremental.impact import Impact
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.incremental.state import Bundle, require_one_body, with_addition, without
+from mgsgraph.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.network import Network
+from mgsgraph.network.definitions import Definitions, definitions
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.project.addition import Addition, NewImage, images_alone, images_of_case
 from mgsgraph.project.project import Project
@@ -33,7 +35,10 @@ def is_solved(project: Project) -> bool:
     store = project.store
     known = store.shared()
     needed = {unknown for members in store.members() for unknown in members}
-    adjusted = all(Unknown("image", name) in known or store.image(name).held for name in store.image_names())
+    of_passes = {name for one in store.definitions().passes.values() for name in one.images}
+    own = [name for name in store.image_names() if name not in of_passes]
+    adjusted = all(Unknown("image", name) in known or store.image(name).held for name in own)
+    adjusted &= known.keys() >= set(unknowns_of(store.definitions()))
     return adjusted and needed.issubset(known)
 
 
@@ -49,9 +54,9 @@ def add(project: Project, addition: Addition) -> Impact | None:
     if not is_solved(project):
         put_in(store, addition)
     elif network is None:
-        impact = _incremental(project).add([one.known for one in addition.images])
+        impact = _incremental(project).add([one.known for one in addition.images], brought=addition.definitions)
     else:
-        impact = _incremental(project).add(network)
+        impact = _incremental(project).add(network, brought=addition.definitions)
     _note_sources(project, addition.images)
     project.add_networks(addition.networks)
     rays = 0 if network is None else network.rays.point.size
@@ -133,11 +138,19 @@ def put_in(store: ProjectStore, addition: Addition) -> None:
     for one in addition.images:
         store.put_image(one.known)
     network = None if addition.network is None else store.with_known_grids(addition.network)
-    _put_waiting(store, *with_addition(store, network))
+    before = store.definitions()
+    after = extended(store, before, addition.definitions, [one.known for one in addition.images])
+    turned = turned_bundles(store, before, after)
+    store.put_definitions(after)
+    _put_waiting(store, *with_addition(store, network, after, turned))
 
 
 def _take_out(store: ProjectStore, images: Sequence[str]) -> None:
-    _put_waiting(store, *without(store, images))
+    before = store.definitions()
+    after = shortened(store, before, images)
+    changed = without(store, images, after, turned_bundles(store, before, after))
+    store.put_definitions(after)
+    _put_waiting(store, *changed)
     for name in images:
         store.drop_image(name)
 
@@ -238,7 +251,8 @@ def _put(
     project: Project, verb: str, what: str, images: list[NewImage], network: Network | None, files: Sequence[Path]
 ) -> str:
     """Put images and measures in, and note it; what they are."""
-    put_in(project.store, Addition(tuple(images), network))
+    brought = Definitions() if network is None else definitions(network)
+    put_in(project.store, Addition(tuple(images), network, definitions=brought))
     _note_sources(project, images)
     project.add_networks(files)
     points, rays, ranges = (
