@@ -3,7 +3,11 @@
 from mgsgraph.network.network import Network as Network
 from mgsgraph.network.node_priors import JointNodePrior as JointNodePrior
 from mgsgraph.network.node_priors import NodePrior as NodePrior
+from mgsgraph.network.node_priors import PassPrior as PassPrior
+from mgsgraph.network.node_priors import PolynomialPrior as PolynomialPrior
+from mgsgraph.network.node_priors import ProcessPrior as ProcessPrior
 from mgsgraph.network.passes import Pass as Pass
+from mgsgraph.network.processes import Process as Process
 from mgsgraph.network.records import TERRAIN as TERRAIN
 from mgsgraph.network.records import GroundPoints as GroundPoints
 from mgsgraph.network.records import ImageRays as ImageRays

@@ -8,23 +8,31 @@ corrections to the observed exterior orientation): of a node at time t, s = -1 .
 where e has the node's own sigma and, between nodes, the correlation exp(-|dt| / correlation time) of a Gauss-Markov
 process. So a node hangs on the one before it by a smoothness factor, e_k - a e_{k-1} with a = exp(-dt / time) and sigma
 root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it. Closer
-nodes then don't say more than the trajectory knows.
+nodes then don't say more than the trajectory knows (`NodePrior`).
+
+Other departures: any Gaussian process (`ProcessPrior`, `network.processes`), its rows between neighbouring nodes by
+sequential conditioning (`network.conditioning`). Or none, and the corrections polynomials of time (`PolynomialPrior`):
+four nodes of Lagrange's basis hold a cubic polynomial exactly.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import OrientationImages
+from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.network.conditioning import Conditionals, conditionals, variances
+from mgsgraph.network.processes import Process
 
 _LONGEST = 1e9
 """s: departures that take longer to forget themselves can't be told from a bias."""
 _UNKNOWN = 1e5
 """m of a position for a rad of a rotation, where nothing else says what counts for more."""
+_HELD = 1e-4
+"""Share of a component's largest sigma to which polynomial terms above the degree are held."""
 
 
 class LinearFactor(NamedTuple):
@@ -86,15 +94,15 @@ class NodePrior:
 
     def trend(self, s: Array) -> Array:
         """(n, 6, w) what the trend's unknowns do to nodes at s (n,) in [-1, 1]."""
-        result = np.zeros((s.size, 6, self.trend_sigmas.size))
-        column = np.arange(self.trend_sigmas.size)
-        biases = int(np.count_nonzero(self.bias))
-        result[:, self.trend_components, column] = np.where(column < biases, 1.0, s[:, None])
-        return result
+        return _trend(self, s)
 
     def node_sigmas(self, s: Array) -> Array:
         """(n, 6) a-priori sigma of nodes at s (n,), with the trend's."""
         return np.sqrt(self.sigmas**2 + self.bias**2 + (s[:, None] * self.drift) ** 2)
+
+    def own_sigmas(self, nodes: OrientationImages) -> Array:
+        """(k, 6) a-priori sigma of each of some nodes, with the trend's."""
+        return self.node_sigmas(normalised(nodes))
 
     def scaled(self, nodes: Array, trend: Array) -> "NodePrior":
         """With the sigmas of nodes times factors (6,), those of the trend's unknowns times factors (w,)."""
@@ -160,6 +168,10 @@ class JointNodePrior:
             variances = np.full(information.shape[0], np.inf)
         return np.sqrt(np.where(variances > 0.0, variances, np.inf)).reshape(s.size, 6)
 
+    def own_sigmas(self, nodes: OrientationImages) -> Array:
+        """(k, 6) a-priori sigma of each of some nodes, with the trend's."""
+        return self.node_sigmas(normalised(nodes))
+
     def scaled(self, nodes: Array, trend: Array) -> "JointNodePrior":
         """With the sigmas of nodes times factors (6,), by component."""
         return JointNodePrior(self.root / np.tile(nodes, self.root.shape[1] // 6), self.trend_sigmas)
@@ -176,7 +188,214 @@ class JointNodePrior:
         yield LinearFactor(tuple(range(len(nodes))), tuple(np.split(self.root, len(nodes), axis=1)), about)
 
 
-PassPrior = NodePrior | JointNodePrior
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialPrior:
+    """Corrections are polynomials of s = -1 .. 1 over the pass: sum_j a_j s^j; on four nodes of Lagrange's basis."""
+
+    position_sigmas: Array
+    """(dp + 1, 3) m, of the coefficients of s^0 .. s^dp along X, Y, Z; dp <= 3; infinite where nothing is known, 0 for
+    a term that is held at zero."""
+    attitude_sigmas: Array
+    """(da + 1, 3) rad, the same of the rotations about x, y, z."""
+
+    def __post_init__(self) -> None:
+        for name in ("position_sigmas", "attitude_sigmas"):
+            where = f"polynomial prior, {name.replace('_', ' ')}"
+            given = np.array(getattr(self, name), dtype=np.float64)
+            if given.ndim != 2 or given.shape[1] != 3 or not 1 <= given.shape[0] <= SUPPORT:
+                raise InputError(where, f"shape {given.shape}", "(degree + 1, 3), of a degree of 0 to 3")
+            if np.any(np.isnan(given)) or given.min() < 0.0:
+                raise InputError(where, f"{given.tolist()}", "sigmas, not negative")
+            given.flags.writeable = False
+            assign(self, **{name: given})
+
+    @property
+    def coefficient_sigmas(self) -> Array:
+        """(4, 6) m and rad of the coefficients of s^0 .. s^3, those held at a sigma so small that it is nothing."""
+        found = np.zeros((SUPPORT, 6))
+        found[: self.position_sigmas.shape[0], :3] = self.position_sigmas
+        found[: self.attitude_sigmas.shape[0], 3:] = self.attitude_sigmas
+        largest = np.where(np.isfinite(found), found, 0.0).max(axis=0)
+        unknown = np.array([_UNKNOWN * 1e-3] * 3 + [1e-3] * 3)
+        held = _HELD * np.where(largest > 0.0, largest, unknown)
+        return np.where(found > 0.0, found, held)
+
+    @property
+    def trend_sigmas(self) -> Array:
+        """(0,) there is no trend beside the polynomials."""
+        return np.zeros(0)
+
+    @property
+    def trend_components(self) -> Index:
+        """(0,) no trend, no components."""
+        return np.zeros(0, dtype=np.int64)
+
+    @property
+    def trend_names(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    def node_sigmas(self, s: Array) -> Array:
+        """(n, 6) a-priori sigma of nodes at s (n,)."""
+        powers = np.abs(s)[:, None, None] ** np.arange(SUPPORT)[:, None]
+        with np.errstate(invalid="ignore"):  # 0 at s = 0 times a sigma that is infinite
+            parts = np.where(powers > 0.0, powers * self.coefficient_sigmas, 0.0)
+        return np.asarray(np.sqrt(np.sum(parts**2, axis=1)))
+
+    def own_sigmas(self, nodes: OrientationImages) -> Array:
+        """(4, 6) a-priori sigma of each of some nodes."""
+        return self.node_sigmas(normalised(nodes))
+
+    def scaled(self, nodes: Array, trend: Array) -> "PolynomialPrior":
+        """With all sigmas times factors (6,), by component."""
+        return PolynomialPrior(self.position_sigmas * nodes[:3], self.attitude_sigmas * nodes[3:])
+
+    def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
+        """One factor: a whitened row of each coefficient that is known or held."""
+        require_polynomial_nodes(nodes)
+        s = normalised(nodes)
+        to_terms = np.linalg.solve(s[:, None] ** np.arange(SUPPORT), np.eye(SUPPORT))
+        sigmas = self.coefficient_sigmas
+        term, component = np.nonzero(np.isfinite(sigmas))
+        if not term.size:
+            return
+        rows, weights = np.arange(term.size), 1.0 / sigmas[term, component]
+        blocks = np.zeros((SUPPORT, term.size, 6))
+        for k in range(SUPPORT):
+            blocks[k, rows, component] = weights * to_terms[term, k]
+        yield LinearFactor(tuple(range(SUPPORT)), tuple(blocks), np.stack([term, component], axis=1))
+
+
+def require_polynomial_nodes(nodes: OrientationImages) -> None:
+    """Raise InputError unless nodes hold polynomials: four of Lagrange's basis."""
+    if nodes.basis != "lagrange" or len(nodes) != SUPPORT:
+        found = f"{len(nodes)} nodes of the basis {nodes.basis}"
+        expected = f"{SUPPORT} of the basis lagrange, which hold a cubic polynomial"
+        raise InputError("polynomial prior", found, expected, "leave the nodes out, or take a process")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProcessPrior:
+    """Departures from bias and drift are Gaussian processes: of position, and of attitude.
+
+    An integrated Wiener process begins at rest one interval before the first node: bias and drift, which it must have
+    (large where nothing is known), say where it stands and how it moves there.
+    """
+
+    position: tuple[Process, ...]
+    """Their sum: along X, Y, Z; m."""
+    attitude: tuple[Process, ...]
+    """The same about x, y, z; rad."""
+    bias: Array
+    """(6,) m and rad, sigma of the trend's constant part; 0 where there is none."""
+    drift: Array
+    """(6,) m and rad, sigma of the trend's linear part, at the ends of the pass; 0 where there is none."""
+
+    def __post_init__(self) -> None:
+        assign(self, bias=frozen(self.bias, "process prior, bias", (6,)))
+        assign(self, drift=frozen(self.drift, "process prior, drift", (6,)))
+        if min(self.bias.min(), self.drift.min()) < 0.0:
+            raise InputError("process prior, bias and drift", "a negative sigma", "sigmas, or 0 for none")
+        for name, part, mine in (("position", self.position, slice(0, 3)), ("attitude", self.attitude, slice(3, 6))):
+            if not isinstance(part, tuple) or not part:
+                raise InputError(f"process prior, {name}", "no process", "one or more, of which the sum is meant")
+            if any(not one.stationary for one in part) and min(self.bias[mine].min(), self.drift[mine].min()) == 0.0:
+                found = "an integrated Wiener process without bias or drift"
+                raise InputError(f"process prior, {name}", found, "both, large where nothing is known")
+
+    @property
+    def trend_sigmas(self) -> Array:
+        """(w,) of the trend's unknowns: the components with a bias, then those with a drift."""
+        return np.concatenate([self.bias[self.bias > 0.0], self.drift[self.drift > 0.0]])
+
+    @property
+    def trend_components(self) -> Index:
+        """(w,) component of each of them."""
+        return np.concatenate([np.flatnonzero(self.bias > 0.0), np.flatnonzero(self.drift > 0.0)])
+
+    @property
+    def trend_names(self) -> tuple[str, ...]:
+        """What each of them is: a bias or a drift."""
+        return ("bias",) * int(np.count_nonzero(self.bias)) + ("drift",) * int(np.count_nonzero(self.drift))
+
+    def node_sigmas(self, s: Array) -> Array:
+        """(n, 6) a-priori sigma of values at s (n,), with the trend's, without what integrated Wiener processes add: it
+        depends on the time since they began (`own_sigmas` has it).
+        """
+        own = [sum(p.sigmas**2 for p in part if p.stationary) + np.zeros(3) for part in (self.position, self.attitude)]
+        return np.sqrt(np.concatenate(own) + self.bias**2 + (s[:, None] * self.drift) ** 2)
+
+    def own_sigmas(self, nodes: OrientationImages) -> Array:
+        """(k, 6) a-priori sigma of the coefficient of each of some nodes, with the trend's."""
+        own = np.stack([variances(self._part(c), c % 3, nodes) for c in range(6)], axis=1)
+        return np.asarray(np.sqrt(own + self.bias**2 + (normalised(nodes)[:, None] * self.drift) ** 2))
+
+    def scaled(self, nodes: Array, trend: Array) -> "ProcessPrior":
+        """With the strengths of processes times factors (6,), the sigmas of the trend's unknowns times factors (w,)."""
+        of_bias, of_drift, biases = np.ones(6), np.ones(6), int(np.count_nonzero(self.bias))
+        of_bias[self.bias > 0.0], of_drift[self.drift > 0.0] = trend[:biases], trend[biases:]
+        return replace(
+            self,
+            position=tuple(one.scaled(nodes[:3]) for one in self.position),
+            attitude=tuple(one.scaled(nodes[3:]) for one in self.attitude),
+            bias=self.bias * of_bias,
+            drift=self.drift * of_drift,
+        )
+
+    def _part(self, component: int) -> tuple[Process, ...]:
+        return self.position if component < 3 else self.attitude
+
+    def conditionals(self, nodes: OrientationImages) -> tuple[Conditionals, ...]:
+        """Of each of the six components: how a node follows from those before it, and what is lost by taking few."""
+        found, seen = list[Conditionals](), dict[tuple[float, ...], Conditionals]()
+        for c in range(6):
+            part = self._part(c)
+            size = float(part[0].sigmas[c % 3])
+            key = (c // 3, *(float(one.sigmas[c % 3]) / size for one in part[1:]))
+            if key not in seen:
+                unit = tuple(one.scaled(np.full(3, 1.0 / size)) for one in part)
+                seen[key] = conditionals(unit, c % 3, nodes)
+            found.append(replace(seen[key], sigmas=size * seen[key].sigmas))
+        return tuple(found)
+
+    def divergence(self, nodes: OrientationImages) -> float:
+        """Nats a node and component that rows between neighbours lose of the processes; see `network.conditioning`."""
+        return max(one.divergence for one in self.conditionals(nodes))
+
+    def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
+        """Whitened rows between neighbouring nodes, and on the trend."""
+        every, count, components = self.conditionals(nodes), len(nodes), np.arange(6)
+        memory = max(one.memory for one in every)
+        sigmas = np.stack([one.sigmas for one in every], axis=1)
+        weights = np.zeros((count, memory, 6))
+        for c, one in enumerate(every):
+            weights[:, : one.memory, c] = one.weights
+        trend = _trend(self, normalised(nodes))
+        for k in range(count):
+            parts, follow = dict[int, Array](), trend[k].copy()
+            for j in reversed(range(min(memory, k))):
+                if np.any(weights[k, j]):
+                    parts[k - 1 - j] = np.diag(-weights[k, j] / sigmas[k])
+                    follow -= weights[k, j][:, None] * trend[k - 1 - j]
+            parts[k] = np.diag(1.0 / sigmas[k])
+            if trend.shape[2]:
+                parts[count] = -follow / sigmas[k][:, None]
+            yield LinearFactor(tuple(parts), tuple(parts.values()), _about(k, components))
+        if self.trend_sigmas.size:
+            about = _about(count, np.arange(self.trend_sigmas.size))
+            yield LinearFactor((count,), (np.diag(1.0 / self.trend_sigmas),), about)
+
+
+def _trend(prior: "NodePrior | ProcessPrior", s: Array) -> Array:
+    """(n, 6, w) what the trend's unknowns do to nodes at s (n,) in [-1, 1]."""
+    result = np.zeros((s.size, 6, prior.trend_sigmas.size))
+    column = np.arange(prior.trend_sigmas.size)
+    biases = int(np.count_nonzero(prior.bias))
+    result[:, prior.trend_components, column] = np.where(column < biases, 1.0, s[:, None])
+    return result
+
+
+PassPrior = NodePrior | JointNodePrior | PolynomialPrior | ProcessPrior
 """What may be known of a pass beforehand."""
 
 

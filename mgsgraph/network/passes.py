@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
-from mgsgraph.network.node_priors import PassPrior, normalised
+from mgsgraph.network.node_priors import PassPrior
 
 _NO_ROTATION = 1e-6
 """Of a product of a matrix with its transpose, off the unit matrix."""
@@ -64,7 +64,7 @@ class Pass:
     @property
     def sigmas(self) -> list[Array]:
         """A-priori sigmas of each of them, m and rad, by itself."""
-        own = list(self.prior.node_sigmas(normalised(self.nodes)))
+        own = list(self.prior.own_sigmas(self.nodes))
         return own + ([self.prior.trend_sigmas] if self.prior.trend_sigmas.size else [])
 
     def part(self, unknown: int, inside: int) -> tuple[str, int]:

@@ -29,7 +29,7 @@ from mgsgraph.geometry.records import assign
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.files import json_object, understood
-from mgsgraph.network import JointNodePrior, NodePrior
+from mgsgraph.network import JointNodePrior, NodePrior, PolynomialPrior, ProcessPrior
 
 Arrays = dict[str, NDArray[Any]]
 """Arrays by the path of fields that leads to them."""
@@ -44,7 +44,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
 }
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
-_KIND_NAMES |= {one.__name__ for one in (NodePrior, JointNodePrior, PackedSurface)}
+_KIND_NAMES |= {one.__name__ for one in (NodePrior, JointNodePrior, PolynomialPrior, ProcessPrior, PackedSurface)}
 _NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
 _ANEW = "write it anew with the program that made it"
 _HEADER = re.compile(

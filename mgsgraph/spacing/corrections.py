@@ -21,7 +21,6 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import NodePrior, Pass
-from mgsgraph.network.node_priors import normalised
 from mgsgraph.spacing.rays import ray_scatter
 
 AXES = FLIGHT
@@ -121,7 +120,7 @@ def _known(strip: Pass, turns: Array) -> Array:
     if isinstance(strip.prior, NodePrior):
         sigmas = np.broadcast_to(strip.prior.sigmas, turns.shape[:2])
     else:
-        sigmas = strip.prior.node_sigmas(normalised(strip.nodes))[: turns.shape[0]]
+        sigmas = strip.prior.own_sigmas(strip.nodes)[: turns.shape[0]]
     with np.errstate(invalid="ignore"):  # an axis that an unknown component has no share in
         squares = np.where(turns == 0.0, 0.0, turns**2 * sigmas[:, None, :] ** 2)
     return np.asarray(np.sqrt(squares.sum(axis=2).mean(axis=0)))

@@ -1,0 +1,196 @@
+"""Sequential conditioning of Gaussian processes on few neighbours: the rows of a prior whose cost is linear in nodes.
+
+The density of the values x_0 .. x_n is the product of those of each x_k given all before it. Given the m before it
+only (Vecchia 1988), x_k - a' x_{k-m .. k-1} has the variance s_m^2 of the covariance function, exactly. What is lost is
+known: the Kullback-Leibler divergence from the whole process is the sum of log(s_m / s_all). Of a Gauss-Markov process
+m = 1 loses nothing.
+
+Values that hardly differ make covariances singular to the precision of numbers. So stationary processes of m > 1 have
+white noise of `NUGGET` times their sigma added, and covariances of neighbours are factorised in extended precision.
+
+Coefficients c of a uniform cubic B-spline aren't values: these are (c_{k-1} + 4 c_k + c_{k+1}) / 6. The inverse of this
+filter, sqrt(3) z^|j| with z = sqrt(3) - 2 (Unser et al. 1993), gives the covariance of the coefficients.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation_images import OrientationImages
+from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.network.processes import Process
+
+NUGGET = 1e-5
+"""Times a process's sigma: white noise that keeps its covariances regular."""
+DIVERGENCE = 0.01
+"""Nats a node: Kullback-Leibler divergence from the whole process below which neighbours are enough."""
+_MEMORIES = (1, 2, 3, 4, 5, 6, 8, 10, 12)
+"""Numbers of neighbours that are tried."""
+_WINDOW = 48
+"""Nodes before one that stand for all of them."""
+_SAMPLES = 32
+"""Nodes at which the divergence is taken."""
+_POLE, _REACH = math.sqrt(3.0) - 2.0, 32
+"""Of the inverse filter of a spline, and its length."""
+_FINE = np.longdouble
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditionals:
+    """x_k - sum_j weights[k, j] x_{k-1-j}, of standard deviation sigmas[k], of k nodes."""
+
+    weights: Array
+    """(k, m), nearest neighbour first; 0 where there is none."""
+    sigmas: Array
+    """(k,) m or rad."""
+    divergence: float
+    """Nats a node, Kullback-Leibler divergence from the whole process."""
+
+    def __post_init__(self) -> None:
+        assign(self, weights=frozen(self.weights, "conditionals, weights", (None, None)))
+        assign(self, sigmas=frozen(self.sigmas, "conditionals, sigmas", (self.weights.shape[0],)))
+
+    @property
+    def memory(self) -> int:
+        """Number m of neighbours."""
+        return int(self.weights.shape[1])
+
+
+def variances(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> Array:
+    """(k,) variance of the coefficient at each node along one axis (0 .. 2): m^2 or rad^2."""
+    times = nodes.times.astype(_FINE)
+    found = _covariance(processes, axis, nodes, times[:, None], times[:, None])[:, 0]
+    return np.asarray(found, dtype=np.float64)
+
+
+def dense_covariance(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> Array:
+    """(k, k) covariance of all nodes' coefficients along one axis, without nugget: m^2 or rad^2."""
+    times = nodes.times.astype(_FINE)
+    found = _covariance(processes, axis, nodes, times[:, None], times[None, :])
+    return np.asarray(found, dtype=np.float64)
+
+
+def conditionals(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> Conditionals:
+    """Of the coefficients of nodes along one axis, for a sum of processes, with as few neighbours as lose nothing.
+
+    Raises
+    ------
+    InputError
+        Where no number of neighbours is enough, and for an integrated Wiener process on a spline.
+    """
+    kinds = {one.kind for one in processes}
+    count = len(nodes)
+    if nodes.basis == "lagrange" and kinds == {"white"}:
+        return Conditionals(np.zeros((count, 0)), np.sqrt(variances(processes, axis, nodes)), 0.0)
+    if nodes.basis == "lagrange" and len(processes) == 1 and kinds == {"gauss-markov"}:
+        return _gauss_markov(processes[0], axis, nodes.times)
+    memory, divergence = _memory(processes, axis, nodes)
+    root, along, own = _windows(processes, axis, nodes, np.arange(count), memory)
+    weights = _solved_back(root, along)
+    left = own - np.sum(along**2, axis=1)
+    return Conditionals(weights.astype(np.float64), np.sqrt(left).astype(np.float64), divergence)
+
+
+def _gauss_markov(process: Process, axis: int, times: Array) -> Conditionals:
+    """Each node given the one before it: exact, and without cancellation."""
+    apart = np.diff(times) / process.correlation_time
+    weights = np.append(0.0, np.exp(-apart))[:, None]
+    return Conditionals(weights, process.sigmas[axis] * np.append(1.0, np.sqrt(-np.expm1(-2.0 * apart))), 0.0)
+
+
+def _memory(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> tuple[int, float]:
+    """Number of neighbours that is enough, and the divergence in nats a node."""
+    count, steps = len(nodes), np.diff(nodes.times)
+    at = np.unique(np.linspace(1, count - 1, min(_SAMPLES, count - 1)).astype(np.int64))
+    at = np.union1d(at, [int(steps.argmin()) + 1, int(steps.argmax()) + 1])
+    _, along, own = _windows(processes, axis, nodes, at, min(_WINDOW, count - 1))
+    left = own[:, None] - np.cumsum(along**2, axis=1)
+    lost = np.maximum(0.5 * np.log(left / left[:, -1:]), 0.0).mean(axis=0)
+    for memory in _MEMORIES:
+        if memory >= left.shape[1] or lost[memory - 1] < DIVERGENCE:
+            used = min(memory, left.shape[1])
+            return used, float(lost[used - 1])
+    raise InputError(
+        f"process {' + '.join(one.kind for one in processes)}",
+        f"nodes {steps.min():.3g} s apart, of which {_MEMORIES[-1]} neighbours lose {lost[_MEMORIES[-1] - 1]:.2g} nats",
+        f"less than {DIVERGENCE} nats a node (Kullback-Leibler divergence from the whole process)",
+        "take a larger spacing, or a rougher process",
+    )
+
+
+def _windows(
+    processes: Sequence[Process], axis: int, nodes: OrientationImages, at: Index, size: int
+) -> tuple[Array, Array, Array]:
+    """Of nodes `at` (n,) and the `size` before each: L (n, m, m) of the covariance of these, nearest first, L^-1 times
+    their covariance with the node (n, m), and its variance (n,), in extended precision; neighbours that aren't there
+    have nothing to do with it.
+    """
+    number = at[:, None] - 1 - np.arange(size)
+    there = number >= 0
+    times = nodes.times.astype(_FINE)
+    near, mine = times[np.maximum(number, 0)], times[at]
+    both = there[:, :, None] & there[:, None, :]
+    among = np.where(both, _covariance(processes, axis, nodes, near[:, :, None], near[:, None, :]), 0.0)
+    across = np.where(there, _covariance(processes, axis, nodes, near, mine[:, None]), 0.0)
+    own = _covariance(processes, axis, nodes, mine, mine)
+    nugget = _nugget(processes, axis)
+    diagonal = np.arange(size)
+    among[:, diagonal, diagonal] = np.where(there, among[:, diagonal, diagonal] + nugget, 1.0)
+    root, along = _factorised(among, across)
+    return root, along, own + nugget
+
+
+def _nugget(processes: Sequence[Process], axis: int) -> float:
+    """Variance, m^2 or rad^2, that is added."""
+    return float(NUGGET**2 * sum(one.sigmas[axis] ** 2 for one in processes if one.stationary))
+
+
+def _factorised(matrices: Array, right: Array) -> tuple[Array, Array]:
+    """Cholesky factors L of (n, m, m), and L^-1 times right sides (n, m), in their precision."""
+    left, right = matrices.copy(), right.copy()
+    root = np.zeros_like(left)
+    for j in range(left.shape[1]):
+        pivot = np.sqrt(left[:, j, j])
+        root[:, j:, j] = left[:, j:, j] / pivot[:, None]
+        right[:, j] = right[:, j] / pivot
+        below = root[:, j + 1 :, j]
+        right[:, j + 1 :] -= below * right[:, j, None]
+        left[:, j + 1 :, j + 1 :] -= below[:, :, None] * below[:, None, :]
+    return root, right
+
+
+def _solved_back(root: Array, right: Array) -> Array:
+    """L'^-1 times right sides (n, m)."""
+    found = right.copy()
+    for j in reversed(range(right.shape[1])):
+        found[:, j] = (found[:, j] - np.sum(root[:, j + 1 :, j] * found[:, j + 1 :], axis=1)) / root[:, j, j]
+    return found
+
+
+def _covariance(
+    processes: Sequence[Process], axis: int, nodes: OrientationImages, one: Array, other: Array
+) -> Array:
+    """Of the coefficients at times (s past the nodes' epoch) along one axis; the times broadcast."""
+    # an integrated Wiener process begins one interval before the first node: at its start it has no variance
+    start = float(2.0 * nodes.times[0] - nodes.times[1])
+    if nodes.basis == "lagrange":
+        return np.asarray(sum(p.sigmas[axis] ** 2 * p.covariance(one, other, start) for p in processes))
+    if any(not p.stationary for p in processes):
+        found = "an integrated Wiener process on a spline"
+        raise InputError("process prior", found, "a stationary process", "take the basis lagrange")
+    # on whole numbers of spacings, so that white noise meets itself
+    steps = np.abs(np.rint((one - other) / nodes.spacing)).astype(np.int64)
+    return np.asarray(_of_coefficients(processes, axis, nodes.spacing, int(steps.max()))[steps])
+
+
+def _of_coefficients(processes: Sequence[Process], axis: int, spacing: float, most: int) -> Array:
+    """(most + 1,) covariance of a spline's coefficients that are 0 .. most spacings apart."""
+    numbers, total = np.arange(most + 1), np.zeros(most + 1, dtype=_FINE)
+    for n in range(-_REACH, _REACH + 1):
+        weight = 3.0 * (abs(n) + (1.0 + _POLE**2) / (1.0 - _POLE**2)) * _POLE ** abs(n)
+        apart = (numbers + n).astype(_FINE) * spacing
+        total += weight * sum(p.sigmas[axis] ** 2 * p.covariance(apart, 0.0 * apart, 0.0) for p in processes)
+    return total

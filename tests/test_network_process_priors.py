@@ -1,0 +1,187 @@
+"""Processes and polynomials as priors of nodes: against dense covariances, quadrature and today's Gauss-Markov rows."""
+
+import numpy as np
+import pytest
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.network import NodePrior, PassPrior, PolynomialPrior, Process, ProcessPrior
+from mgsgraph.network.conditioning import DIVERGENCE, dense_covariance
+from mgsgraph.network.node_priors import LinearFactor, normalised
+from mgsgraph.network.processes import ProcessKind
+
+EVEN = evenly_spaced("lagrange", 3e8, (10.0, 70.0), 2.5)
+UNEVEN = OrientationImages("lagrange", 3e8, np.array([0.0, 1.0, 1.5, 1.75, 2.5, 5.0, 8.0, 9.0, 9.5, 12.0, 15.0, 20.0]))
+SIZE = np.array([20.0, 30.0, 50.0])
+NONE = np.zeros(6)
+TREND = np.array([200.0] * 3 + [4e-4] * 3)
+
+
+def process(kind: ProcessKind, scale: float = 1.0) -> Process:
+    timed = kind in ("gauss-markov", "matern-3/2", "matern-5/2")
+    jitter = kind == "jitter"
+    return Process(kind, SIZE * scale, 7.0 if timed else 0.0, 0.09 if jitter else 0.0, 0.02 if jitter else 0.0)
+
+
+def information(prior: PassPrior, nodes: OrientationImages) -> np.ndarray:
+    """(c, c) of the nodes and the trend."""
+    edges = np.concatenate([6 * np.arange(len(nodes) + 1), [6 * len(nodes) + prior.trend_sigmas.size]])
+    rows = []
+    for unknowns, blocks, _ in prior.factors(nodes):
+        row = np.zeros((blocks[0].shape[0], edges[-1]))
+        for unknown, block in zip(unknowns, blocks, strict=True):
+            row[:, edges[unknown] : edges[unknown + 1]] = block
+        rows.append(row)
+    whole = np.concatenate(rows)
+    return whole.T @ whole
+
+
+def covariance(prior: PassPrior, nodes: OrientationImages) -> np.ndarray:
+    """(6 k, 6 k) of the nodes, whatever the trend."""
+    whole = information(prior, nodes)
+    scale = 1.0 / np.sqrt(np.diagonal(whole))
+    inverse = np.linalg.inv(whole * scale[:, None] * scale) * scale[:, None] * scale
+    return np.asarray(inverse[: 6 * len(nodes), : 6 * len(nodes)])
+
+
+@pytest.mark.parametrize("nodes", [EVEN, UNEVEN, evenly_spaced("spline", 3e8, (0.0, 40.0), 3.0)], ids=str)
+def test_a_gauss_markov_process_has_todays_rows(nodes: OrientationImages) -> None:
+    if nodes.basis == "spline":
+        pytest.skip("of a spline, a process is one of values, not of coefficients")
+    bias = np.array([200.0, 0.0, 100.0, 4e-4, 3e-4, 0.0])
+    attitude = Process("gauss-markov", SIZE * 1e-6, 7.0)
+    old = NodePrior(np.concatenate([SIZE, SIZE * 1e-6]), bias, 0.5 * TREND, 7.0)
+    new = ProcessPrior((process("gauss-markov"),), (attitude,), bias, 0.5 * TREND)
+    for one, other in zip(old.factors(nodes), new.factors(nodes), strict=True):
+        assert one.unknowns == other.unknowns
+        np.testing.assert_array_equal(one.about, other.about)
+        for block, same in zip(one.blocks, other.blocks, strict=True):
+            np.testing.assert_allclose(same, block, rtol=1e-12, atol=0.0)
+    np.testing.assert_allclose(new.own_sigmas(nodes), old.own_sigmas(nodes), rtol=1e-12)
+    assert new.divergence(nodes) == 0.0
+
+
+@pytest.mark.parametrize("basis", ["lagrange", "spline", "uneven"])
+@pytest.mark.parametrize("kind", ["white", "gauss-markov", "matern-3/2", "matern-5/2", "jitter", "integrated-wiener"])
+def test_rows_between_neighbours_are_the_whole_process(kind: ProcessKind, basis: str) -> None:
+    """The Kullback-Leibler divergence of the rows' density from the dense process, all of it, is what was promised."""
+    if basis == "spline" and kind == "integrated-wiener":
+        pytest.skip("refused, see below")
+    nodes = {"lagrange": EVEN, "spline": evenly_spaced("spline", 0.0, (0.0, 60.0), 2.5), "uneven": UNEVEN}[basis]
+    prior = ProcessPrior((process(kind),), (process(kind, 1e-6),), TREND, TREND)
+    s, count = normalised(nodes), len(nodes)
+    found = information(prior, nodes)
+    for c in range(6):
+        # the trend given: the last columns are left out
+        mine = found[c : 6 * count : 6, c : 6 * count : 6]
+        dense = dense_covariance((process(kind, 1.0 if c < 3 else 1e-6),), c % 3, nodes)
+        size = np.sqrt(np.diagonal(dense))
+        product = (mine * size[:, None] * size) @ (dense / size[:, None] / size)
+        divergence = 0.5 * (np.trace(product) - count - np.linalg.slogdet(product)[1])
+        assert divergence / count < DIVERGENCE
+        assert divergence / count < prior.divergence(nodes) + 2e-3
+    want = prior.own_sigmas(nodes)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance(prior, nodes))).reshape(-1, 6), want, rtol=0.02)
+    assert np.all(want >= np.sqrt(TREND**2 + (s[:, None] * TREND) ** 2))
+
+
+def test_a_spline_s_values_are_the_process() -> None:
+    nodes = evenly_spaced("spline", 0.0, (0.0, 60.0), 2.5)
+    one = process("matern-3/2")
+    to_values, _ = nodes.dense(nodes.inner, 0.0)
+    values = to_values @ dense_covariance((one,), 0, nodes) @ to_values.T
+    apart = np.abs(nodes.inner[:, None] - nodes.inner)
+    want = SIZE[0] ** 2 * one.covariance(apart, 0.0 * apart, 0.0)
+    np.testing.assert_allclose(values, want, atol=1e-9 * SIZE[0] ** 2)
+
+
+@pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2", "jitter"])
+def test_spectra_hold_the_variance(kind: ProcessKind) -> None:
+    """Every covariance is one: its cosine transform is nowhere negative, and a jitter's peak is where it is stated."""
+    one, step = process(kind), 0.05
+    apart = step * np.arange(40000)
+    density = np.fft.rfft(np.concatenate([(rho := one.covariance(apart, 0.0 * apart, 0.0)), rho[:0:-1]])).real
+    assert rho[0] == 1.0
+    assert density.min() > -1e-9 * density.max()
+    if kind == "jitter":
+        frequencies = np.fft.rfftfreq(2 * apart.size - 1, step)
+        peak = frequencies[density.argmax()]
+        above = frequencies[density > 0.5 * density.max()]
+        assert peak == pytest.approx(np.sqrt(0.09**2 - 0.5 * 0.02**2), rel=2e-3)
+        assert np.ptp(above) == pytest.approx(0.02, rel=0.03)
+
+
+def test_an_integrated_wiener_process_is_an_acceleration_of_white_noise() -> None:
+    """Against the double integral of the covariance of white noise, by quadrature on a fine grid."""
+    one, step = Process("integrated-wiener", np.ones(3)), 1e-3
+    grid = step * (np.arange(5000) + 0.5)
+    for t, other in ((1.0, 1.0), (2.0, 4.5), (4.0, 0.7)):
+        want = step * np.sum(np.maximum(t - grid, 0.0) * np.maximum(other - grid, 0.0))
+        assert one.covariance(np.array(t + 3.0), np.array(other + 3.0), 3.0) == pytest.approx(want, rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2", "jitter"])
+def test_nodes_much_closer_than_the_process_moves(kind: ProcessKind) -> None:
+    """A thousandth of the correlation time (a hundredth for Matern 5/2) and 150 nodes: rows stay regular."""
+    spacing = 0.07 if kind == "matern-5/2" else 0.007
+    nodes = evenly_spaced("lagrange", 0.0, (0.0, 150.0 * spacing), spacing)
+    prior = ProcessPrior((process(kind),), (process(kind, 1e-6),), NONE, NONE)
+    assert prior.divergence(nodes) < DIVERGENCE
+    found = information(prior, nodes)[::6, ::6][: len(nodes), : len(nodes)]
+    sigmas = np.sqrt(np.diagonal(np.linalg.inv(found * SIZE[0] ** 2)))
+    np.testing.assert_allclose(sigmas, 1.0, rtol=0.02)
+
+
+def test_polynomials_of_each_its_degree() -> None:
+    position, attitude = np.array([[50.0, 60.0, 70.0], [10.0, 0.0, 12.0]]), np.array([[3e-4] * 3] * 4)
+    prior = PolynomialPrior(position, attitude)
+    nodes = evenly_spaced("lagrange", 0.0, (5.0, 11.0), 2.0)
+    s = normalised(nodes)
+    found = covariance(prior, nodes)
+    terms = s[:, None] ** np.arange(4)
+    for c in range(3):
+        want = terms[:, :2] @ np.diag(position[:, c] ** 2) @ terms[:, :2].T
+        np.testing.assert_allclose(found[c::6, c::6], want, atol=1e-7 * want.max())
+        want = terms @ np.diag(attitude[:, c] ** 2) @ terms.T
+        np.testing.assert_allclose(found[c + 3 :: 6, c + 3 :: 6], want, atol=1e-7 * want.max())
+    np.testing.assert_allclose(np.sqrt(np.diagonal(found)).reshape(-1, 6), prior.own_sigmas(nodes), rtol=1e-7)
+    free = PolynomialPrior(np.full((2, 3), np.inf), attitude)
+    assert np.all(np.isinf(free.own_sigmas(nodes)[:, :3]))
+    assert free.scaled(np.full(6, 2.0), np.zeros(0)).attitude_sigmas[2, 1] == 6e-4
+
+
+def factors_of(prior: PassPrior, nodes: OrientationImages) -> list[LinearFactor]:
+    return list(prior.factors(nodes))
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Process("brown", SIZE), "one of white"),  # type: ignore[arg-type]
+        (lambda: Process("white", [1.0, 0.0, 1.0]), "three positive"),  # type: ignore[arg-type]
+        (lambda: Process("matern-3/2", SIZE), "correlation time"),
+        (lambda: Process("white", SIZE, 3.0), "no correlation time"),
+        (lambda: Process("jitter", SIZE, 0.0, 2.0, 3.0), "bandwidth.* up to 2 Hz"),
+        (lambda: ProcessPrior((), (process("white"),), NONE, NONE), "position: no process"),
+        (lambda: ProcessPrior((process("integrated-wiener"),), (process("white"),), NONE, TREND), "without bias"),
+        (lambda: PolynomialPrior(np.ones((5, 3)), np.ones((1, 3))), "degree of 0 to 3"),
+        (lambda: factors_of(PolynomialPrior(np.ones((1, 3)), np.ones((1, 3))), EVEN), "25 nodes of the basis lagrange"),
+        (
+            lambda: factors_of(
+                ProcessPrior((process("integrated-wiener"),), (process("white"),), TREND, TREND),
+                evenly_spaced("spline", 0.0, (0.0, 9.0), 1.0),
+            ),
+            "take the basis lagrange",
+        ),
+        (
+            lambda: factors_of(
+                ProcessPrior((process("matern-5/2"),), (process("white"),), NONE, NONE),
+                evenly_spaced("lagrange", 0.0, (0.0, 0.7), 0.0007),
+            ),
+            "take a larger spacing",
+        ),
+    ],
+)
+def test_what_is_refused(make, said: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=said):
+        make()
