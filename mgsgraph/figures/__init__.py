@@ -43,9 +43,9 @@ def write_figures(solution: Solution, folder: Path, connected: Connectivity | No
     Returns
     -------
     list of str
-        Names of the files in the folder: residuals, strips and pass (where there are passes), orientation,
-        registration (where laser points are measured in images), map, connectivity and minima (where there are several), each as .png and .svg, numbered (residuals_1,
-        ...) where a kind takes several sheets.
+        Names of the files in the folder: residuals, strips and pass (where there are passes), orientation, registration
+        (where laser points are measured in images), map, connectivity and minima (where there are several), each as
+        .png and .svg, numbered (residuals_1, ...) where a kind takes several sheets.
     """
     return save(_sheets(solution, connected), folder)
 
