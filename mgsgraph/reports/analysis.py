@@ -12,6 +12,7 @@ from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
+from mgsgraph.analysis.separability import not_told_apart
 from mgsgraph.analysis.snooping import snoop
 from mgsgraph.analysis.suspects import suspects
 from mgsgraph.analysis.weak import weakest
@@ -111,6 +112,8 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield _snooped(posterior, wanted.levels)
     if wanted.weak:
         yield _weak(posterior, wanted.weak)
+        if posterior.network.passes:
+            yield _separability(posterior)
 
 
 def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures: bool = True) -> list[str]:
@@ -269,3 +272,21 @@ def _weak(posterior: Posterior, count: int) -> Section:
         for one in found
     ]  # fmt: skip
     return Section("weak", "\n".join(lines), record)
+
+
+def _separability(posterior: Posterior) -> Section:
+    """Mountings, attitude and position of passes that are not told apart."""
+    linearised = posterior.linearised
+    found = not_told_apart(posterior.network, linearised.joint, linearised.settings.angles)
+    lines = [one.words[0].upper() + one.words[1:] for one in found]
+    none = "Position and attitude of passes, and what their images share, are told apart (no correlation above 0.95)."
+    record = [
+        {
+            "quantities": [{"name": part.name, "of": part.owner, "unit": part.unit, "sigma": part.sigma,
+                            "coefficient": float(c)} for part, c in zip(one.quantities, one.coefficients, strict=True)],
+            "correlation": one.correlation, "determined": one.mixture, "sigma": one.sigma,
+            "unit": one.quantities[0].unit,
+        }
+        for one in found
+    ]  # fmt: skip
+    return Section("separability", "\n".join(lines) or none, record)

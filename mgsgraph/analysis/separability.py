@@ -1,0 +1,215 @@
+"""What an adjustment does not tell apart: mounting angles, lever arms and times against attitude and position of a pass.
+
+Of each pass the mean correction of position (along, across, radial) and of attitude (roll, pitch, yaw) over its time
+are compared with each other and with the unknowns that its images share, all in the axes of the flight, by their
+posterior correlations. Where one exceeds a limit, a mixture of the two is known far better than either: the
+eigenvector of the smallest eigenvalue of their correlation matrix. Priors are in the posterior: it is their ratio that
+splits what the measures know of the mixture alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.analysis.flight import strip_turns
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import Angles
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, SharedKind, SharedUnknown
+from mgsgraph.units import MRAD
+
+LIMIT = 0.95
+"""Correlation above which two quantities are not told apart."""
+_PLACES = 65
+"""Times over which a pass's corrections are averaged."""
+_PARTS = ("along-track position", "across-track position", "radial position", "roll", "pitch", "yaw")
+_TURNING = (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT)
+_ARMS = (SharedKind.CAMERA_LEVER_ARM, SharedKind.ALTIMETER_LEVER_ARM)
+_IN_MIXTURE = 0.2
+"""Of the largest, from what share on a quantity belongs to the mixture that another one depends on."""
+_LEAST_SHARE = 0.05
+"""Of the largest, what a coefficient of a mixture is named from, both in posterior sigmas."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quantity:
+    """A mean correction of a pass, or a component of a shared unknown."""
+
+    name: str
+    """As a person calls it."""
+    owner: str
+    """Pass or shared unknown."""
+    unit: str
+    """m, mrad, s or ppm."""
+    sigma: float
+    """Posterior, in that unit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NotToldApart:
+    """Quantities that correlate by more than the limit, two by two or one with the others together, and the mixture of
+    them that is known best.
+    """
+
+    quantities: tuple[Quantity, ...]
+    """Two or more."""
+    correlation: float
+    """Largest between two of them, with its sign."""
+    coefficients: Array
+    """(k,) of the best-known mixture, in the first one's unit per unit of each; that of the first is 1."""
+    sigma: float
+    """Posterior sigma of the mixture, in the first one's unit."""
+
+    @property
+    def mixture(self) -> str:
+        """The mixture as a formula."""
+        first, *others = self.quantities
+        share = np.abs(self.coefficients) * [one.sigma for one in self.quantities]
+        terms = [
+            f"{'+' if c > 0.0 else '-'} {abs(c):.4g} {_ratio(first.unit, one.unit)}x {one.name}"
+            for one, c, s in zip(others, self.coefficients[1:].tolist(), share[1:].tolist(), strict=True)
+            if s > _LEAST_SHARE * share.max()
+        ]
+        return " ".join([first.name, *terms])
+
+    @property
+    def words(self) -> str:
+        """A sentence with figures and units."""
+        names = [f"{one.name} (sigma {one.sigma:.3g} {one.unit})" for one in self.quantities]
+        listed = f"{', '.join(names[:-1])} and {names[-1]}"
+        of = "correlation" if len(names) == 2 else "largest correlation of two"
+        return (
+            f"{listed} are not told apart ({of} {self.correlation:+.3f}); determined is {self.mixture}, to "
+            f"{self.sigma:.3g} {self.quantities[0].unit}."
+        )
+
+
+def _ratio(unit: str, other: str) -> str:
+    return "" if unit == other else f"{unit or '1'}/{other or '1'} "
+
+
+def not_told_apart(
+    network: Network, joint: JointCovariance, angles: Angles, limit: float = LIMIT
+) -> tuple[NotToldApart, ...]:
+    """Groups of quantities of passes and shared unknowns that the posterior does not tell apart.
+
+    Parameters
+    ----------
+    network : Network
+        Without passes nothing is found.
+    joint : JointCovariance
+        Posterior of its unknowns.
+    angles : Angles
+        What rotations of corrections are.
+    limit : float
+        Correlation, of two or of one with all others together, above which quantities are of one group.
+    """
+    if not network.passes:
+        return ()
+    named, design = _quantities(network, joint, angles)
+    covariance = design.T @ joint.square_root.covariance_times(design)
+    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = np.flatnonzero(sigmas > 0.0)
+    correlation = covariance[np.ix_(known, known)] / np.outer(sigmas[known], sigmas[known])
+    found = []
+    for group in _groups(correlation, limit):
+        mine = [Quantity(*named[k], float(sigmas[k])) for k in known[group].tolist()]
+        found.append(_described(mine, correlation[np.ix_(group, group)]))
+    return tuple(sorted(found, key=lambda one: one.sigma / one.quantities[0].sigma))
+
+
+def _described(mine: list[Quantity], correlation: Array) -> NotToldApart:
+    values, vectors = np.linalg.eigh(correlation)
+    sigmas = np.array([one.sigma for one in mine])
+    lead = int(np.abs(vectors[:, 0]).argmax()) if abs(vectors[0, 0]) < _LEAST_SHARE else 0
+    order = [lead, *(k for k in range(len(mine)) if k != lead)]
+    coefficients = (vectors[:, 0] / sigmas)[order]
+    off = correlation - np.eye(len(mine))
+    largest = float(off.flat[np.abs(off).argmax()])
+    scale = float(coefficients[0])
+    sigma = float(np.sqrt(max(values[0], 0.0))) / abs(scale)
+    return NotToldApart(tuple(mine[k] for k in order), largest, coefficients / scale, sigma)
+
+
+def _groups(correlation: Array, limit: float) -> list[Array]:
+    """Groups that hang together by pairs; then each quantity of none of them whose multiple correlation with all others
+    exceeds the limit, with those of the others that it depends on.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    _, label = connected_components(csr_array(np.abs(correlation) > limit), directed=False)
+    groups = [group for k in np.unique(label).tolist() if (group := np.flatnonzero(label == k)).size > 1]
+    paired = np.concatenate([np.zeros(0, dtype=np.int64), *groups])
+    seen = {tuple(group.tolist()) for group in groups}
+    for k in np.setdiff1d(np.arange(label.size), paired).tolist():
+        others = np.delete(np.arange(label.size), k)
+        shares = np.linalg.lstsq(correlation[np.ix_(others, others)], correlation[others, k], rcond=1e-10)[0]
+        if shares @ correlation[others, k] <= limit**2:
+            continue
+        taken = others[np.abs(shares) > _IN_MIXTURE * np.abs(shares).max()]
+        group = np.sort(np.append(taken, k))
+        if tuple(group.tolist()) not in seen:
+            seen.add(tuple(group.tolist()))
+            groups.append(group)
+    return groups
+
+
+def _quantities(
+    network: Network, joint: JointCovariance, angles: Angles
+) -> tuple[list[tuple[str, str, str]], Array]:
+    """Name, owner and unit of each quantity, and its design (columns, q) in that unit."""
+    first, named, columns = joint.square_root.first, list[tuple[str, str, str]](), list[Array]()
+    for k, one in enumerate(network.passes):
+        variable = int(network.first_of_passes[k])
+        for name, unit, part in zip(_PARTS, ("m",) * 3 + ("mrad",) * 3, _means(network, k, angles), strict=True):
+            column = np.zeros(joint.columns)
+            for node, weights in enumerate(part):
+                column[first[variable + node] : first[variable + node] + 6] = weights
+            named.append((f"{name} of pass {one.name}", one.name, unit))
+            columns.append(column)
+    for k, unknown in enumerate(network.shared):
+        if network.first_shared + k not in joint.adjusted:
+            continue
+        start = int(first[network.first_shared + k])
+        factor, unit = unknown.kind.reported
+        for name, weights in _components(network, unknown):
+            column = np.zeros(joint.columns)
+            column[start : start + unknown.kind.width] = weights / factor
+            named.append((name, unknown.name, unit))
+            columns.append(column)
+    return named, np.stack(columns, axis=1)
+
+
+def _means(network: Network, k: int, angles: Angles) -> Array:
+    """(6, nodes, 6) m and mrad of the mean corrections in the axes of the flight, of each node's corrections."""
+    nodes = network.passes[k].nodes
+    start, stop = nodes.coverage
+    times = np.linspace(start, stop, _PLACES)
+    basis, _ = nodes.dense(times, nodes.epoch)
+    turns = strip_turns(network, k, times + nodes.epoch, angles)
+    units = np.array([1.0] * 3 + [MRAD] * 3)
+    return np.asarray(np.einsum("tn,tqc->qnc", basis, turns) / _PLACES / units[:, None, None])
+
+
+def _components(network: Network, unknown: SharedUnknown) -> list[tuple[str, Array]]:
+    """Name and weights (width,) of each component: of what a camera's axes are, in those of its first image's flight."""
+    image = next((network.images[j] for j in unknown.images.tolist()), None)
+    if image is not None and unknown.kind in (*_TURNING, *_ARMS):
+        turned = unknown.kind in _TURNING
+        names = ("roll", "pitch", "yaw") if turned else ("along", "across", "up")
+        return [(f"{name} of {unknown.name}", row) for name, row in zip(names, _flight(image, turned), strict=True)]
+    names = unknown.kind.components
+    return [(f"{name} of {unknown.name}" if name else unknown.name, row)
+            for name, row in zip(names, np.eye(len(names)), strict=True)]  # fmt: skip
+
+
+def _flight(image: PushbroomImage, turned: bool) -> Array:
+    """(3, 3) from a camera's own axes to roll, pitch and yaw, or to along, across and up."""
+    pose = image.pose(np.array([0.5 * image.lines]))
+    level = flight_axes(pose.position[0], pose.velocity[0])
+    if turned:
+        return camera_axes(pose.matrix[0] @ level[0])
+    return np.asarray(level @ pose.matrix[0].T)
