@@ -114,10 +114,10 @@ def test_images_of_strips_have_their_strip_s_prior(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no pixels"):
         read_scene(path)
     from mgsgraph.case.scene import image_priors
-    from mgsgraph.case.strips import members
+    from mgsgraph.case.passes import members
 
     wanted = decode(path)
-    of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
+    of_strips = members(wanted.trajectories, [image.name for image in wanted.images], str(path))
     for prior in image_priors(wanted, of_strips, path):
         assert prior.sigmas.shape == (2, 6)
         assert np.all(np.isfinite(prior.sigmas))

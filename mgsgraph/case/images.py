@@ -1,4 +1,4 @@
-"""Images of a case, by support data or by labels and kernels; those of one strip on one trajectory."""
+"""Images of a case, by support data or by labels and kernels; those of one pass on one trajectory."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Literal
 
 from mgsgraph.case.case_file import image_file
+from mgsgraph.case.passes import table_names
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceInput
+from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import require_plausible
@@ -18,7 +20,7 @@ from mgsgraph.io.isd import read_isd
 
 
 def read_images(
-    wanted: CaseInput, orientations: Sequence[OrientationInput], of_strips: Sequence[Sequence[int]], path: Path
+    wanted: CaseInput, orientations: Sequence[OrientationInput], of_passes: Sequence[Sequence[int]], path: Path
 ) -> tuple[tuple[PushbroomImage, ...], tuple[PolynomialFit, ...]]:
     """All images, and what polynomials of their nominal orientation cost, where these are used.
 
@@ -28,18 +30,20 @@ def read_images(
         The case file.
     orientations : sequence of OrientationInput
         Of each image.
-    of_strips : sequence
-        Images of each strip.
+    of_passes : sequence
+        Images of each strip and pass.
     path : Path
         Where the case file is.
     """
     found, fits = dict[int, PushbroomImage](), list[PolynomialFit | None]()
-    for k, mine in enumerate(of_strips):
-        _require_of_strip(wanted, orientations, mine, f"{path}, strips[{k}] ({wanted.strips[k].name})")
-        found |= _together(wanted, mine, path)
-    for j, (entry, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
+    entries = wanted.trajectories
+    for table, entry, mine in zip(table_names(entries), entries, of_passes, strict=True):
+        _require_of_pass(wanted, orientations, mine, f"{path}, {table}{f' ({entry.name})' if entry.name else ''}")
+        if entry.images is not None or isinstance(entry, StripInput):  # else which of them are one pass isn't known yet
+            found |= _together(wanted, mine, path)
+    for j, (image, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
         if j not in found:
-            found[j] = read_image(entry, wanted.spice, path.parent, f"{path}, images[{j}]")
+            found[j] = read_image(image, wanted.spice, path.parent, f"{path}, images[{j}]")
         found[j], fit = orientation.nominal_of(found[j])
         fits.append(fit)
     images = tuple(found[j] for j in range(len(wanted.images)))
@@ -47,17 +51,17 @@ def read_images(
     return images, tuple(fit for fit in fits if fit is not None)
 
 
-def _require_of_strip(
+def _require_of_pass(
     wanted: CaseInput, orientations: Sequence[OrientationInput], mine: Sequence[int], where: str
 ) -> None:
-    """Raise InputError where what is said of an image contradicts its strip."""
+    """Raise InputError where what is said of an image contradicts its pass."""
     for j in mine:
         entry = wanted.images[j]
         if entry.held:
             raise InputError(where, f"image {entry.name}, which is held", "adjusted images", "take one of the two out")
         if entry.orientation is not None:
             found = f"image {entry.name}, which has an orientation table of its own"
-            raise InputError(where, found, "images that the strip's prior is for", "take one of the two out")
+            raise InputError(where, found, "images that their pass says it for", "take one of the two out")
         if (nominal := orientations[j].nominal) != "trajectory":
             found = f"image {entry.name} with nominal = {nominal!r}"
             raise InputError(where, found, "the trajectory itself, which all images share", "nominal = 'trajectory'")

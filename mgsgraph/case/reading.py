@@ -21,8 +21,8 @@ from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
 from mgsgraph.case.laser import AltimetryInput, ShotsInput
+from mgsgraph.case.passes import members, passes_of
 from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
-from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.control.asp.gcp import read_ground_control
 from mgsgraph.control.table import read_tie_points
@@ -107,8 +107,8 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     wanted = decode(path)
     if ties is not None:
         wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
-    of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
-    images, fits = read_images(wanted, wanted.orientations, of_strips, path)
+    of_passes = members(wanted.trajectories, [image.name for image in wanted.images], str(path))
+    images, fits = read_images(wanted, wanted.orientations, of_passes, path)
     return case_of(wanted, path, images, fits, laser)
 
 
@@ -118,7 +118,7 @@ def case_of(
 ) -> Case:  # fmt: skip
     """The case of a file's tables and the images that they name, which have been read; see `read_case`."""
     folder = path.parent
-    of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
+    of_passes = members(wanted.trajectories, [image.name for image in wanted.images], str(path))
     priors = wanted.priors(str(path))
     parts = Parts(images)
     parts.passes = [Members(tuple(one)) for one in of_strips]
@@ -138,7 +138,7 @@ def case_of(
     held = np.array([image.held for image in wanted.images])
     radii, areoid, models = _read_terrain(wanted, path, images)
     network = parts.network(priors, held, radii, areoid, next(iter(wanted.terrain_models), None))
-    network = _with_strips(network, wanted, of_strips, path)
+    network = _with_passes(network, wanted, of_passes, path)
     network = _with_shared(network, wanted, path, laser, parts.shared)
     network = _with_considered(network, wanted, path, laser)
     _require_same_heights(network, wanted, path)
@@ -151,13 +151,17 @@ def case_of(
     )  # fmt: skip
 
 
-def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]], path: Path) -> Network:
-    """The network with the orientation images of its strips."""
-    if not wanted.strips:
+def _with_passes(network: Network, wanted: CaseInput, of_passes: list[list[int]], path: Path) -> Network:
+    """The network with the trajectories that some of its images share."""
+    if not wanted.trajectories:
         return network
-    strips = strips_of(wanted.strips, of_strips, network.images, str(path))
+    default = wanted.orientation.prior(f"{path}, orientation")
+    passes = passes_of(wanted.trajectories, of_passes, network.images, default, str(path))
+    for one in [one for one in passes if one.axes is not None and wanted.solver.angles != "camera"][:1]:
+        found = f"{wanted.solver.angles!r} for cameras mounted against each other, of pass {one.name!r}"
+        raise InputError(f"{path}, solver, angles", found, '"camera"')
     with errors_from(str(path)):
-        return replace(network, passes=strips)
+        return replace(network, passes=passes)
 
 
 def _require_same_heights(network: Network, wanted: CaseInput, path: Path) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
+from mgsgraph.case.passes import members, table_names
 from mgsgraph.case.reading import picture_of, read_profile, terrain_shots
 from mgsgraph.case.schema import CaseInput
-from mgsgraph.case.strips import members
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
@@ -60,9 +60,9 @@ def read_scene(
     names = [image.name for image in wanted.images]
     if len(wanted.images) < 2:
         raise InputError(str(path), "one image", "two that overlap, at least")
-    of_strips = members(wanted.strips, names, str(path))
-    images, _ = read_images(wanted, wanted.orientations, of_strips, path)
-    priors = image_priors(wanted, of_strips, path)
+    of_passes = members(wanted.trajectories, names, str(path))
+    images, _ = read_images(wanted, wanted.orientations, of_passes, path)
+    priors = image_priors(wanted, of_passes, path)
     pictures = tuple(
         Picture(image, read_picture(picture_file(wanted, j, path)), prior)
         for j, (image, prior) in enumerate(zip(images, priors, strict=True))
@@ -86,13 +86,13 @@ def picture_file(wanted: CaseInput, image: int, path: Path) -> Path:
     return file
 
 
-def image_priors(wanted: CaseInput, of_strips: Sequence[Sequence[int]], path: Path) -> list[OrientationPrior]:
-    """Of each image; one of a strip has its strip's."""
-    priors = list(wanted.priors(str(path)))
-    for k, members_of in enumerate(of_strips):
-        prior = wanted.strips[k].prior.prior(f"{path}, strips[{k}].prior")
-        for j in members_of:
-            priors[j] = OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
+def image_priors(wanted: CaseInput, of_passes: Sequence[Sequence[int]], path: Path) -> list[OrientationPrior]:
+    """Of each image; one of a pass or strip has what is known of that."""
+    priors, entries = list(wanted.priors(str(path))), wanted.trajectories
+    default = wanted.orientation.prior(f"{path}, orientation")
+    for table, entry, mine in zip(table_names(entries), entries, of_passes, strict=True):
+        for j in mine:
+            priors[j] = entry.image_prior(f"{path}, {table}", default)
     return priors
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.numbers import Factor, Positive, Sigma
+from mgsgraph.case.passes import PassInput
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
@@ -294,12 +295,19 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     considered: tuple[str, ...] = ()
     """Names of profiles' shifts and shared unknowns, as reports have them, that are not estimated but held at zero,
     while their sigmas enter those of all else (Schmidt 1966)."""
+    passes: tuple[PassInput, ...] = ()
+    """Images on one trajectory, adjusted through its corrections in time."""
     strips: tuple[StripInput, ...] = ()
-    """Images on one trajectory, adjusted through orientation images."""
+    """The same of several lines of one camera (HRSC), through orientation images."""
     spice: SpiceInput | None = None
     """SPICE kernels."""
     solver: SolverInput = SolverInput()
     """Choices of the solver."""
+
+    @property
+    def trajectories(self) -> tuple[StripInput | PassInput, ...]:
+        """Tables of images on one trajectory: strips, then passes."""
+        return (*self.strips, *self.passes)
 
     @property
     def orientations(self) -> list[OrientationInput]:

@@ -1,26 +1,20 @@
-"""[[strips]] of a case file: images on one trajectory, adjusted through common orientation images."""
+"""[[strips]] of a case file: images of several lines of one camera (HRSC) on one trajectory, whose correction at its
+orientation images is a bias, a drift and departures that forget themselves in time (`network.node_priors.NodePrior`).
+"""
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import msgspec
 import numpy as np
 
-from mgsgraph.altimetry.time_scales import tdb_of_utc
-from mgsgraph.case.numbers import Positive
+from mgsgraph.case.nodes import NodesInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.network import NodePrior, Pass
-from mgsgraph.network.joining import mountings, seconds, straightest
+from mgsgraph.network import NodePrior
 from mgsgraph.units import MGON, MRAD
 from mgsgraph.wording import listed
 
-_SPACING = 10.0
-"""s between nodes where nothing is said: 40 km on the ground for Mars Express."""
-_MOST_NODES = 10_000
-"""In a strip; more are a slip in the unit of their spacing."""
 _SIZES = (1e-4, 1e9)
 """Sigmas that mean something."""
 _DEFAULTS = {"": (1.0, 3.0), "bias_": (50.0, 28.0), "drift_": (10.0, 5.0)}
@@ -28,44 +22,6 @@ _DEFAULTS = {"": (1.0, 3.0), "bias_": (50.0, 28.0), "drift_": (10.0, 5.0)}
 
 Sigmas = float | list[float]
 """One number for all three axes, or three."""
-
-
-class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Where a strip's orientation images stand: evenly spaced, or at times; at most one of the four is said."""
-
-    basis: Basis = "lagrange"
-    """Third-order polynomials through the four nearest, or the uniform cubic B-spline."""
-    spacing_s: Positive | None = None
-    """Largest spacing; 10 s when nothing is said."""
-    spacing_lines: Positive | None = None
-    """The same in lines of the strip's nadir image (`network.joining.straightest`), by its mean line period."""
-    times_et_s: tuple[float, ...] = ()
-    """Times, s TDB past J2000."""
-    times_utc: tuple[str, ...] = ()
-    """Times, UTC as in 2008-02-08T12:08:53.843."""
-
-    def images(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
-        """The nodes of a strip of these images; `where` names this table."""
-        said = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
-        if len(said) > 1:
-            raise InputError(where, listed(said), "one of them")
-        edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
-        start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
-        if self.times_et_s or self.times_utc:
-            times = tdb_of_utc(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
-            return OrientationImages(self.basis, epoch, times - epoch)
-        spacing = self.spacing_s or _SPACING
-        if self.spacing_lines is not None:
-            reference = pictures[straightest(pictures)]
-            first, last = seconds(reference)
-            spacing = self.spacing_lines * (last - first) / reference.lines
-        key = said[0] if said else "spacing_s"
-        if said and spacing > stop - start:
-            raise InputError(f"{where}, {key}", f"{spacing:.6g} s", f"less than the strip's {stop - start:.6g} s")
-        if (stop - start) / spacing > _MOST_NODES:
-            found = f"{spacing:.3g} s, {(stop - start) / spacing:.3g} nodes on {stop - start:.6g} s"
-            raise InputError(f"{where}, {key}", found, f"at most {_MOST_NODES} nodes", "a larger spacing")
-        return evenly_spaced(self.basis, epoch, (start - epoch, stop - epoch), spacing)
 
 
 class StripPriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -136,61 +92,13 @@ class StripInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     name: Annotated[str, msgspec.Meta(min_length=1)]
     """What to call it in reports."""
     images: tuple[str, ...] | None = None
-    """Names of its images; when absent, all that no other strip names."""
+    """Names of its images; when absent, all that no other strip or pass names."""
     nodes: NodesInput = NodesInput()
     """Its orientation images."""
     prior: StripPriorInput = StripPriorInput()
     """What is known of them beforehand."""
 
-
-def members(entries: Sequence[StripInput], names: Sequence[str], path: str) -> list[list[int]]:
-    """Images of each strip, ascending, by the names of all; each image is of one strip at most."""
-    index, owner = {name: j for j, name in enumerate(names)}, dict[int, int]()
-    for k, entry in enumerate(entries):
-        where = f"{path}, strips[{k}], images"
-        if entry.images is not None and not entry.images:
-            raise InputError(where, "an empty list", "names of images", "leave it out to take all that are left")
-        for name in entry.images or ():
-            if name not in index:
-                known = ", ".join(list(names)[:4])
-                raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
-            if index[name] in owner:
-                other = entries[owner[index[name]]].name
-                raise InputError(where, f"{name!r}, which strip {other!r} has already", "each image once")
-            owner[index[name]] = k
-    for k in [k for k, entry in enumerate(entries) if entry.images is None][:1]:
-        if sum(entry.images is None for entry in entries) > 1:
-            raise InputError(f"{path}, strips", "several without images", "names: one alone may take those left over")
-        left = [j for j in range(len(names)) if j not in owner]
-        if not left:
-            raise InputError(f"{path}, strips[{k}]", "no image that no other strip names", "images = [...]")
-        owner |= dict.fromkeys(left, k)
-    return [sorted(j for j, at in owner.items() if at == k) for k in range(len(entries))]
-
-
-def strips_of(
-    entries: Sequence[StripInput],
-    of_strips: Sequence[Sequence[int]],
-    images: Sequence[PushbroomImage],
-    path: str,
-) -> tuple[Pass, ...]:
-    """The strips of a network.
-
-    Parameters
-    ----------
-    entries : sequence of StripInput
-    of_strips : sequence
-        Images of each, as `members` gives them.
-    images : sequence of PushbroomImage
-        All of the network.
-    path : str
-        Case file, for errors.
-    """
-    found = []
-    for k, (entry, mine) in enumerate(zip(entries, of_strips, strict=True)):
-        where, pictures = f"{path}, strips[{k}]", [images[j] for j in mine]
-        axes = mountings(pictures, where, one_camera=True)
-        with errors_from(f"{where}.nodes", path):
-            nodes = entry.nodes.images(pictures, f"{where}.nodes")
-        found.append(Pass(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior"), axes))
-    return tuple(found)
+    def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
+        """About what is known of one of its images by itself, constant and linear part; `default` is not heeded."""
+        prior = self.prior.prior(f"{where}.prior")
+        return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))

@@ -6,15 +6,21 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.units import KM
 
 LONGEST_PAUSE = 1800.0
 """s between the images of a pass: a quarter of the shortest revolution about Mars and Moon, and so another pass."""
 _APART = 1e3
 """m by which nominal positions at one time may differ: trajectories from other kernels do, another spacecraft's more.
 """
+_OTHER_CLOCK = 100.0
+"""m by which they may differ along the flight, on one path: what predicted orbits lack, 0.03 to 0.06 s of its way."""
+_ON_ONE_PATH = 0.03
+"""Share of a difference along the flight by which places of one path at two times may differ otherwise."""
 _TURNED = 1e-2
 """rad by which nominal attitudes of cameras with the same axes may differ at one time: a correction about the axes of
 the one is one about those of the other to 1 %."""
@@ -120,20 +126,35 @@ def _links(
             yield one, other, turn
         if other in axes and one not in axes:
             yield other, one, turn.T
-    for one in axes:
-        for other in range(len(images)):
-            if other not in axes and (one_camera or _same_camera(images[one], images[other])):
-                yield one, other, np.eye(3)
+    for other in [j for j in range(len(images)) if j not in axes]:
+        alike = [one for one in axes if one_camera or same_camera(images[one], images[other])]
+        if alike:  # two cameras may be built alike: that which stands alike against the flight
+            against = [_angle(_against_flight(images[other]) @ _against_flight(images[one]).T) for one in alike]
+            yield alike[int(np.argmin(np.round(against, 3)))], other, np.eye(3)
 
 
-def _same_camera(one: PushbroomImage, other: PushbroomImage) -> bool:
+def same_camera(one: PushbroomImage, other: PushbroomImage) -> bool:
     """Whether two images have the same lens and the same detector line, so far as their interiors say."""
     mine, its = one.interior, other.interior
     return mine.focal_length == its.focal_length and np.array_equal(mine.to_pixel, its.to_pixel)
 
 
+def _against_flight(image: PushbroomImage) -> Array:
+    """(3, 3) from the axes of the flight (velocity, orbit's normal, outward) to the camera's, amid an image."""
+    times = np.array([np.mean(seconds(image)) - image.trajectory.epoch])
+    pose = image.trajectory.pose(times)
+    outward, normal = pose.position[0], np.cross(pose.position[0], pose.velocity[0])
+    axes = np.stack([np.cross(normal, outward), normal, outward])
+    return np.asarray(pose.matrix[0] @ (axes / np.linalg.norm(axes, axis=1)[:, None]).T)
+
+
 def _require_close_in_time(images: Sequence[PushbroomImage], where: str) -> None:
-    """Raise InputError, naming `where`, unless images follow upon each other."""
+    """Raise InputError, naming `where`, unless images of one body follow upon each other."""
+    for image in images:
+        if image.body != images[0].body:
+            bodies = [f"{target_name(one.body)} ({one.body.equatorial / KM:.1f} km)" for one in (images[0], image)]
+            found = f"images {images[0].name} of {bodies[0]} and {image.name} of {bodies[1]}"
+            raise InputError(where, found, "images of one body", "make them two passes")
     order = sorted(images, key=lambda image: seconds(image)[0])
     last = order[0]
     for image in order[1:]:
@@ -160,6 +181,12 @@ def _mounted(one: PushbroomImage, other: PushbroomImage, times: Array, where: st
     first, second = (image.trajectory.pose(times - image.trajectory.epoch) for image in (one, other))
     apart = float(np.linalg.norm(first.position - second.position, axis=1).max())
     pair = f"images {one.name} and {other.name}"
+    if (clocks := clocks_apart(first, second)) and apart > _OTHER_CLOCK:
+        raise InputError(
+            where, f"{pair}, whose clocks are {abs(clocks):.2f} s apart: at one time they are {apart:.0f} m apart "
+            "along the flight, on one path", "line times and tables by one clock",
+            "read both alike (the same kernels, the same kind of support data), or make them two passes",
+        )  # fmt: skip
     if apart > _APART:
         raise InputError(
             where, f"{pair}, whose cameras at one time are {apart:.0f} m apart",
@@ -174,6 +201,17 @@ def _mounted(one: PushbroomImage, other: PushbroomImage, times: Array, where: st
             f"cameras mounted on one spacecraft, at most {_LOOSE} rad", "make them two passes",
         )  # fmt: skip
     return middle if _angle(middle) > _TURNED else np.eye(3)
+
+
+def clocks_apart(first: Pose, second: Pose) -> float:
+    """S by which the second of two places on one path is ahead, of poses (n,) at the same times, rates per second; 0
+    where they differ across the flight, too: they are not on one path then.
+    """
+    away = second.position - first.position
+    late = float(np.sum(away * first.velocity) / np.sum(first.velocity**2))
+    size = np.linalg.norm(away, axis=1).max()
+    left = np.linalg.norm(away - late * first.velocity, axis=1).max()
+    return late if left < _ON_ONE_PATH * size else 0.0
 
 
 def _angle(turn: Array) -> float:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from mgsgraph.analysis.places import View
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_image, read_images
+from mgsgraph.case.passes import members
 from mgsgraph.case.schema import CaseInput
-from mgsgraph.case.strips import members
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.project.connection import FILE
@@ -59,7 +59,7 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
     if names:
         images = [_alone(wanted, j, path) for j in _chosen(known, names, path)]
     else:
-        images = [*read_images(wanted, wanted.orientations, members(wanted.strips, known, str(path)), path)[0]]
+        images = [*read_images(wanted, wanted.orientations, members(wanted.trajectories, known, str(path)), path)[0]]
     return OrientedImages(tuple(map(View, images)), case=wanted)
 
 

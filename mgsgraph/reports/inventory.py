@@ -9,9 +9,9 @@ import numpy as np
 from mgsgraph.adjustment.adjust import Prediction, predict
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
+from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
 from mgsgraph.case.schema import CaseInput
-from mgsgraph.case.strips import members as members_of_strips
 from mgsgraph.errors import Unmeasured, WeakNetwork
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
@@ -96,7 +96,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     if unmeasured is not None and matched:
         raise unmeasured
     names = [image.name for image in wanted.images]
-    images, _ = read_images(wanted, wanted.orientations, members_of_strips(wanted.strips, names, str(path)), path)
+    images, _ = read_images(wanted, wanted.orientations, members(wanted.trajectories, names, str(path)), path)
     found = overlaps([footprint(image) for image in images])
     pairs = [
         f"  {images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
@@ -247,25 +247,25 @@ def _points(network: Network, prediction: Prediction) -> str:
     lines = ["Points"]
     counts = network.ray_counts
     sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
-    for point_class, members in network.of_class():
+    for point_class, mine in network.of_class():
         kinds = ", ".join(
             f"{count} {kind.name.lower()}"
             for kind in PointKind
-            if (count := int(np.count_nonzero(network.points.kinds[members] == kind)))
+            if (count := int(np.count_nonzero(network.points.kinds[mine] == kind)))
         )
         lines.append(
-            f"  {members.size} {point_class.name.lower()} points ({kinds}), {counts[members].min()} to "
-            f"{counts[members].max()} rays each"
+            f"  {mine.size} {point_class.name.lower()} points ({kinds}), {counts[mine].min()} to "
+            f"{counts[mine].max()} rays each"
         )
-        known = members[np.all(np.isfinite(sigmas[members]), axis=1)]
+        known = mine[np.all(np.isfinite(sigmas[mine]), axis=1)]
         if not known.size:
             lines.append("    nothing determines the place of any of them: their rays are parallel, or single")
             continue
         expected = sigmas[known].mean(axis=0)
         lines.append(f"    expected mean sigma in x, y, z: {expected[0]:.2f}, {expected[1]:.2f}, {expected[2]:.2f} m")
-        mine = np.isin(network.rays.point, known)
-        if np.any(mine):
-            misfit = prediction.residuals[mine]
+        rays = np.isin(network.rays.point, known)
+        if np.any(rays):
+            misfit = prediction.residuals[rays]
             rms = root_mean_square(misfit[np.all(np.isfinite(misfit), axis=1)], 0)
             lines.append(
                 f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms"

@@ -1,0 +1,198 @@
+"""[[passes]] of a case file: images on one trajectory, adjusted through its corrections in time; and which images make
+which of them and of [[strips]], which are passes of one camera.
+"""
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from mgsgraph.altimetry.time_scales import utc_of_tdb
+from mgsgraph.case.motion import AttitudeInput, PositionInput, polynomial_sigmas, process_sigmas
+from mgsgraph.case.nodes import NodesInput
+from mgsgraph.case.strips import StripInput
+from mgsgraph.errors import InputError, errors_from
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import JointNodePrior, NodePrior, Pass
+from mgsgraph.network.finding import found_passes
+from mgsgraph.network.joining import mountings, seconds
+
+_HELD = np.repeat([1e-3, 1e-8], 3)
+"""m and rad, sigmas of the terms of a polynomial that is of lower degree than four nodes make."""
+
+
+class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Images on one trajectory: of one spacecraft, at overlapping or neighbouring times (half an hour apart at most).
+
+    Without `images` those that no other table names are sorted into passes: by time, place and plane of the orbit.
+    """
+
+    name: str = ""
+    """What to call it in reports; date and time (UTC) of its first line when absent, and behind it for several."""
+    images: tuple[str, ...] | None = None
+    """Names of its images; when absent, all that no other pass or strip names, each with those of its own pass."""
+    nodes: NodesInput | None = None
+    """Its orientation images; for polynomials four over the pass, and nothing to say."""
+    position: PositionInput = PositionInput()
+    """What is known of its positions beforehand."""
+    attitude: AttitudeInput = AttitudeInput()
+    """What is known of its attitude beforehand."""
+
+    @property
+    def polynomial(self) -> bool:
+        """Whether both position and attitude are polynomials of time."""
+        return self.position.model == self.attitude.model == "polynomial"
+
+    def nodes_of(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
+        """Nodes of a pass of these images; `where` names this table."""
+        if not self.polynomial:
+            return (self.nodes or NodesInput()).images(pictures, f"{where}.nodes")
+        if self.nodes is not None:
+            found = "nodes beside polynomials, which four nodes over the pass carry"
+            raise InputError(where, found, "nodes with a process", "take one of the two out")
+        edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
+        start, stop = float(edges[:, 0].min()) - epoch, float(edges[:, 1].max()) - epoch
+        return evenly_spaced("lagrange", epoch, (start, stop), stop - start)
+
+    def prior(self, where: str, default: OrientationPrior) -> JointNodePrior | NodePrior:
+        """What is known of the nodes beforehand; `default` is that of [orientation], `where` names this table."""
+        places = f"{where}.position", f"{where}.attitude"
+        if self.polynomial:
+            return polynomial_prior(
+                polynomial_sigmas(self.position, default.sigmas[:, :3], places[0]),
+                polynomial_sigmas(self.attitude, default.sigmas[:, 3:], places[1]),
+            )
+        if self.position.model != self.attitude.model:
+            found = f'position = "{self.position.model}" and attitude = "{self.attitude.model}"'
+            raise InputError(where, found, "the same model for both")
+        position, attitude = process_sigmas(self.position, places[0]), process_sigmas(self.attitude, places[1])
+        if self.position.correlation_time_s != self.attitude.correlation_time_s:
+            raise InputError(where, "two correlation times", "the same for position and attitude")
+        sigmas, bias, drift = (np.concatenate(both) for both in zip(position, attitude, strict=True))
+        return NodePrior(sigmas, bias, drift, float(self.position.correlation_time_s or 0.0))
+
+    def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
+        """About what is known of one of its images by itself: the constant and the linear part."""
+        if not self.polynomial:
+            prior = self.prior(where, default)
+            assert isinstance(prior, NodePrior)
+            return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
+        parts = (
+            polynomial_sigmas(self.position, default.sigmas[:, :3], f"{where}.position"),
+            polynomial_sigmas(self.attitude, default.sigmas[:, 3:], f"{where}.attitude"),
+        )
+        sigmas = np.full((SUPPORT, 6), 1e-9)
+        for part, columns in zip(parts, (slice(0, 3), slice(3, 6)), strict=True):
+            sigmas[: len(part), columns] = part
+        return OrientationPrior(sigmas)
+
+
+def polynomial_prior(position: Array, attitude: Array) -> JointNodePrior:
+    """Polynomials of s = -1 .. 1 on four even nodes, by the sigmas of their terms (d + 1, 3) in m and in rad."""
+    sigmas = np.tile(_HELD, (SUPPORT, 1))
+    sigmas[: len(position), :3], sigmas[: len(attitude), 3:] = position, attitude
+    to_nodes = np.linspace(-1.0, 1.0, SUPPORT)[:, None] ** np.arange(SUPPORT)
+    terms = np.linalg.solve(to_nodes, np.eye(SUPPORT))
+    root = np.zeros((6 * SUPPORT, 6 * SUPPORT))
+    for power in range(SUPPORT):
+        for c in range(6):
+            root[6 * power + c, c::6] = terms[power] / sigmas[power, c]
+    return JointNodePrior(root, np.zeros(0))
+
+
+Trajectories = Sequence[StripInput | PassInput]
+"""Tables of images on one trajectory: strips, then passes (`CaseInput.trajectories`)."""
+
+
+def table_names(entries: Trajectories) -> list[str]:
+    """How a case file counts each of these tables: strips[0], passes[0]."""
+    kinds = ["strips" if isinstance(entry, StripInput) else "passes" for entry in entries]
+    return [f"{kind}[{kinds[:k].count(kind)}]" for k, kind in enumerate(kinds)]
+
+
+def members(entries: Trajectories, names: Sequence[str], path: str) -> list[list[int]]:
+    """Images of each strip and pass, ascending, by the names of all; each image is of one at most."""
+    index, owner, tables = {name: j for j, name in enumerate(names)}, dict[int, int](), table_names(entries)
+    for k, entry in enumerate(entries):
+        where = f"{path}, {tables[k]}, images"
+        if entry.images is not None and not entry.images:
+            raise InputError(where, "an empty list", "names of images", "leave it out to take all that are left")
+        for name in entry.images or ():
+            if name not in index:
+                known = ", ".join(list(names)[:4])
+                raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
+            if index[name] in owner:
+                at = owner[index[name]]
+                kind, other = tables[at][:5].removesuffix("e"), entries[at].name
+                called = f"{kind} {other!r}" if other else tables[at]
+                raise InputError(where, f"{name!r}, which {called} has already", "each image once")
+            owner[index[name]] = k
+    for k in [k for k, entry in enumerate(entries) if entry.images is None][:1]:
+        if sum(entry.images is None for entry in entries) > 1:
+            both = ", ".join(dict.fromkeys(table.split("[")[0] for table in tables))
+            raise InputError(f"{path}, {both}", "several without images", "names: one alone may take those left over")
+        left = [j for j in range(len(names)) if j not in owner]
+        if not left:
+            raise InputError(f"{path}, {tables[k]}", "no image that no other table names", "images = [...]")
+        owner |= dict.fromkeys(left, k)
+    return [sorted(j for j, at in owner.items() if at == k) for k in range(len(entries))]
+
+
+def passes_of(
+    entries: Trajectories,
+    of_entries: Sequence[Sequence[int]],
+    images: Sequence[PushbroomImage],
+    default: OrientationPrior,
+    path: str,
+) -> tuple[Pass, ...]:
+    """The passes of a network, those of strips first.
+
+    Parameters
+    ----------
+    entries : sequence
+        Tables of strips and passes.
+    of_entries : sequence
+        Images of each, as `members` gives them.
+    images : sequence of PushbroomImage
+        All of the network.
+    default : OrientationPrior
+        That of [orientation], for passes that say none.
+    path : str
+        Case file, for errors.
+    """
+    found = list[Pass]()
+    for table, entry, mine in zip(table_names(entries), entries, of_entries, strict=True):
+        where, pictures = f"{path}, {table}", [images[j] for j in mine]
+        if isinstance(entry, StripInput):
+            found.append(_strip(entry, mine, pictures, where, path))
+            continue
+        groups = [list(range(len(mine)))] if entry.images is not None else found_passes(pictures)
+        for group in groups:
+            together = [pictures[k] for k in group]
+            name = entry.name if entry.name and len(groups) == 1 else f"{entry.name} {pass_name(together)}".strip()
+            found.append(_pass(entry, name, np.array(mine)[group], together, default, where, path))
+    return tuple(found)
+
+
+def pass_name(images: Sequence[PushbroomImage]) -> str:
+    """UTC of the first line of a pass, as 2009-07-13T02:03:04."""
+    return utc_of_tdb(min(seconds(image)[0] for image in images)).strftime("%Y-%m-%dT%H:%M:%S")
+
+
+def _strip(entry: StripInput, mine: Sequence[int], pictures: list[PushbroomImage], where: str, path: str) -> Pass:
+    axes = mountings(pictures, where, one_camera=True)
+    with errors_from(f"{where}.nodes", path):
+        nodes = entry.nodes.images(pictures, f"{where}.nodes")
+    return Pass(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior"), axes)
+
+
+def _pass(
+    entry: PassInput, name: str, mine: Index, pictures: list[PushbroomImage], default: OrientationPrior, where: str,
+    path: str,
+) -> Pass:  # fmt: skip
+    axes = mountings(pictures, where)
+    with errors_from(where, path):
+        return Pass(name, mine, entry.nodes_of(pictures, where), entry.prior(where, default), axes)

@@ -1,0 +1,183 @@
+"""[[passes]] in a case file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig_files import PASS, later, write_rig
+from rigs import TURN, rig
+
+import mgsgraph
+from mgsgraph.case.passes import polynomial_prior
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.network import Pass
+from mgsgraph.network.finding import found_passes
+from mgsgraph.network.joining import mountings
+from mgsgraph.network.node_priors import normalised
+from mgsgraph.units import MGON, MRAD
+
+
+def pass_of(folder: Path, table: str = "") -> Pass:
+    """The first pass, `table` being what follows its images."""
+    return mgsgraph.read_case(write_rig(folder, PASS + table)).network.passes[0]
+
+
+# --- polynomials
+
+
+def test_four_nodes_carry_a_cubic_with_the_sigmas_of_its_terms() -> None:
+    """Of a polynomial drawn by its terms, the nodes' values are as probable as these: the same quadratic form."""
+    rng = np.random.default_rng(5)
+    position, attitude = rng.uniform(1.0, 50.0, (4, 3)), rng.uniform(1e-5, 1e-3, (4, 3))
+    terms = rng.standard_normal((4, 6)) * np.concatenate([position, attitude], axis=1)
+    nodes = evenly_spaced("lagrange", 0.0, (0.0, 30.0), 30.0)
+    values = normalised(nodes)[:, None] ** np.arange(4) @ terms
+    (factor,) = polynomial_prior(position, attitude).factors(nodes)
+    rows = sum(block @ values[k] for k, block in zip(factor.unknowns, factor.blocks, strict=True))
+    expected = terms / np.concatenate([position, attitude], axis=1)
+    np.testing.assert_allclose(np.sort(np.abs(rows)), np.sort(np.abs(expected).ravel()), rtol=1e-9)
+
+
+def test_degrees_and_units(tmp_path: Path) -> None:
+    """Sigmas at the ends and in the middle are those of the sums of the terms."""
+    tables = """
+[passes.position]
+sigmas_m = [[50.0, 40.0, 30.0], 10.0]
+[passes.attitude]
+degree = 2
+sigmas_mgon = [20.0, [8.0, 6.0, 4.0], 2.0]
+"""
+    found = pass_of(tmp_path, tables)
+    assert len(found.nodes) == 4
+    sigmas = found.prior.node_sigmas(normalised(found.nodes))
+    np.testing.assert_allclose(sigmas[0, :3], np.hypot([50.0, 40.0, 30.0], 10.0), rtol=1e-6)
+    np.testing.assert_allclose(sigmas[3, 3:], np.sqrt(404.0 + np.array([8.0, 6.0, 4.0]) ** 2) * MGON, rtol=1e-6)
+
+
+def test_what_is_not_said_is_as_for_images(tmp_path: Path) -> None:
+    path = write_rig(tmp_path, more="[orientation]\ndegree = 1\nposition_sigma_m = 70\nangle_sigma_mrad = 0.4")
+    found = mgsgraph.read_case(path).network.passes[0]
+    sigmas = found.prior.node_sigmas(normalised(found.nodes))
+    np.testing.assert_allclose(sigmas[0], np.repeat([np.hypot(70.0, 7.0), np.hypot(0.4, 0.04) * MRAD], 3), rtol=1e-5)
+
+
+def test_a_process_is_that_of_strips(tmp_path: Path) -> None:
+    tables = """
+[passes.nodes]
+spacing_s = 0.5
+[passes.position]
+model = "gauss-markov"
+sigma_m = 3.0
+bias_sigma_m = 50.0
+correlation_time_s = 4
+[passes.attitude]
+model = "gauss-markov"
+sigma_mrad = 0.1
+drift_sigma_mrad = [0.2, 0.3, 0.4]
+correlation_time_s = 4
+"""
+    found = pass_of(tmp_path, tables)
+    assert found.nodes.spacing <= 0.5
+    np.testing.assert_allclose(found.prior.trend_sigmas, [50.0] * 3 + [0.2e-3, 0.3e-3, 0.4e-3])
+
+
+# --- which images make which pass
+
+
+def test_cameras_of_one_moment_are_mounted_as_their_tables_say(tmp_path: Path) -> None:
+    found = pass_of(tmp_path)
+    assert found.images.tolist() == [0, 1]
+    assert found.axes is not None
+    np.testing.assert_allclose(found.axes, [np.eye(3), TURN], atol=1e-6)
+
+
+def test_images_of_several_passes_are_found_by_one_table(tmp_path: Path) -> None:
+    """L and R an orbit later are a pass of their own; each is called by the UTC of its first line."""
+    left, right, other = rig().images
+    images = (later(right, "R2", 7000.0), left, other, later(left, "L2", 7000.0), right)
+    assert sorted(map(sorted, found_passes(images))) == [[0, 3], [1, 4], [2]]
+    path = write_rig(tmp_path, "[[passes]]")
+    passes = mgsgraph.read_case(path).network.passes
+    assert [one.images.tolist() for one in passes] == [[0, 1], [2]]
+    assert all(len(one.name) == len("2009-07-13T02:03:04") and one.name[10] == "T" for one in passes)
+    path = write_rig(tmp_path, '[[passes]]\nname = "LRO"')
+    named = mgsgraph.read_case(path).network.passes
+    assert [one.name for one in named] == [f"LRO {one.name}" for one in passes]
+
+
+def test_images_of_two_cameras_that_follow_upon_each_other() -> None:
+    """L and R, and both again after five minutes, R before L in the list: each later one goes by its own camera."""
+    left, right, _ = rig().images
+    images = (left, right, later(right, "R2", 300.0), later(left, "L2", 300.0))
+    axes = mountings(images, "here")
+    assert axes is not None
+    np.testing.assert_allclose(axes, [np.eye(3), TURN, TURN, np.eye(3)], atol=1e-6)
+
+
+# --- what is wrong, in one line
+
+MARKOV = '''
+position = {{ model = "gauss-markov", sigma_m = 1{0} }}
+attitude = {{ model = "gauss-markov", sigma_mrad = 1{0} }}
+'''
+TWO = '[[passes]]\nname = "two"\n'
+WRONG = {
+    "an image in two passes": (PASS + TWO + 'images = ["R"]', r"passes\[1\], images: 'R', which pass 'one' has"),
+    "in a strip, too": (PASS + '[[strips]]\nname = "s"\nimages = ["L"]', r"passes\[0\], images: 'L', which strip 's'"),
+    "two without images": (TWO + TWO, "several without images"),
+    "a strip and a pass without": (TWO + '[[strips]]\nname = "s"', "strips, passes: several without images"),
+    "unknown image": (PASS.replace('"R"', '"S"'), r"passes\[0\], images: the image 'S'; expected some of the case's"),
+    "a high degree": (PASS + "position = { degree = 4 }", r"degree: a polynomial of degree 4; expected 0 to 3.*proce"),
+    "many sigmas": (PASS + "position = { sigmas_m = [1, 1, 1, 1, 1] }", "sigmas_m: a polynomial of degree 4; exp"),
+    "too few sigmas": (PASS + "attitude = { degree = 2, sigmas_mrad = [1, 2] }", "2 sigmas; expected 3 for degree = 2"),
+    "unknown units": (PASS + "attitude = { sigmas_deg = [1] }", "'sigmas_deg'.*sigmas_mrad"),
+    "unknown units of a process": (PASS + "position = { sigma_km = 1 }", "'sigma_km'.*'sigma_m'"),
+    "two units": (PASS + "attitude = { sigmas_mrad = [1], sigmas_mgon = [1] }", "sigmas_mrad and sigmas_mgon"),
+    "no correlation time": (
+        PASS + MARKOV.format(""),
+        "correlation_time_s: gauss-markov without a correlation time",
+    ),
+    "a correlation time of 0": (
+        PASS + MARKOV.format(", correlation_time_s = 0"),
+        "correlation_time_s: 0 s: a correlation time; expected seconds in which",
+    ),
+    "keys of another model": (PASS + "position = { sigma_m = 1 }", 'sigma_m beside model = "polynomial"'),
+    "nodes for polynomials": (PASS + "nodes = { spacing_s = 1 }", "nodes beside polynomials"),
+    "an unknown model": (PASS + 'position = { model = "spline" }', "'spline'; expected one of 'gauss-markov', "),
+    "opk angles": (PASS + '[solver]\nangles = "opk-paper"', "angles: 'opk-paper' for cameras mounted aga.*'one'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_one_clear_line(tmp_path: Path, fault: str) -> None:
+    tables, message = WRONG[fault]
+    with pytest.raises(InputError, match=message) as caught:
+        mgsgraph.read_case(write_rig(tmp_path, tables))
+    assert "\n" not in str(caught.value)
+
+
+def test_two_clocks(tmp_path: Path) -> None:
+    """R's tables by a clock that is 0.42 s off L's."""
+    left, right, other = rig().images
+    tables = right.trajectory
+    slow = replace(
+        tables,
+        position=replace(tables.position, times=tables.position.times + 0.42),
+        camera=replace(tables.camera, times=tables.camera.times + 0.42),
+        body=replace(tables.body, times=tables.body.times + 0.42),
+    )
+    shown = replace(right, trajectory=slow, lines=right.lines)
+    with pytest.raises(InputError, match=r"L and R, whose clocks are 0\.42 s apart: at one time they are"):
+        mgsgraph.read_case(write_rig(tmp_path, images=(left, shown, other)))
+
+
+def test_two_bodies_and_long_pauses() -> None:
+    left, right, _ = rig().images
+    elsewhere = replace(right, body=Ellipsoid(1737400.0, 1737400.0))
+    with pytest.raises(InputError, match=r"here: images L of \w+ \(.* km\) and R of \w+ \(1737\.4 km\); exp"):
+        mountings([left, elsewhere], "here")
+    with pytest.raises(InputError, match=r"minutes apart; expected images of one pass"):
+        mountings([left, later(left, "L2", 7000.0)], "here")
