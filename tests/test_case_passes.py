@@ -9,10 +9,8 @@ from rig_files import PASS, later, write_rig
 from rigs import TURN, rig
 
 import mgsgraph
-from mgsgraph.case.passes import polynomial_prior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.network import Pass
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings
@@ -26,19 +24,6 @@ def pass_of(folder: Path, table: str = "") -> Pass:
 
 
 # --- polynomials
-
-
-def test_four_nodes_carry_a_cubic_with_the_sigmas_of_its_terms() -> None:
-    """Of a polynomial drawn by its terms, the nodes' values are as probable as these: the same quadratic form."""
-    rng = np.random.default_rng(5)
-    position, attitude = rng.uniform(1.0, 50.0, (4, 3)), rng.uniform(1e-5, 1e-3, (4, 3))
-    terms = rng.standard_normal((4, 6)) * np.concatenate([position, attitude], axis=1)
-    nodes = evenly_spaced("lagrange", 0.0, (0.0, 30.0), 30.0)
-    values = normalised(nodes)[:, None] ** np.arange(4) @ terms
-    (factor,) = polynomial_prior(position, attitude).factors(nodes)
-    rows = sum(block @ values[k] for k, block in zip(factor.unknowns, factor.blocks, strict=True))
-    expected = terms / np.concatenate([position, attitude], axis=1)
-    np.testing.assert_allclose(np.sort(np.abs(rows)), np.sort(np.abs(expected).ravel()), rtol=1e-9)
 
 
 def test_degrees_and_units(tmp_path: Path) -> None:

@@ -113,8 +113,8 @@ def test_images_of_strips_have_their_strip_s_prior(tmp_path: Path) -> None:
     path = write_block(tmp_path)
     with pytest.raises(InputError, match="no pixels"):
         read_scene(path)
-    from mgsgraph.case.scene import image_priors
     from mgsgraph.case.passes import members
+    from mgsgraph.case.scene import image_priors
 
     wanted = decode(path)
     of_strips = members(wanted.trajectories, [image.name for image in wanted.images], str(path))

@@ -14,14 +14,11 @@ from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import JointNodePrior, NodePrior, Pass
+from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Index
+from mgsgraph.network import NodePrior, Pass, PassPrior, PolynomialPrior
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings, seconds
-
-_HELD = np.repeat([1e-3, 1e-8], 3)
-"""m and rad, sigmas of the terms of a polynomial that is of lower degree than four nodes make."""
 
 
 class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -57,11 +54,11 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         start, stop = float(edges[:, 0].min()) - epoch, float(edges[:, 1].max()) - epoch
         return evenly_spaced("lagrange", epoch, (start, stop), stop - start)
 
-    def prior(self, where: str, default: OrientationPrior) -> JointNodePrior | NodePrior:
+    def prior(self, where: str, default: OrientationPrior) -> PassPrior:
         """What is known of the nodes beforehand; `default` is that of [orientation], `where` names this table."""
         places = f"{where}.position", f"{where}.attitude"
         if self.polynomial:
-            return polynomial_prior(
+            return PolynomialPrior(
                 polynomial_sigmas(self.position, default.sigmas[:, :3], places[0]),
                 polynomial_sigmas(self.attitude, default.sigmas[:, 3:], places[1]),
             )
@@ -76,31 +73,11 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
         """About what is known of one of its images by itself: the constant and the linear part."""
-        if not self.polynomial:
-            prior = self.prior(where, default)
-            assert isinstance(prior, NodePrior)
-            return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
-        parts = (
-            polynomial_sigmas(self.position, default.sigmas[:, :3], f"{where}.position"),
-            polynomial_sigmas(self.attitude, default.sigmas[:, 3:], f"{where}.attitude"),
-        )
-        sigmas = np.full((SUPPORT, 6), 1e-9)
-        for part, columns in zip(parts, (slice(0, 3), slice(3, 6)), strict=True):
-            sigmas[: len(part), columns] = part
-        return OrientationPrior(sigmas)
-
-
-def polynomial_prior(position: Array, attitude: Array) -> JointNodePrior:
-    """Polynomials of s = -1 .. 1 on four even nodes, by the sigmas of their terms (d + 1, 3) in m and in rad."""
-    sigmas = np.tile(_HELD, (SUPPORT, 1))
-    sigmas[: len(position), :3], sigmas[: len(attitude), 3:] = position, attitude
-    to_nodes = np.linspace(-1.0, 1.0, SUPPORT)[:, None] ** np.arange(SUPPORT)
-    terms = np.linalg.solve(to_nodes, np.eye(SUPPORT))
-    root = np.zeros((6 * SUPPORT, 6 * SUPPORT))
-    for power in range(SUPPORT):
-        for c in range(6):
-            root[6 * power + c, c::6] = terms[power] / sigmas[power, c]
-    return JointNodePrior(root, np.zeros(0))
+        prior = self.prior(where, default)
+        if isinstance(prior, PolynomialPrior):
+            return OrientationPrior(prior.coefficient_sigmas)
+        assert isinstance(prior, NodePrior)
+        return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
 
 
 Trajectories = Sequence[StripInput | PassInput]

@@ -35,7 +35,7 @@ from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.network import TERRAIN, Network, PointClass, SharedUnknown
+from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
 from mgsgraph.registration.carriers import Members
 from mgsgraph.ties import TiePoints
@@ -121,7 +121,8 @@ def case_of(
     of_passes = members(wanted.trajectories, [image.name for image in wanted.images], str(path))
     priors = wanted.priors(str(path))
     parts = Parts(images)
-    parts.passes = [Members(tuple(one)) for one in of_strips]
+    passes = _read_passes(wanted, of_passes, images, path)
+    parts.passes = [Members(tuple(one.images.tolist()), one.axes) for one in passes]
     names = [image.name for image in images]
     tie_points, notes = _read_ties(wanted, parts, folder)
     if tie_points:
@@ -138,7 +139,8 @@ def case_of(
     held = np.array([image.held for image in wanted.images])
     radii, areoid, models = _read_terrain(wanted, path, images)
     network = parts.network(priors, held, radii, areoid, next(iter(wanted.terrain_models), None))
-    network = _with_passes(network, wanted, of_passes, path)
+    with errors_from(str(path)):
+        network = replace(network, passes=passes)
     network = _with_shared(network, wanted, path, laser, parts.shared)
     network = _with_considered(network, wanted, path, laser)
     _require_same_heights(network, wanted, path)
@@ -151,17 +153,18 @@ def case_of(
     )  # fmt: skip
 
 
-def _with_passes(network: Network, wanted: CaseInput, of_passes: list[list[int]], path: Path) -> Network:
-    """The network with the trajectories that some of its images share."""
+def _read_passes(
+    wanted: CaseInput, of_passes: list[list[int]], images: tuple[PushbroomImage, ...], path: Path
+) -> tuple[Pass, ...]:
+    """Trajectories that some of the images share."""
     if not wanted.trajectories:
-        return network
+        return ()
     default = wanted.orientation.prior(f"{path}, orientation")
-    passes = passes_of(wanted.trajectories, of_passes, network.images, default, str(path))
+    passes = passes_of(wanted.trajectories, of_passes, images, default, str(path))
     for one in [one for one in passes if one.axes is not None and wanted.solver.angles != "camera"][:1]:
         found = f"{wanted.solver.angles!r} for cameras mounted against each other, of pass {one.name!r}"
         raise InputError(f"{path}, solver, angles", found, '"camera"')
-    with errors_from(str(path)):
-        return replace(network, passes=passes)
+    return passes
 
 
 def _require_same_heights(network: Network, wanted: CaseInput, path: Path) -> None:
