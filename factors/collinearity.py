@@ -11,8 +11,8 @@ that takes metres to (lines, samples), the residuals, measured minus predicted, 
 
 *Predicted line* (the strict form): the pose is that of the line where S e has no line left, found by Newton's method,
 and S follows from the image's motion per line there. *Measured line* (the papers'): beyond is 0, S constants of the
-ray. Derivatives by the chain rule: by the ray, then by point, position (minus that by the point), rotation, focal
-length.
+ray. Derivatives by the chain rule: by the ray, then by point, position (minus that by the point), rotation, and by the
+interior orientation, which is what the pixel looks along in camera components: (x0, y0, f).
 """
 
 from collections.abc import Callable
@@ -100,9 +100,9 @@ def by_rotation(of_ray, ray, axes):
 
 
 @equation
-def by_focal(of_ray, ray, focal):
-    """Derivative by the focal length, which moves the image outward."""
-    return (of_ray[0] * ray[0] + of_ray[1] * ray[1]) / focal
+def by_interior(of_image, ray):
+    """Derivative of a row by x0, y0 and f: de = (a/c, b/c) df - (dx0, dy0); `of_image` is the row's line of S."""
+    return -of_image[0], -of_image[1], (of_image[0] * ray[0] + of_image[1] * ray[1]) / ray[2]
 
 
 class ImageRay(NamedTuple):
@@ -130,11 +130,12 @@ class ImageRay(NamedTuple):
     """m, nominal."""
 
     def __call__(self, state_at: StateAt, position: Vector) -> Linear | None:
-        """Rows (lines, samples) at a state: correction of position, rotation, and focal length."""
+        """Rows (lines, samples) at a state: correction of position, rotation, and of x0, y0 and focal length."""
         line_offset, velocity, angular_rate = 0.0, self.velocity, self.angular_rate
         for step in range(NEWTON_STEPS):
             state, rate = state_at(line_offset)
-            focal = self.focal + (state[6] if len(state) > 6 else 0.0)
+            x, y, longer = state[6:9] if len(state) > 6 else (0.0, 0.0, 0.0)
+            focal, detector = self.focal + longer, (self.detector[0] + x, self.detector[1] + y)
             centre = perspective_centre(self.centre, velocity, line_offset, state[:3])
             attitude, axes, camera_rate = self.attitude(self.nominal, angular_rate, line_offset, state[3:6], rate[3:6])
             ray = transform(attitude, subtract(position, centre))
@@ -145,7 +146,7 @@ class ImageRay(NamedTuple):
                 break
             motion = ray_motion(attitude, ray, add(velocity, rate[:3]), camera_rate)
             scale = to_lines_and_samples(image_motion(ray, motion, focal), self.slope)
-            step_back = residual(scale, image, self.detector, 0.0)[0]
+            step_back = residual(scale, image, detector, 0.0)[0]
             if abs(step_back) < NEWTON_TOLERANCE or step == NEWTON_STEPS - 1:
                 break
             line_offset -= step_back
@@ -153,6 +154,6 @@ class ImageRay(NamedTuple):
         by_points = np.array([by_point(row, attitude) for row in of_ray])
         state_rows: list[Any] = [-by_points, [by_rotation(row, ray, axes) for row in of_ray]]
         if len(state) > 6:
-            state_rows.append([[by_focal(row, ray, focal)] for row in of_ray])
-        values = residual(scale, image, self.detector, self.offset + line_offset)
+            state_rows.append([by_interior(row, ray) for row in scale])
+        values = residual(scale, image, detector, self.offset + line_offset)
         return Linear(np.array(values), by_points, np.hstack(state_rows), line_offset)

@@ -35,6 +35,14 @@ sigma_m = 5.0
 
 MOUNTED = """
 [[shared]]
+kind = "principal point"
+sigma_m = [1e-4, 2e-4]
+
+[[shared]]
+kind = "radial distortion k1"
+sigma_m = 1e-5
+
+[[shared]]
 kind = "line rate"
 sigma_ppm = 20.0
 
@@ -69,12 +77,14 @@ def test_without_the_laser_what_only_it_feels_goes_too(case_file: Path) -> None:
 
 def test_line_rate_and_lever_arms(case_file: Path) -> None:
     found = mgsgraph.read_case(with_text(case_file, MOUNTED))
-    wanted = {SharedKind.LINE_RATE: [2e-5], SharedKind.CAMERA_LEVER_ARM: [1.0, 2.0, 3.0],
+    wanted = {SharedKind.PRINCIPAL_POINT: [1e-4, 2e-4], SharedKind.RADIAL_DISTORTION_1: [1e-5],
+              SharedKind.LINE_RATE: [2e-5], SharedKind.CAMERA_LEVER_ARM: [1.0, 2.0, 3.0],
               SharedKind.ALTIMETER_LEVER_ARM: [4.0] * 3}  # fmt: skip
     assert {one.kind: pytest.approx(one.sigmas.tolist()) for one in found.network.shared} == wanted
     assert "line rate: a-priori sigma 20 ppm" in inventory(found)
     without = mgsgraph.read_case(case_file, laser=False).network.shared
-    assert [one.kind for one in without] == [SharedKind.LINE_RATE, SharedKind.CAMERA_LEVER_ARM]
+    assert SharedKind.ALTIMETER_LEVER_ARM not in [one.kind for one in without]
+    assert len(without) == len(found.network.shared) - 1
 
 
 def test_check_lists_them(case_file: Path) -> None:
@@ -90,6 +100,9 @@ def test_check_lists_them(case_file: Path) -> None:
         ('kind = "range bias"\nsigma_s = 1.0', "sigma_s; expected sigma_m"),
         ('kind = "line rate"\nsigma_m = 1.0', "sigma_m; expected sigma_ppm for line rate"),
         ('kind = "line rate"\nsigma_ppm = [1.0, 2.0, 3.0]', "3.0\\]; expected a number"),
+        ('kind = "principal point"\nsigma_m = [1.0, 2.0, 3.0]', "one number, or two for principal point"),
+        ('kind = "radial distortion k2"\nsigma_m = [1.0]', "one number for radial distortion k2"),
+        ('kind = "radial distortion k4"\nsigma_m = 1.0', "kind: 'radial distortion k4'"),
         ('kind = "camera lever arm"\nsigma_mrad = 1.0', "sigma_mrad; expected sigma_m for camera lever arm"),
         ('kind = "range bias"\nsigma_m = 1.0\nsigma_s = 1.0', "sigma_s and sigma_m; expected sigma_m"),
         ('kind = "range bias"\nsigma_m = -1.0', "shared"),

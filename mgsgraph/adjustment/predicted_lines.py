@@ -4,7 +4,7 @@ heights above stereo surfaces linear about the state that counts.
 The kernel takes the pose from the line about which a ray is laid out, the measured one to begin with, to the predicted
 line by its rates. Over some lines that is right to 1e-9 of a line, but not across a sample of the attitude (where the
 rates jump), nor over a misfit of hundreds of lines. So rays are laid out anew about their predicted lines until
-nothing moves.
+nothing moves. So are the slopes of detector lines, by which misplacements count in samples, where unknowns bend them.
 """
 
 from collections.abc import Callable
@@ -20,6 +20,9 @@ from mgsgraph.kernel.rows import OUT, PREDICTED
 NEAR = 1e-5
 """Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much
 less than a tenth of themselves, so that a row is then right to 1e-6 lines, and its derivatives to 1e-10."""
+_UNBENT = 1e-9
+"""m, of unknowns of the interior orientation: what they change the slope of a detector line by is then a ten-millionth
+of it."""
 _MOST = 20
 """Times: two or three do it, more where a predicted line lies beside a sample at which the rates jump."""
 _BEYOND = 0.5
@@ -44,9 +47,10 @@ def _about_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
         found = residuals(now, orientation, places[now.point_order]).image[:, 0]
         lines = network.rays.places[:, 0] - found
         lines = np.clip(np.where(taken & np.isfinite(lines), lines, now.lines), -_BEYOND * size, (1.0 + _BEYOND) * size)
-        if np.abs(lines - now.lines).max(initial=0.0) <= NEAR:
+        bent = np.abs(orientation - now.bent)[now.bending].max(initial=0.0)
+        if np.abs(lines - now.lines).max(initial=0.0) <= NEAR and bent <= _UNBENT:
             break
-        now = now.about(lines)
+        now = now.about(lines, orientation)
     return now
 
 

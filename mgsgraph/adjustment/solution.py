@@ -144,7 +144,7 @@ class Solution:
         return [*own, *self.shift_values, *self.shared, *(one for strip in strips for one in strip if one.size)]
 
     def image(self, image: int) -> PushbroomImage:
-        """One image with its adjusted focal length; its trajectory is the nominal one (`correction`)."""
+        """One image with its adjusted interior orientation; its trajectory is the nominal one (`correction`)."""
         return adjusted_image(self.network, image, self.values)
 
     def correction(self, image: int) -> OrientationCorrection:

@@ -196,7 +196,8 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     kind: Literal[
         "attitude-time bias", "position-time bias", "camera boresight", "altimeter boresight", "range bias",
-        "focal length", "orbit position", "line rate", "camera lever arm", "altimeter lever arm",
+        "focal length", "principal point", "radial distortion k1", "radial distortion k2", "radial distortion k3",
+        "orbit position", "line rate", "camera lever arm", "altimeter lever arm",
     ]  # fmt: skip
     """What it is."""
     images: tuple[str, ...] = ()
@@ -208,8 +209,9 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     sigma_mrad: float | list[float] | None = None
     """Of a boresight: about the camera's axes x, y, z alike, or three numbers."""
     sigma_m: float | list[float] | None = None
-    """Of a range bias or a focal length; of an orbit's position radially, along and across the flight alike, or three
-    numbers; of a lever arm along the camera's axes x, y, z alike, or three numbers."""
+    """Of a range bias or a focal length; of a radial distortion at the pixel farthest from the principal point; of a
+    principal point along the camera's x and y alike, or two numbers; of an orbit's position radially, along and across
+    the flight alike, or of a lever arm along the camera's axes x, y, z alike, or three numbers."""
     sigma_ppm: Sigma | None = None
     """Of a line rate."""
 
@@ -227,11 +229,20 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         for name in [name for k, name in enumerate(self.images) if name in self.images[:k]][:1]:
             raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
-        if kind.width == 1 and isinstance(given[wanted], list):
-            raise InputError(f"{where}, {wanted}", f"{given[wanted]}", f"one number for {self.kind}")
-        sigmas = _three_sigmas(given[wanted], f"{where}, {wanted}")[: kind.width] * kind.reported[0]
+        sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * kind.reported[0]
         with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
+
+
+def _sigmas(value: float | list[float], width: int, where: str, kind: str) -> Array:
+    """(width,) sigmas of a shared unknown: one number for all its components, or one for each."""
+    if isinstance(value, list) and len(value) != width:
+        counts = {1: "one number", 2: "one number, or two"}.get(width, "one number from 1e-9 to 1e9, or three")
+        raise InputError(where, f"{value}", f"{counts} for {kind}")
+    if isinstance(value, list) and width == 1:
+        raise InputError(where, f"{value}", f"one number for {kind}")
+    padded = [*value, *value[-1:] * (3 - width)] if isinstance(value, list) else value
+    return _three_sigmas(padded, where)[:width]
 
 
 _SHARED_SIGMAS = ("sigma_s", "sigma_mrad", "sigma_m", "sigma_ppm")

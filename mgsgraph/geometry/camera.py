@@ -70,6 +70,15 @@ class InteriorOrientation:
         return place, jacobian[:, :, 0] * along + jacobian[:, :, 1] * across
 
 
+    def looks(self, samples: Array) -> tuple[Array, Array]:
+        """What samples (n,) look along in camera components, (n, 3) m with the focal length along the axis, and how it
+        changes per sample, (n, 3) m.
+        """
+        place, slope = self.focal_plane(samples)
+        length = np.full((samples.size, 1), self.focal_length)
+        return np.hstack([place, length]), np.hstack([slope, np.zeros_like(length)])
+
+
 class Detector(NamedTuple):
     """A line of pixels in the focal plane of a camera, in axes that the camera may be mounted against."""
 

@@ -258,6 +258,29 @@ class RadtanDistortion:
         return place * (radial + across) + square * decentred, jacobian
 
 
+@dataclass(frozen=True, slots=True)
+class CorrectedDistortion:
+    """A model with what an adjustment adds to it: (x, y) (1 + c1 r^2 + c2 r^4 + c3 r^6) - (xp, yp), x, y and r being
+    the model's ideal place and its radius.
+    """
+
+    nominal: Distortion
+    """The model."""
+    point: tuple[float, float]
+    """m, (xp, yp): principal point."""
+    radial: tuple[float, float, float]
+    """1/m^2, 1/m^4 and 1/m^6: c1, c2, c3."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        ideal, jacobian = self.nominal.undistort(place)
+        square, (c1, c2, c3) = np.einsum("ni,ni->n", ideal, ideal), self.radial
+        scale = 1.0 + square * (c1 + square * (c2 + square * c3))
+        slope = 2.0 * (c1 + square * (2.0 * c2 + square * 3.0 * c3))
+        outward = scale[:, None, None] * np.eye(2) + slope[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
+        return ideal * scale[:, None] - np.array(self.point), outward @ jacobian
+
+
 def _along_y(place: Array, y: Array, slope: Array) -> Bent:
     """Places whose x stays, with their Jacobians: the slope (n,) of y (n,)."""
     jacobian = np.zeros((place.shape[0], 2, 2))

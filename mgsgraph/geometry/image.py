@@ -10,7 +10,15 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import transform
-from mgsgraph.factors.collinearity import by_point, by_rotation, focal_plane, image_by_ray, image_motion, ray_motion
+from mgsgraph.factors.collinearity import (
+    by_interior,
+    by_point,
+    by_rotation,
+    focal_plane,
+    image_by_ray,
+    image_motion,
+    ray_motion,
+)
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -239,9 +247,9 @@ class PushbroomImage:
         return place, derivative
 
     def by_correction(self, points: Array, places: Array, correction: OrientationCorrection) -> Array:
-        """(n, 2, 7) derivatives of the image places (n, 2) of ground points (n, 3), as `ground_to_image` finds them, by
-        the position (m) and the rotation (rad) with which the orientation is corrected at their lines, and by the focal
-        length (m).
+        """(n, 2, 9) derivatives of the image places (n, 2) of ground points (n, 3), as `ground_to_image` finds them, by
+        the position (m) and the rotation (rad) with which the orientation is corrected at their lines, and by the
+        detector's x and y and the focal length (m).
         """
         moments = self.moments(places[:, 0])
         nominal = self.pose(places[:, 0])
@@ -250,8 +258,9 @@ class PushbroomImage:
         ray = transform(rotation.rows(pose.matrix), rotation.components(points - pose.position))
         of_rays = image_by_ray(ray, self.interior.focal_length)
         turned = np.stack([rotation.stacked(by_rotation(row, ray, rotation.rows(axes))) for row in of_rays], axis=1)
-        longer = np.stack([ray[0] / ray[2], ray[1] / ray[2]], axis=1)[:, :, None]
-        return -_solve(jacobian, np.concatenate([-in_plane, turned, longer], axis=2))
+        of_interior = [np.broadcast_arrays(*by_interior(row, ray)) for row in ((1.0, 0.0), (0.0, 1.0))]
+        looks = np.stack([np.stack(row, axis=1) for row in of_interior], axis=1)
+        return -_solve(jacobian, np.concatenate([-in_plane, turned, looks], axis=2))
 
     def _misplacement(self, points: Array, place: Array, pose: Pose) -> tuple[Array, Array, Array]:
         """Focal-plane distance (n, 2) in m of the points' images from the detector pixel at `place`, the pose being

@@ -296,10 +296,12 @@ class SurfaceHeights(NamedTuple):
     normals: Array
     """(n, 3) unit, body-fixed, upward: derivative by the point."""
     by_pose: Array
-    """(n, 2, 7) derivative by the correction of the first and the second image's position (m per m), rotation (m per
-    rad) and focal length (m per m) at their lines."""
+    """(n, 2, 9) derivative by the correction of the first and the second image's position (m per m), rotation (m per
+    rad), and detector x and y and focal length (m per m) at their places."""
     lines: Array
     """(n, 2) lines of the two images in which the points are."""
+    samples: Array
+    """(n, 2) their samples."""
     covered: Mask
     """(n,) whether the surface is known there."""
     sigmas: Array
@@ -365,6 +367,7 @@ def _heights_above(
         gradient / size,
         np.stack([of_first, of_second], axis=1) / size[:, :, None],
         np.stack([places[:, 0], others[:, 0]], axis=1),
+        np.stack([places[:, 1], others[:, 1]], axis=1),
         covered & seen,
         sigmas / size[:, 0],
         roughness / size[:, 0],

@@ -55,7 +55,7 @@ def lift(rows, i, e, a, s):
 
 @inlined
 def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t):
-    """PAIR: covariance (7, 7) between the states of two observations."""
+    """PAIR: covariance (9, 9) between the states of two observations."""
     for r in range(STATE_WIDTH * WIDTH):
         w[PAIR + r] = 0.0
     components_i, components_j = observation_columns(rows, i)[0], observation_columns(rows, j)[0]

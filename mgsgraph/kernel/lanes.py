@@ -288,7 +288,7 @@ call copies to the stack, below the stages of a tile.
 summing = njit(fastmath={"contract", "nsz", "reassoc"}, **_INSIDE)
 """The same for sums over lanes, whose order is free."""
 
-STATE_WIDTH = 7
+STATE_WIDTH = 9
 """Most components of an observation's state."""
 
 # ---- registers of the tile
@@ -301,21 +301,21 @@ COST = 21 * LANES
 STEP_SQUARED = 22 * LANES  # squared length of the last step, in sigmas
 STATUS = 23 * LANES  # of the point's inner solve: GOOD, BEHIND or WEAK
 ACTIVE = 24 * LANES  # 1 where the point takes part, else 0
-PAIR = 25 * LANES  # 49: normal matrix, or covariance, between two observations' states
-COLUMN = 74 * LANES  # 7: PAIR times a direction
-PRODUCT = 81 * LANES  # product of two basis values
-MIDDLE = 82 * LANES  # 6: upper triangle of 1 + sum_ij Y_i' S_ij Y_j
-COVARIED_PAIR = 88 * LANES  # 21: PAIR times Y_j
-J_U = 109 * LANES  # 9: J U of an observation's rows
-B_L = 118 * LANES  # 9: B L^-T of an observation's rows
-ERROR = 127 * LANES  # 9: M P' - (J U)'
+PAIR = 25 * LANES  # 81: normal matrix, or covariance, between two observations' states
+COLUMN = 106 * LANES  # 9: PAIR times a direction
+PRODUCT = 115 * LANES  # product of two basis values
+MIDDLE = 116 * LANES  # 6: upper triangle of 1 + sum_ij Y_i' S_ij Y_j
+COVARIED_PAIR = 122 * LANES  # 27: PAIR times Y_j
+J_U = 149 * LANES  # 9: J U of an observation's rows
+B_L = 158 * LANES  # 9: B L^-T of an observation's rows
+ERROR = 167 * LANES  # 9: M P' - (J U)'
 
 # ---- registers of the measurement that is worked on: what the unknowns do to it, its constants, its rows
-DELTA = 136 * LANES  # 7: correction of the pose (m, rad), and of focal length or range bias (m)
-RATE = 143 * LANES  # 6: its rate per line
-NEWTON_STEP = 149 * LANES  # lines from the pose's line to the predicted line
-ROWS_SQUARED = 150 * LANES  # squared norm of its rows; of a robust loss, then the root of its weight
-CONSTANTS = 151 * LANES
+DELTA = 176 * LANES  # 9: correction of the pose (m, rad), then of detector x, y and focal length, or of the range (m)
+RATE = 185 * LANES  # 6: its rate per line
+NEWTON_STEP = 191 * LANES  # lines from the pose's line to the predicted line
+ROWS_SQUARED = 192 * LANES  # squared norm of its rows; of a robust loss, then the root of its weight
+CONSTANTS = 193 * LANES
 ROWS = CONSTANTS + 32 * LANES
 
 # constants, from CONSTANTS or from an observation's own first register
@@ -339,16 +339,16 @@ LINE_OFFSET = 0 * LANES  # lines from the reference line to the one whose pose i
 FRONT = 1 * LANES  # 1 where the point is before the camera
 RESIDUAL = 2 * LANES  # whitened
 BY_POINT = 3 * LANES  # 3: derivatives by the point
-BY_STATE = 6 * LANES  # 7: by what the shared unknowns do to the observation, its state
+BY_STATE = 6 * LANES  # 9: by what the shared unknowns do to the observation, its state
 ROW = (1 + 3 + STATE_WIDTH) * LANES
 OF_ROWS = (RESIDUAL, RESIDUAL + ROW, RESIDUAL + 2 * ROW, RESIDUAL + 3 * ROW)
 """Registers of none to three rows."""
 
 # ---- further registers of an observation
 RESULT = OF_ANY
-RIGHT = RESULT + OF_ROWS[3]  # 7: reduced gradient
-COVARIED = RIGHT + 7 * LANES  # (7, 3): U = sum_j S_ij Y_j
-SHARED_PART = COVARIED + 21 * LANES  # upper triangle (3, 3) of J S J'
+RIGHT = RESULT + OF_ROWS[3]  # 9: reduced gradient
+COVARIED = RIGHT + 9 * LANES  # (9, 3): U = sum_j S_ij Y_j
+SHARED_PART = COVARIED + 27 * LANES  # upper triangle (3, 3) of J S J'
 BASIS = SHARED_PART + 6 * LANES  # values of all terms, then their rates per line, then directions of single columns
 TILE = ROWS + OF_ROWS[3]
 """Registers before those of the first observation."""
@@ -356,4 +356,4 @@ WIDTH = STATE_WIDTH * LANES
 """From one row of PAIR, or one direction, to the next."""
 
 # ---- registers of an observation in the array of its own that keeps coupling
-COUPLED = 21 * LANES  # Y (7, 3): state against point, times L^-T
+COUPLED = 27 * LANES  # Y (9, 3): state against point, times L^-T

@@ -11,7 +11,7 @@ from mgsgraph.factors.algebra import add, subtract, transform
 from mgsgraph.factors.collinearity import (
     NEWTON_STEPS,
     NEWTON_TOLERANCE,
-    by_focal,
+    by_interior,
     by_point,
     by_ray,
     by_rotation,
@@ -120,8 +120,8 @@ def _image_loop(attitude_of, predicted):
             attitude, axes, camera_rate = attitude_of(nominal, angular_rate, line_offset, theta, rate)
             centre = perspective_centre(vector(w, _C + POSITION, l), velocity, line_offset, vector(w, DELTA, l))
             ray = transform(attitude, subtract(vector(w, POINT, l), centre))
-            focal = w[_C + FOCAL + l] + w[DELTA + 6 * LANES + l]
-            detector = w[_C + DETECTOR + l], w[_C + DETECTOR + LANES + l]
+            x, y, longer = vector(w, DELTA + 6 * LANES, l)
+            focal, detector = w[_C + FOCAL + l] + longer, (w[_C + DETECTOR + l] + x, w[_C + DETECTOR + LANES + l] + y)
             image = focal_plane(ray, focal)
             if predicted:
                 motion = ray_motion(attitude, ray, add(velocity, vector(w, RATE, l)), camera_rate)
@@ -149,8 +149,10 @@ def _image_loop(attitude_of, predicted):
             put(w, _SECOND_ROW, l, by_point(of_sample, attitude), used)
             put(w, _BY_STATE + 3 * LANES, l, by_rotation(of_line, ray, axes), used)
             put(w, _BY_STATE + ROW + 3 * LANES, l, by_rotation(of_sample, ray, axes), used)
-            w[_BY_STATE + 6 * LANES + l] = by_focal(of_line, ray, focal) if used else 0.0
-            w[_BY_STATE + ROW + 6 * LANES + l] = by_focal(of_sample, ray, focal) if used else 0.0
+            in_line = weight_line * scale[0][0], weight_line * scale[0][1]
+            in_sample = weight_sample * scale[1][0], weight_sample * scale[1][1]
+            put(w, _BY_STATE + 6 * LANES, l, by_interior(in_line, ray), used)
+            put(w, _BY_STATE + ROW + 6 * LANES, l, by_interior(in_sample, ray), used)
         for row in range(2):  # by position: minus by point
             for r in range(3 * LANES):
                 w[_BY_STATE + row * ROW + r] = -w[_FIRST_ROW + row * ROW + r]

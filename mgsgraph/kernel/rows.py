@@ -65,8 +65,8 @@ class Rows(NamedTuple):
     observation_kind: Index
     """(s,) IMAGE, RANGE, GROUND, SURFACE or STEREO."""
     observation_width: Index
-    """(s,) components of its state: 6 (7 with the focal length) of an image, 3 (4 with the bias) of a range, 3 of a
-    ground prior or a surface row, 1 of a stereo row."""
+    """(s,) components of its state: 6 (9 with detector x, y and focal length) of an image, 3 (4 with the bias) of a
+    range, 3 of a ground prior or a surface row, 1 of a stereo row."""
     observation_terms: Index
     """(s,) number of basis terms, each of six columns."""
     observation_shared: Index

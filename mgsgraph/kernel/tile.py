@@ -190,8 +190,8 @@ def copy_block(w, source, sink, size):
 
 @inlined
 def pose_components(width):
-    """Components of a state that a basis term moves: position and rotation, or the position alone; never focal length
-    or range bias, which are single columns.
+    """Components of a state that a basis term moves: position and rotation, or the position alone; never the
+    interior orientation or range bias, which are single columns.
     """
     return 6 if width >= 6 else 3
 

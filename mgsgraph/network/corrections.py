@@ -10,8 +10,9 @@ import numpy as np
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array
+from mgsgraph.network.interior import adjusted_interior, adjusted_of
 from mgsgraph.network.network import Network
-from mgsgraph.network.shared import SharedKind, image_effect
+from mgsgraph.network.shared import image_effect
 
 
 def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, Array]:
@@ -97,14 +98,8 @@ def whole_correction(network: Network, image: int, values: Sequence[Array], angl
 
 
 def adjusted_image(network: Network, image: int, values: Sequence[Array]) -> PushbroomImage:
-    """One image with its adjusted focal length, `values` being those of all variables; its trajectory stays nominal."""
-    picture, first = network.images[image], network.first_shared
-    longer = [
-        float(values[first + k][0])
-        for k, shared in enumerate(network.shared)
-        if shared.kind is SharedKind.FOCAL_LENGTH and shared.of(image)
-    ]
-    if not longer:
-        return picture
-    focal_length = picture.interior.focal_length + sum(longer)
-    return replace(picture, interior=replace(picture.interior, focal_length=focal_length))
+    """One image with its adjusted interior orientation, `values` being those of all variables; its trajectory and its
+    lines' times stay nominal.
+    """
+    picture, adjusted = network.images[image], adjusted_of(network, image, values)
+    return replace(picture, interior=adjusted_interior(picture.interior, adjusted)) if adjusted else picture

@@ -48,6 +48,14 @@ class SharedKind(StrEnum):
     """m: what measured ranges are too long."""
     FOCAL_LENGTH = "focal length"
     """m: to be added to the nominal one."""
+    PRINCIPAL_POINT = "principal point"
+    """m: where the optical axis meets the focal plane farther along the camera's x and y."""
+    RADIAL_DISTORTION_1 = "radial distortion k1"
+    """m: what ideal places at the reference radius lie farther outward, and in proportion to the radius's cube."""
+    RADIAL_DISTORTION_2 = "radial distortion k2"
+    """m: the same in proportion to its fifth power."""
+    RADIAL_DISTORTION_3 = "radial distortion k3"
+    """m: the same in proportion to its seventh power."""
     ORBIT_POSITION = "orbit position"
     """m: what images are farther out, along their flight and to its left than their orbits say; of the ranges, too."""
     LINE_RATE = "line rate"
@@ -66,7 +74,7 @@ class SharedKind(StrEnum):
         """Number of columns: three angles or axes of the flight, height and drift, east and north, or one."""
         if self.turns or self.is_lever_arm or self is SharedKind.ORBIT_POSITION:
             return 3
-        return 2 if self.of_profile else 1
+        return 2 if self.of_profile or self is SharedKind.PRINCIPAL_POINT else 1
 
     @property
     def of_profile(self) -> bool:
@@ -93,6 +101,17 @@ class SharedKind(StrEnum):
         return self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT)
 
     @property
+    def radial_order(self) -> int:
+        """1, 2 or 3 for k1, k2, k3 of a radial distortion; else 0."""
+        radial = SharedKind.RADIAL_DISTORTION_1, SharedKind.RADIAL_DISTORTION_2, SharedKind.RADIAL_DISTORTION_3
+        return radial.index(self) + 1 if self in radial else 0
+
+    @property
+    def is_interior(self) -> bool:
+        """Whether it is of the camera's interior orientation (`network.interior`)."""
+        return self in (SharedKind.FOCAL_LENGTH, SharedKind.PRINCIPAL_POINT) or self.radial_order > 0
+
+    @property
     def is_lever_arm(self) -> bool:
         """Whether it is a place of an instrument along a camera's axes."""
         return self in (SharedKind.CAMERA_LEVER_ARM, SharedKind.ALTIMETER_LEVER_ARM)
@@ -111,7 +130,7 @@ class SharedKind(StrEnum):
     @property
     def acts_on_rays(self) -> bool:
         """Whether it acts on image rays."""
-        return self.moves_pose or self is SharedKind.FOCAL_LENGTH
+        return self.moves_pose or self.is_interior
 
     @property
     def acts_on_ranges(self) -> bool:
@@ -136,7 +155,9 @@ class SharedKind(StrEnum):
             return ("east", "north")
         if self is SharedKind.ORBIT_POSITION:
             return ("radial", "along", "across")
-        return {1: ("",), 2: ("middle", "drift"), 3: ("x", "y", "z")}[self.width]
+        if self is SharedKind.PROFILE_HEIGHT:
+            return ("middle", "drift")
+        return {1: ("",), 2: ("x", "y"), 3: ("x", "y", "z")}[self.width]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,11 +41,17 @@ def passes(net: Network, axes: Array | None) -> Network:
     return replace(net, passes=tuple(found))
 
 
-@pytest.mark.parametrize("line", ["predicted", "measured"])
-def test_a_mounting_changes_nothing_but_the_axes(line: str) -> None:
+@pytest.mark.parametrize(("line", "optics"), [("predicted", False), ("measured", False), ("predicted", True)])
+def test_a_mounting_changes_nothing_but_the_axes(line: str, optics: bool) -> None:
+    """Of the optics, neither: focal length, principal point and distortion are about the camera's own axis."""
     net = network(pair(ties=60, shots=12))
     boresight = SharedUnknown("boresight", SharedKind.CAMERA_BORESIGHT, np.array([1]), np.array([1e-4, 2e-4, 3e-4]))
-    net = replace(net, shared=(boresight,))
+    interior = [
+        SharedUnknown(str(kind), kind, np.array([1]), np.full(kind.width, 1e-3))
+        for kind in SharedKind
+        if kind.is_interior and optics
+    ]
+    net = replace(net, shared=(boresight, *interior))
     settings = SolverSettings(line=line, **TIGHT)  # type: ignore[arg-type]
     plain, mounted = (adjust_network(passes(net, axes), settings) for axes in (None, LIKE_NAC))
 
@@ -54,7 +60,10 @@ def test_a_mounting_changes_nothing_but_the_axes(line: str) -> None:
     assert mounted.cost_final == pytest.approx(plain.cost_final, rel=linear)
     np.testing.assert_allclose(mounted.places, plain.places, atol=2e3 * linear)
     np.testing.assert_allclose(mounted.covariances, plain.covariances, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(mounted.shared[0] / boresight.sigmas, plain.shared[0] / boresight.sigmas, atol=1e-4)
+    for k, one in enumerate(net.shared):
+        np.testing.assert_allclose(mounted.shared[k] / one.sigmas, plain.shared[k] / one.sigmas, atol=1e-4)
+        sigmas = [np.sqrt(np.diag(solution.shared_covariance(k))) for solution in (mounted, plain)]
+        np.testing.assert_allclose(*sigmas, rtol=1e-3)
     turn = np.eye(6)
     turn[3:, 3:] = LIKE_NAC
     np.testing.assert_allclose(mounted.nodes[1] @ turn.T / ROUND.sigmas, plain.nodes[1] / ROUND.sigmas, atol=1e-4)

@@ -1,5 +1,6 @@
 """Unknowns that images share: what they do, against instruments that truly are so; and what is known of them after."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -17,12 +18,14 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network, PointClass, SharedKind
+from mgsgraph.network.interior import Adjusted, adjusted_interior, reference_radius
 from mgsgraph.network.parts import bundles, joined
 from mgsgraph.network.shared import ground_shift, image_effect
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.simulation.three_sites import bridge_image
+from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
 SHARP = NoiseSettings(tie=1e-3, shot_image=1e-3, range=1e-3, ground=1e-2, position=1e-6, angle=1e-12)
@@ -86,6 +89,64 @@ def test_reprojected_points_leave_the_solutions_residuals(angles: Angles, held: 
             solution.places[rays.point[mine]], solution.correction(j), rays.places[mine, 0]
         )
         np.testing.assert_allclose(rays.places[mine] - places, solution.residuals[mine], rtol=3e-5, atol=1e-4)
+
+
+def with_other_optics(simulated: SimulatedPair, truly: Adjusted, held: tuple[bool, bool]) -> Network:
+    """Observations of cameras that truly have other interior orientations than the network's images."""
+    net, places = network(simulated, held=held), np.concatenate([simulated.true_ties, simulated.true_footprints])
+    seen = net.rays.places.copy()
+    for j, image in enumerate(net.images):
+        mine = net.rays.image == j
+        true = replace(image, interior=adjusted_interior(image.interior, truly))
+        found = [one.ground_to_image(places[net.rays.point[mine]])[0] for one in (image, true)]
+        seen[mine] += found[1] - found[0]
+    return replace(net, rays=replace(net.rays, places=seen))
+
+
+INTERIOR = tuple(kind for kind in SharedKind if kind.is_interior)
+
+
+def millimetre(net: Network, kinds: Sequence[SharedKind], share: float) -> Adjusted:
+    """As many millimetres of each."""
+    radius = reference_radius(net.images)
+    return [(kind, radius if kind.radial_order else 1.0, np.full(kind.width, share * 1e-3)) for kind in kinds]
+
+
+@pytest.mark.parametrize("angles", ["camera", "opk-paper"])
+def test_rows_are_exactly_those_of_the_adjusted_interior_orientation(angles: Angles) -> None:
+    """Focal length, principal point, k1 to k3, of a camera that truly has a tenth of a millimetre of each; along the
+    detector but for its curvature over the residual itself, 1e-4 per pixel.
+    """
+    simulated = simulate_pair(PairSettings(ties=30, shots=10, noise=NoiseSettings(tie=0.3, shot_image=0.3)), 2)
+    net = with_other_optics(simulated, millimetre(network(simulated), INTERIOR, 0.1), (True, False))
+    net = replace(net, shared=tuple(shared(kind, [0, 1], 1e-3) for kind in INTERIOR))
+    solution = adjust_network(net, SolverSettings(angles=angles, cost_tolerance=1e-15, step_tolerance=1e-9))
+    assert np.abs(solution.residuals).max() > 0.1
+    for j in range(2):
+        mine = net.rays.image == j
+        places, _ = solution.image(j).ground_to_image(
+            solution.places[net.rays.point[mine]], solution.correction(j), net.rays.places[mine, 0]
+        )
+        own = solution.residuals[mine]
+        off = np.abs(net.rays.places[mine] - places - own)
+        assert off[:, 0].max() < 1e-7
+        assert np.all(off[:, 1] < 1e-7 + 3e-4 * own[:, 1] ** 2)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in INTERIOR if kind is not SharedKind.FOCAL_LENGTH])
+def test_optics_that_truly_are_so_are_found(kind: SharedKind) -> None:
+    """A tenth of a millimetre, eight pixels: within what the noise leaves open, which is little."""
+    simulated = simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2)
+    net = with_other_optics(simulated, millimetre(network(simulated), [kind], 0.1), (True, True))
+    n, places = len(net.points), np.concatenate([simulated.true_ties, simulated.true_footprints])
+    known = np.full(n, PointKind.CONSTRAINED), places, np.tile(1e-4 * np.eye(3), (n, 1, 1))  # tie points are in all y
+    net = replace(net, points=replace(net.points, kinds=known[0], places=known[1], covariances=known[2]))
+    solution = adjust_network(replace(net, shared=(shared(kind, [0, 1], 1e-2),)), SolverSettings())
+    sigmas = np.sqrt(np.diag(solution.shared_covariance(0)))
+    assert sigmas.max() < 1e-6
+    assert np.all(np.abs(solution.shared[0] - 1e-4) < 4.0 * sigmas + 1e-8)
+    assert np.abs(solution.residuals).max() < 0.02
+    assert solution.cost_initial > 10.0 * solution.cost_final
 
 
 CASES = [

@@ -18,7 +18,7 @@ from mgsgraph.ties import PointKind
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_UNITS = {
-    IMAGE: np.array([30.0] * 3 + [1e-4] * 3 + [1e-2]),
+    IMAGE: np.array([30.0] * 3 + [1e-4] * 5 + [1e-2]),
     RANGE: np.array([30.0] * 3 + [5.0]),
     GROUND: np.full(3, 30.0),
     SURFACE: np.full(3, 30.0),

@@ -125,11 +125,28 @@ def boresight(made: Draft) -> None:
 
 
 def focal_length(made: Draft) -> None:
-    """One column, in m, on a seventh component of the state."""
+    """One column, in m, on the ninth component of the state."""
     variable = made.variable(0.01)
     for observation, _, _ in made.observations(IMAGE):
-        widen(observation, 7)
-        add(observation, variable, 0, np.eye(7)[6])
+        widen(observation, 9)
+        add(observation, variable, 0, np.eye(9)[8])
+
+
+def principal_point(made: Draft) -> None:
+    """Two columns, in m, on the seventh and eighth component of the state."""
+    variable = made.variable(1e-4, 1e-4)
+    for observation, _, _ in made.observations(IMAGE):
+        widen(observation, 9)
+        for axis in range(2):
+            add(observation, variable, axis, -np.eye(9)[6 + axis])
+
+
+def radial_distortion(made: Draft) -> None:
+    """One column, in m, along each ray's place in the focal plane."""
+    variable = made.variable(1e-4)
+    for observation, _, _ in made.observations(IMAGE):
+        widen(observation, 9)
+        add(observation, variable, 0, np.concatenate([np.zeros(6), observation.own[7:9] / 0.013, [0.0]]))
 
 
 def range_bias(made: Draft) -> None:
@@ -174,13 +191,16 @@ def _index(made: Draft, image: PushbroomImage) -> int:
 
 def everything(made: Draft) -> None:
     """All of them at once."""
-    for build in (nodes, attitude_time, position_time, boresight, focal_length, range_bias):
+    for build in (nodes, *SINGLE):
         build(made)
+
+
+SINGLE = (attitude_time, position_time, boresight, focal_length, principal_point, radial_distortion, range_bias)
 
 
 Build = Callable[[Draft], None]
 COLUMNS: dict[str, Build] = {
-    f.__name__: f for f in (attitude_time, position_time, boresight, focal_length, range_bias, nodes, everything)
+    f.__name__: f for f in (*SINGLE, nodes, everything)
 }
 
 
@@ -299,6 +319,10 @@ def lengthen(observation: HandObservation, image: PushbroomImage, line: float, a
     observation.focal += amount
 
 
+def displace(observation: HandObservation, image: PushbroomImage, line: float, amount: float) -> None:
+    observation.own[8] -= amount
+
+
 def delay(observation: HandObservation, image: PushbroomImage, time: float, amount: float) -> None:
     observation.own[3] -= amount
 
@@ -312,6 +336,7 @@ def delay(observation: HandObservation, image: PushbroomImage, time: float, amou
         (position_time, 0, 0.01, shift_position, (IMAGE, RANGE)),
         (boresight, 1, 3e-4, turn_camera, (IMAGE,)),
         (focal_length, 0, 0.02, lengthen, (IMAGE,)),
+        (principal_point, 1, 1e-4, displace, (IMAGE,)),
         (range_bias, 0, 4.0, delay, (RANGE,)),
     ],
 )

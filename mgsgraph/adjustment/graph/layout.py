@@ -11,6 +11,7 @@ from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows, with_stereo
+from mgsgraph.adjustment.graph.shared import bends
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, Loss, SolverSettings
@@ -65,12 +66,27 @@ class Layout:
     """(k,) line about which each network ray is laid out."""
     stereo: StereoRows | None
     """Heights above stereo surfaces, linear about a state; None without any."""
+    bent: Array
+    """(columns,) shared unknowns with which the slopes of detector lines are those of adjusted interior orientations;
+    of the others it says nothing."""
 
     @cached_property
     def cholesky(self) -> SparseCholesky:
         """Elimination of the reduced normal equations; the same for layouts made of this one."""
         pairs = np.stack([self.blocks.first, self.blocks.second], axis=1)
         return SparseCholesky(self.variables.first, self.variables.width, pairs, self.blocks.offset)
+
+    @cached_property
+    def bending(self) -> Index:
+        """Columns of unknowns that change the slopes of detector lines."""
+        network = self.network
+        mine = [
+            network.first_shared + k
+            for k, one in enumerate(network.shared)
+            if any(bends(network, k, j) for j in one.images.tolist())
+        ]
+        every = np.arange(self.columns)
+        return np.concatenate([every[:0], *(every[self.columns_of(v)] for v in mine)])
 
     @property
     def angles(self) -> Angles:
@@ -143,12 +159,13 @@ class Layout:
             return self
         return replace(self, stereo=self.stereo._replace(steps=()))
 
-    def about(self, lines: Array) -> "Layout":
+    def about(self, lines: Array, shared: Array | None = None) -> "Layout":
         """The same network, points in and out, starting positions and stereo rows, its rays laid out about other lines
-        (k,).
+        (k,), and slopes of detector lines about other shared unknowns (columns,).
         """
         starts, kinds = self.network_order(self.rows.start), self.network_order(self.rows.kind)
-        return _lay_out(self.network, self.model, self.variables, None, lines, (starts, kinds), self.stereo)
+        bent = self.bent if shared is None else shared
+        return _lay_out(self.network, self.model, self.variables, None, lines, (starts, kinds), self.stereo, bent)
 
     def active(self, rays: Mask, ranges: Mask, out: Mask, stereo: Mask | None = None) -> Rows:
         """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't, points (n,) whose
@@ -194,7 +211,8 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
         points = points if known is None else np.where(np.isfinite(known), known, points)
     stereo = linear_rows(network, model, variables, np.zeros(variables.sigmas.size), points)
     known = None if model.line == MEASURED else places
-    return _lay_out(network, model, variables, known, network.rays.places[:, 0], None, stereo)
+    bent = np.zeros(variables.sigmas.size)
+    return _lay_out(network, model, variables, known, network.rays.places[:, 0], None, stereo, bent)
 
 
 def _lay_out(
@@ -205,15 +223,18 @@ def _lay_out(
     lines: Array,
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
+    bent: Array,
 ) -> Layout:
-    """The same with rays laid out about lines (k,); `like` are starting positions and kinds to keep, network order."""
+    """The same with rays laid out about lines (k,), slopes of detector lines about shared unknowns (columns,); `like`
+    are starting positions and kinds to keep, network order.
+    """
     terms = Terms(network, variables, lines)
     patterns, rays_of = sort_points(network, terms, stereo)
-    observations, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like, stereo)
+    observations, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like, stereo, bent)
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
     blocks = pair_blocks(variables, groups, prior.pairs)
     information = prior.information(blocks)
     return Layout(
-        network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo
+        network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo, bent
     )

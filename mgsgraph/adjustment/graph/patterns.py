@@ -264,7 +264,7 @@ class _PatternObservations:
             number = np.full(mine.size, network.first_shared + k)
             _add_singles(observation, variable, inside, mine, number, shared.kind.width)
             if not shared.kind.moves_instrument:
-                self.width[mine] = np.where(self.kind[mine] == IMAGE, 7, 4)
+                self.width[mine] = np.where(self.kind[mine] == IMAGE, 9, 4)
         for at, k in zip(self._stereo.tolist(), self._combination.tolist(), strict=True):
             observation.append(np.full(self._on_stereo[k][0].size, at))
             variable.append(self._on_stereo[k][0])

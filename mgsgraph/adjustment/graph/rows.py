@@ -6,6 +6,7 @@ them.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
@@ -16,32 +17,27 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.filling import crossings, put_rays, put_scale
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
+from mgsgraph.adjustment.graph.scales import angle_rates, frozen_scale, peer_scale
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.compiled import in_threads, shares
 from mgsgraph.errors import InputError
-from mgsgraph.factors.algebra import transform
-from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
-from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import (
     CAMERA,
     FIXED,
     FREE,
     IMAGE,
     MEASURED,
-    OPK_PAPER,
     OPK_PEER,
     OUT,
     PREDICTED,
     PRIOR,
-    RANGE,
     Model,
     Rows,
     numbers_stored,
@@ -116,17 +112,20 @@ def lay_out_rows(
     known: Array | None,
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
+    bent: Array,
 ) -> tuple[ObservationRows, Rows]:
     """Rows of a network in the kernel's order, and where each is.
 
     `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) positions at which to
-    begin; `like` starting positions (n, 3) and kinds (n,) to keep as they are, network order.
+    begin; `like` starting positions (n, 3) and kinds (n,) to keep as they are, network order. `bent` (columns,) are the
+    shared unknowns with which the slopes of detector lines are those of adjusted interior orientations.
     """
     tables = _observation_tables(network, model, variables, patterns)
     store = _make_store(patterns, tables["observation_numbers"])
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
     effects = SharedEffects(network, model)
-    rays, parts, units = _fill_rays(network, model, store, terms, effects, weight)
+    values = variables.split(bent)
+    rays, parts, units = _fill_rays(network, model, store, terms, effects, weight, values)
     ranges = _fill_ranges(network, store, terms, effects, weight)
     _fill_ground(network, store, weight)
     starts, kinds = like or _starting_points(network, store, rays_of, units, known)
@@ -207,7 +206,13 @@ def _by_image(images: Index, count: int) -> list[Index]:
 
 
 def _fill_rays(
-    network: Network, model: Model, store: _Store, terms: Terms, effects: SharedEffects, weight: Array
+    network: Network,
+    model: Model,
+    store: _Store,
+    terms: Terms,
+    effects: SharedEffects,
+    weight: Array,
+    values: Sequence[Array],
 ) -> tuple[NDArray[np.int32], list[Index], Array]:
     """Constants of the image rays, but for the scale of the measured-line form; the place of each among
     all observations, the rays of each image, and unit directions (k, 3).
@@ -222,10 +227,11 @@ def _fill_rays(
         axes, focal_length = network.axes_of(j), image.interior.focal_length
         pose = image.pose(lines).in_axes(axes)
         detector, slope = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
-        angular_rate = _angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
+        slope = effects.slopes(j, samples, values) if effects.bends(j) else slope
+        angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
         u, basis = terms.basis(j, lines, terms.of_rays[mine], predicted)
-        shared = effects.of(IMAGE, j, image.normalised(lines))
-        scale = _peer_scale(slope) if model.angles == OPK_PEER and not predicted else np.empty((mine.size, 0))
+        shared = effects.of_rays(j, image.normalised(lines), samples)
+        scale = peer_scale(slope) if model.angles == OPK_PEER and not predicted else np.empty((mine.size, 0))
         put_rays(
             mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
             (pose.position, pose.matrix, pose.velocity, angular_rate), detector, focal_length,
@@ -246,7 +252,7 @@ def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Inde
         axes, focal_length = network.axes_of(j), image.interior.focal_length
         pose = image.pose(rays.places[mine, 0]).in_axes(axes)
         detector = Detector(*image.interior.focal_plane(rays.places[mine, 1])).in_axes(axes, focal_length)
-        scale = _frozen_scale(pose, focal_length, starts[rays.point[mine]], detector.slope)
+        scale = frozen_scale(pose, focal_length, starts[rays.point[mine]], detector.slope)
         put_scale(mine, rays.point, store.patterns.ray_slot, store.tables, first, scale.reshape(-1, 4))
 
     in_threads(fill, range(len(parts)), rays.point.size >= _WORTHWHILE)
@@ -267,7 +273,7 @@ def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedE
         lines = image.timing.lines(since)
         for values in terms.basis(j, lines, terms.of_ranges[mine], False):
             at = store.put(place, stride, at, values)
-        store.put(place, stride, at, effects.of(RANGE, j, image.normalised(lines)))
+        store.put(place, stride, at, effects.of_ranges(j, image.normalised(lines)))
     weight[0, place_among] = 1.0 / ranges.sigmas
     return place_among
 
@@ -374,28 +380,3 @@ def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> Non
                 f"point {network.points.ids[i]}", f"its ray in image {image.name} misses the body",
                 "image places on the body", "check the image's orientation or leave the point out",
             )  # fmt: skip
-
-
-def _angle_rates(pose: Pose, angles: int) -> Array:
-    """(k, 3) rates per line of omega, phi, kappa in the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
-    paper = angles == OPK_PAPER
-    found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
-    chain = rotation.angle_axes(found, camera_to_body=paper)
-    return np.asarray(np.linalg.solve(chain, pose.angular_rate[:, :, None])[:, :, 0])
-
-
-def _peer_scale(slope: Array) -> Array:
-    """(k, 4) focal-plane m to residuals as opk-peer has them: pixels of the detector's size along and across it."""
-    square = slope[:, 0] ** 2 + slope[:, 1] ** 2
-    return np.stack([slope[:, 1], -slope[:, 0], -slope[:, 0], -slope[:, 1]], axis=1) / square[:, None]
-
-
-def _frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -> Array:
-    """(k, 2, 2) focal-plane m to residual lines and samples: image motion per line, from the nominal, and detector
-    slope.
-    """
-    attitude, angular_rate = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.angular_rate.T)
-    ray = transform(attitude, tuple((points - pose.position).T))
-    of_ray = ray_motion(attitude, ray, tuple(pose.velocity.T), angular_rate)
-    motion = image_motion(ray, of_ray, focal_length)
-    return np.stack([np.stack(row, axis=1) for row in to_lines_and_samples(motion, tuple(slope.T))], axis=1)

@@ -1,5 +1,7 @@
 """Directions of the network's shared unknowns in the states of the observations that depend on them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mgsgraph.adjustment.graph.angles import angles_of
@@ -9,6 +11,7 @@ from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import IMAGE, RANGE, Model
 from mgsgraph.network import Network, SharedKind, SharedUnknown
+from mgsgraph.network.interior import interior_effect, radius_of
 from mgsgraph.network.shared import DEGREE, beam_motion, image_effect
 
 
@@ -16,10 +19,13 @@ class SharedEffects:
     """What each image's shared unknowns do to the state of its rays and of its ranges."""
 
     def __init__(self, network: Network, model: Model) -> None:
+        self._network = network
+        self._mine = {kind: acting_on(network, kind) for kind in (IMAGE, RANGE)}
         self._kinds = {
-            kind: [[network.shared[k].kind for k in mine] for mine in acting_on(network, kind)]
-            for kind in (IMAGE, RANGE)
+            kind: [[network.shared[k].kind for k in mine] for mine in of_images]
+            for kind, of_images in self._mine.items()
         }
+        self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
         self._effects = {
             (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles_of(model)))
             for of_images in self._kinds.values()
@@ -28,24 +34,80 @@ class SharedEffects:
             if kind.moves_instrument
         }
 
-    def of(self, observation: int, image: int, u: Array) -> Array:
-        """(n, columns, width) directions in the states of an image's rays (IMAGE) or ranges (RANGE) at normalised
-        lines u (n,), in m and rad (or of the last component) per unit; rotations are in the axes of the image's pass.
+    def of_ranges(self, image: int, u: Array) -> Array:
+        """(n, columns, 3 or 4) directions in the states of an image's ranges at normalised lines u (n,): m per unit of
+        the laser's place, then of the range.
         """
-        kinds = self._kinds[observation][image]
-        pose = 6 if observation == IMAGE else 3
-        own = [kind for kind in kinds if not kind.moves_instrument]
-        width = pose + bool(own)
-        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        kinds = self._kinds[RANGE][image]
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), 3 + (SharedKind.RANGE_BIAS in kinds)))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for kind in kinds:
             if kind.moves_instrument:
                 effect = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
-                found[:, column : column + kind.width, :pose] = effect[:, :, :pose]
+                found[:, column : column + kind.width, :3] = effect[:, :, :3]
             else:
-                found[:, column, pose] = 1.0
+                found[:, column, 3] = 1.0
             column += kind.width
         return found
+
+    def of_rays(self, image: int, u: Array, samples: Array) -> Array:
+        """(n, columns, 6 or 9) directions in the states of an image's rays at normalised lines u (n,) and samples (n,):
+        m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
+        pass.
+        """
+        mine = self._mine[IMAGE][image]
+        kinds = [self._network.shared[k].kind for k in mine]
+        width = 9 if any(kind.is_interior for kind in kinds) else 6
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
+        for k, kind in zip(mine, kinds, strict=True):
+            columns = slice(column, column + kind.width)
+            if kind.moves_instrument:
+                found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+            else:
+                found[:, columns, 6:] = np.swapaxes(self._of_interior(image, k, samples)[0], 0, 1)
+            column += kind.width
+        return found
+
+    def bends(self, image: int) -> bool:
+        """Whether shared unknowns change the slope of an image's detector line."""
+        return any(bends(self._network, k, image) for k in self._mine[IMAGE][image])
+
+    def slopes(self, image: int, samples: Array, values: Sequence[Array]) -> Array:
+        """(n, 2) m per sample, of an image's detector line where all variables have `values`, in the axes of its
+        pass.
+        """
+        interior, axes = self._network.images[image].interior, self._network.axes_of(image)
+        look, along = interior.looks(samples)
+        if axes is not None:
+            look, along = look @ axes, along @ axes
+        scale = interior.focal_length / look[:, 2:]
+        look, along = look * scale, along * scale
+        for k in self._mine[IMAGE][image]:
+            if self._network.shared[k].kind.is_interior:
+                moved, turned = self._of_interior(image, k, samples)
+                value = values[self._network.first_shared + k]
+                look = look + np.einsum("c,cna->na", value, moved)
+                along = along + np.einsum("c,cna->na", value, turned)
+        return np.asarray(along[:, :2] - look[:, :2] / look[:, 2:] * along[:, 2:])
+
+    def _of_interior(self, image: int, shared: int, samples: Array) -> tuple[Array, Array]:
+        """(width, n, 3) m per m, what an unknown of the interior orientation does to what pixels look along, in the
+        axes of the image's pass and as long as their looks are there; and how it changes, per sample.
+        """
+        interior, axes = self._network.images[image].interior, self._network.axes_of(image)
+        kind = self._network.shared[shared].kind
+        directions, slopes = interior_effect(interior, kind, samples, self._radii[shared])
+        if axes is None:
+            return directions, slopes
+        scale = interior.focal_length / (interior.looks(samples)[0] @ axes)[:, 2:]
+        return directions @ axes * scale, slopes @ axes * scale
+
+
+def bends(network: Network, shared: int, image: int) -> bool:
+    """Whether a shared unknown changes the slope of an image's detector line in the focal plane of its pass."""
+    kind = network.shared[shared].kind
+    return kind.radial_order > 0 or (kind.is_interior and network.axes_of(image) is not None)
 
 
 def _in_axes(axes: Array | None, effect: Array) -> Array:

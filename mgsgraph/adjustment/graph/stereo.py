@@ -171,10 +171,13 @@ def _of_surface(
     )
     sides, parts = np.full((mine.size, 4), -1, dtype=np.int64), []
     middle = [0.5 * network.images[image].lines for image in (first, second)]
-    lines = np.where(np.isfinite(at.heights)[:, None], at.lines, middle)
+    seen = np.isfinite(at.heights)[:, None]
+    lines = np.where(seen, at.lines, middle)
+    samples = np.where(seen, at.samples, [0.5 * network.images[image].samples for image in (first, second)])
     for side, image in enumerate((first, second)):
         sides[:, 2 * side] = image
-        sides[:, 2 * side + 1], part = _directions(network, effects, image, lines[:, side], at.by_pose[:, side])
+        at_places = lines[:, side], samples[:, side]
+        sides[:, 2 * side + 1], part = _directions(network, effects, image, *at_places, at.by_pose[:, side])
         parts.append(part)
     directions = np.hstack(parts)
     counted = _counted(network, values, sides, directions)
@@ -182,15 +185,16 @@ def _of_surface(
 
 
 def _directions(
-    network: Network, effects: SharedEffects, image: int, lines: Array, by_pose: Array
+    network: Network, effects: SharedEffects, image: int, lines: Array, samples: Array, by_pose: Array
 ) -> tuple[Index | int, Array]:
     """First of the four nodes at lines (n,) of an image (-1: none), and (n, c) m per unit of its `columns`.
 
-    `by_pose` (n, 7) is the height's derivative by position, rotation and focal length.
+    `by_pose` (n, 9) is the height's derivative by position, rotation, and what pixels at samples (n,) look along.
     """
     picture, strip, axes = network.images[image], int(network.pass_of[image]), network.axes_of(image)
     if axes is not None:
-        by_pose = np.hstack([by_pose[:, :3], by_pose[:, 3:6] @ axes, by_pose[:, 6:]])
+        length = (picture.interior.looks(samples)[0] @ axes)[:, 2:] / picture.interior.focal_length
+        by_pose = np.hstack([by_pose[:, :3], by_pose[:, 3:6] @ axes, by_pose[:, 6:] @ axes * length])
     moments = picture.moments(lines)
     node: Index | int = -1
     basis = np.zeros((lines.size, 0))
@@ -201,7 +205,7 @@ def _directions(
     elif network.with_polynomial[image]:
         basis = polynomial(moments.u, network.priors[image].degree)[0]
     own = np.einsum("nt,nc->ntc", basis, by_pose[:, :6]).reshape(lines.size, 6 * basis.shape[1])
-    shared = effects.of(IMAGE, image, moments.u)
+    shared = effects.of_rays(image, moments.u, samples)
     return node, np.hstack([own, np.einsum("nce,ne->nc", shared, by_pose[:, : shared.shape[2]])])
 
 
