@@ -1,4 +1,4 @@
-"""What an adjustment does not tell apart: mounting angles, lever arms and times against attitude and position of a pass.
+"""What an adjustment does not tell apart: mounting angles, lever arms and times, attitude and position of a pass.
 
 Of each pass the mean correction of position (along, across, radial) and of attitude (roll, pitch, yaw) over its time
 are compared with each other and with the unknowns that its images share, all in the axes of the flight, by their
@@ -195,7 +195,7 @@ def _means(network: Network, k: int, angles: Angles) -> Array:
 
 
 def _components(network: Network, unknown: SharedUnknown) -> list[tuple[str, Array]]:
-    """Name and weights (width,) of each component: of what a camera's axes are, in those of its first image's flight."""
+    """Name and weights (width,) of each component: those about a camera's axes as of the flight of its first image."""
     image = next((network.images[j] for j in unknown.images.tolist()), None)
     if image is not None and unknown.kind in (*_TURNING, *_ARMS):
         turned = unknown.kind in _TURNING
