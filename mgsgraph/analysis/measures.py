@@ -336,9 +336,11 @@ def _unknown(layout: Layout, variable: int, inside: int) -> tuple[str, str]:
         term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
         return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
     if variable >= network.first_of_passes[0]:
-        strip, node = network.of_passes(variable)
-        what, component = strip.part(node, inside)
-        return f"{COMPONENTS[component]} of {what} of strip {strip.name}", _unit(component)
+        one, node = network.of_passes(variable)
+        what, component = one.part(node, inside)
+        if node < len(one.nodes):
+            what += f" ({one.nodes.times[node] - one.nodes.times[0]:.6g} s past the first)"
+        return f"{COMPONENTS[component]} of {what} of pass {one.name}", _unit(component)
     if variable < network.first_shared:
         k = variable - len(network.images)
         return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}", network.shift_terms[k][inside].unit

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import Network
+from mgsgraph.network import Network, SharedKind, SharedUnknown
+from mgsgraph.network.shared import ground_shift
 from mgsgraph.ties import PointKind
 
 _BEYOND = 5.0
@@ -46,12 +47,9 @@ class UnexplainedRanges(NamedTuple):
 
 
 def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplained, ...]:
-    """Images whose residuals (k, 2), pixels, with the nominal orientation, are too large for the a-priori sigmas.
-
-    Nothing is said where unknowns that images share, or strips, move them too.
+    """Images whose residuals (k, 2), pixels, with the nominal orientation, are too large for the a-priori sigmas of
+    orientation, of passes and of the unknowns that images share.
     """
-    if network.shared or network.passes:
-        return ()
     expected = np.array([_pixels(network, j) for j in range(len(network.images))])
     whole = float(np.sqrt(np.sum(expected**2)))
     found = list[Unexplained]()
@@ -73,7 +71,7 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedR
     """Images whose range residuals (r,), m, with the nominal orientation, have too large a mean for the a-priori sigmas
     of orbit and footprints, all of whose errors are taken to be common.
 
-    Nothing is said of images in strips, nor of those that share unknowns by which ranges change.
+    Nothing is said of images that share unknowns by which ranges change.
     """
     ranges, points, found = network.ranges, network.points, list[UnexplainedRanges]()
     places, shifts = _place_sigmas(network), _shift_sigmas(network)
@@ -82,9 +80,9 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedR
     for j in np.unique(ranges.image).tolist():
         mine = np.flatnonzero((ranges.image == j) & np.isfinite(residuals))
         mine = mine[points.kinds[ranges.point[mine]] != PointKind.FREE]
-        if mine.size < _FEWEST or j in moved or network.pass_of[j] >= 0:
+        if mine.size < _FEWEST or j in moved:
             continue
-        orbit = 0.0 if network.held[j] else float(np.linalg.norm(network.priors[j].sigmas[:, :3]))
+        orbit = 0.0 if network.held[j] else float(np.linalg.norm(_sigmas(network, j)[:, :3]))
         ground, shift = (float(np.median(one[ranges.point[mine]])) for one in (places, shifts))
         common = ground, float(np.median(ranges.sigmas[mine])), orbit, shift
         sigma, mean = float(np.linalg.norm(common)), float(np.mean(residuals[mine]))
@@ -105,13 +103,35 @@ def _shift_sigmas(network: Network) -> Array:
     return np.asarray(np.sqrt(2.0) * np.append(network.shifts.sigmas, 0.0)[network.shifts.profile])
 
 
+def _sigmas(network: Network, image: int) -> Array:
+    """(k, 6) m and rad, of an image's own coefficients; of an image of a pass (1, 6), the largest of its nodes."""
+    owner = int(network.pass_of[image])
+    if owner < 0:
+        return network.priors[image].sigmas
+    one = network.passes[owner]
+    return np.asarray(one.prior.own_sigmas(one.nodes).max(axis=0)[None])
+
+
 def _pixels(network: Network, image: int) -> float:
-    """pixels, by which an image's places are off by one sigma of all its coefficients together, at most."""
-    if network.held[image]:
-        return 0.0
-    sigmas = network.priors[image].sigmas
+    """pixels, by which an image's places are off by one sigma of all that moves them together, at most."""
+    sigmas = np.zeros((1, 6)) if network.held[image] else _sigmas(network, image)
     spacing, away = _scale(network, image)
-    return float(np.hypot(np.linalg.norm(sigmas[:, :3]), np.linalg.norm(sigmas[:, 3:]) * away) / spacing)
+    own = np.hypot(np.linalg.norm(sigmas[:, :3]), np.linalg.norm(sigmas[:, 3:]) * away) / spacing
+    shared = [_shared_pixels(network, image, one, spacing) for one in network.shared]
+    return float(np.hypot(own, np.linalg.norm(shared)))
+
+
+def _shared_pixels(network: Network, image: int, one: SharedUnknown, spacing: float) -> float:
+    """pixels, by which an image's places are off by one sigma of a shared unknown; infinite where that isn't known."""
+    picture = network.images[image]
+    if not (one.of(image) and one.kind.acts_on_rays):
+        return 0.0
+    if one.kind is SharedKind.FOCAL_LENGTH:
+        return float(one.sigmas[0] / picture.interior.focal_length * 0.5 * picture.samples)
+    if not one.kind.moves_pose or picture.trajectory.spin is None:
+        return np.inf
+    moved = np.linalg.norm(ground_shift(picture, one.kind), axis=1)
+    return float(np.linalg.norm(moved * one.sigmas)) / spacing
 
 
 def _scale(network: Network, image: int) -> tuple[float, float]:

@@ -321,7 +321,7 @@ def _term(network: Network, where: str, hypothesis: Hypothesis, amplitude: float
             return f"[[images]] {image!r}: held = false"
         if j >= 0 and network.pass_of[j] >= 0:
             strip = network.passes[network.pass_of[j]].name
-            return f"[[strips]] {strip!r}: {_nodes(network, j, hypothesis, amplitude)}"
+            return f"[[passes]] or [[strips]], {strip!r}: {_nodes(network, j, hypothesis, amplitude)}"
         if hypothesis.kind is EffectKind.TREND:
             degree = network.priors[j].degree + 1 if j >= 0 else 3
             return f"[[images]] {image!r}: orientation = {{ degree = {degree} }}, or a wider trend"

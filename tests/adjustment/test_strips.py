@@ -100,8 +100,9 @@ def test_redundancy_of_all_rows_is_that_of_the_network() -> None:
     assert groups.squares.sum() == pytest.approx(2.0 * solution.cost_final, rel=1e-6)
     names = rows.names(np.flatnonzero(rows.measures.kind == MeasureKind.PRIOR))
     first = net.images[0].name
-    assert f"a-priori rotation x of node 3 of 7 of strip {first}" in names
-    assert f"a-priori X of bias of strip {first}" in names
+    since = 2.0 * net.passes[0].nodes.spacing
+    assert f"a-priori rotation x of node 3 of 7 ({since:.6g} s past the first) of pass {first}" in names
+    assert f"a-priori X of bias of pass {first}" in names
 
 
 def test_scaling_a_group_scales_its_rows() -> None:

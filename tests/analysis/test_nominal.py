@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from networks import network, pair
+from rigs import adjusted_rig, rig
 
 from mgsgraph.adjustment.adjust import predict
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.nominal import unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.strained import strained_orientations
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.reports.readings import beyond_priors_statements, range_statements
@@ -44,6 +46,33 @@ def test_unknown_orientations_explain_anything() -> None:
     unknown = OrientationPrior(np.full_like(net.priors[1].sigmas, np.inf))
     residuals = predict(net, SolverSettings()).residuals
     assert not unexplained_residuals(replace(net, priors=(net.priors[0], unknown)), residuals)
+
+
+@pytest.mark.parametrize("seed", range(20, 26))
+def test_what_a_pass_and_its_boresight_explain_is_let_be(seed: int) -> None:
+    net = rig(seed=seed)
+    assert not found(net)
+    assert not range_statements(net, predict(net, SolverSettings()).range_residuals)
+    assert not strained_orientations(adjusted_rig(seed))
+
+
+def test_interchanged_lines_and_samples_in_a_pass_are_named() -> None:
+    assert found(turned(rig(), 1, columns=True))[0] == "R"
+
+
+def test_ranges_of_a_pass_are_named_where_no_orbit_explains_them() -> None:
+    net = rig()
+    residuals = predict(scaled(net, 1.02), SolverSettings()).range_residuals
+    assert [one.image for one in unexplained_ranges(net, residuals)] == [0]
+
+
+def test_nodes_that_are_moved_beyond_their_sigmas_are_named() -> None:
+    solution = adjusted_rig()
+    sigmas = solution.network.passes[0].prior.own_sigmas(solution.network.passes[0].nodes)
+    moved = solution.nodes[0] + 8.0 * sigmas * (np.arange(6) == 4)
+    (one,) = strained_orientations(replace(solution, nodes=(moved,)))
+    assert one.image == 0
+    assert one.most == pytest.approx(8.0, abs=1.0)
 
 
 def scaled(net: Network, factor: float) -> Network:

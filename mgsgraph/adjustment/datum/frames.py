@@ -238,16 +238,16 @@ class Frames:
             term = network.shift_terms[shift][inside]
             return Axis(variable, network.shift_names[shift], term.name, 0, term.unit, False)
         if variable >= network.first_of_passes[0]:
-            return self._of_strip(variable, inside)
+            return self._of_pass(variable, inside)
         shared = network.shared[shift - len(network.shift_names)]
         name = " ".join([*([shared.kind] if shared.kind not in shared.name else []), shared.kind.components[inside]])
         return Axis(variable, f"shared unknown {shared.name}", name.strip() or "value", 0, shared.kind.unit, False)
 
-    def _of_strip(self, variable: int, inside: int) -> Axis:
-        """Axis of a column of a strip's node, whose axes are those of the strip's first image, or of its trend."""
-        strip, unknown = self.layout.network.of_passes(variable)
-        what, component = strip.part(unknown, inside)
-        own = unknown < len(strip.nodes)
-        name = self.of(int(strip.images[0])).axes[component] if own else f"{what} of {COMPONENTS[component]}"
-        owner = f"{what} of strip {strip.name}" if own else f"strip {strip.name}"
+    def _of_pass(self, variable: int, inside: int) -> Axis:
+        """Axis of a column of a pass's node, whose axes are those of its first image, or of its trend."""
+        one, unknown = self.layout.network.of_passes(variable)
+        what, component = one.part(unknown, inside)
+        own = unknown < len(one.nodes)
+        name = self.of(int(one.images[0])).axes[component] if own else f"{what} of {COMPONENTS[component]}"
+        owner = f"{what} of pass {one.name}" if own else f"pass {one.name}"
         return Axis(variable, owner, name, 0, "m" if component < 3 else "rad", False)

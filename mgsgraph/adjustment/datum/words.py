@@ -10,7 +10,7 @@ from mgsgraph.adjustment.datum.frames import Axis, FlightFrame, Frames
 from mgsgraph.geometry.records import Array
 from mgsgraph.wording import listed, some
 
-_NODE = re.compile(r"node (\d+) of (\d+) of (strip .+)")
+_NODE = re.compile(r"node (\d+) of (\d+) of (pass .+)")
 _LEAST = 0.01
 """Share of a direction from which a part is kept."""
 _NAMED = 0.08
@@ -107,21 +107,21 @@ def _owners(owners: Sequence[str]) -> str:
 
 
 def _with_runs(owners: Sequence[str]) -> list[str]:
-    """Owners, nodes of one strip put together: "nodes 2-5 and 9 of 12 of strip A", or "all 12 nodes of strip A"."""
-    of_strips, others = dict[tuple[str, str], list[int]](), list[str]()
+    """Owners, nodes of one pass put together: "nodes 2-5 and 9 of 12 of pass A", or "all 12 nodes of pass A"."""
+    of_passes, others = dict[tuple[str, str], list[int]](), list[str]()
     for owner in owners:
         if found := _NODE.fullmatch(owner):
-            of_strips.setdefault((found[2], found[3]), []).append(int(found[1]))
+            of_passes.setdefault((found[2], found[3]), []).append(int(found[1]))
         else:
             others.append(owner)
-    for (count, strip), numbers in of_strips.items():
+    for (count, owner), numbers in of_passes.items():
         if len(numbers) == int(count):
-            others.append(f"all {count} nodes of {strip}")
+            others.append(f"all {count} nodes of {owner}")
         else:
             runs = np.split(np.sort(numbers), np.flatnonzero(np.diff(np.sort(numbers)) > 1) + 1)
             texts = [f"{run[0]}-{run[-1]}" if run.size > 1 else f"{run[0]}" for run in runs]
             which = some(texts, len(texts)) if len(texts) > _MOST else listed(texts)
-            others.append(f"node{'s' * (len(numbers) > 1)} {which} of {count} of {strip}")
+            others.append(f"node{'s' * (len(numbers) > 1)} {which} of {count} of {owner}")
     return others
 
 
