@@ -11,7 +11,7 @@ from rigs import TURN, rig
 import mgsgraph
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.network import Pass
+from mgsgraph.network import Pass, ProcessPrior
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings
 from mgsgraph.network.node_priors import normalised
@@ -47,6 +47,32 @@ def test_what_is_not_said_is_as_for_images(tmp_path: Path) -> None:
     found = mgsgraph.read_case(path).network.passes[0]
     sigmas = found.prior.node_sigmas(normalised(found.nodes))
     np.testing.assert_allclose(sigmas[0], np.repeat([np.hypot(70.0, 7.0), np.hypot(0.4, 0.04) * MRAD], 3), rtol=1e-5)
+
+
+def test_processes_add_up_beside_a_line_in_time(tmp_path: Path) -> None:
+    """The CTX case: slow departures and jitter of the attitude, whose strengths are estimated; positions are a line."""
+    tables = """
+[passes.position]
+degree = 1
+sigmas_m = [50.0, 10.0]
+[passes.attitude]
+model = "matern-5/2"
+sigma_mrad = "estimated"
+correlation_time_s = 1.0
+bias_sigma_mrad = 0.3
+plus = [{ model = "jitter", sigma_mrad = 0.004, frequency_hz = 2.0 }]
+"""
+    found = pass_of(tmp_path, tables)
+    prior = found.prior
+    assert isinstance(prior, ProcessPrior)
+    slow, jitter = prior.attitude
+    assert (slow.kind, slow.correlation_time, slow.estimated) == ("matern-5/2", 1.0, True)
+    assert (jitter.frequency, jitter.bandwidth, jitter.estimated) == (2.0, 0.2, False)
+    np.testing.assert_allclose(jitter.sigmas, 0.004 * MRAD)
+    np.testing.assert_allclose(prior.bias, np.repeat([50.0, 0.3e-3], 3))
+    np.testing.assert_allclose(prior.drift, np.repeat([10.0, 0.0], 3))
+    assert prior.position[0].sigmas.max() < 0.01
+    assert 0.9 / 16.0 < found.nodes.spacing <= 1.0 / 16.0  # an eighth of a cycle
 
 
 def test_a_process_is_that_of_strips(tmp_path: Path) -> None:
@@ -108,6 +134,7 @@ MARKOV = '''
 position = {{ model = "gauss-markov", sigma_m = 1{0} }}
 attitude = {{ model = "gauss-markov", sigma_mrad = 1{0} }}
 '''
+JITTER = 'attitude = {{ model = "jitter", sigma_mrad = 0.01{0} }}\n'
 TWO = '[[passes]]\nname = "two"\n'
 WRONG = {
     "an image in two passes": (PASS + TWO + 'images = ["R"]', r"passes\[1\], images: 'R', which pass 'one' has"),
@@ -123,12 +150,21 @@ WRONG = {
     "two units": (PASS + "attitude = { sigmas_mrad = [1], sigmas_mgon = [1] }", "sigmas_mrad and sigmas_mgon"),
     "no correlation time": (
         PASS + MARKOV.format(""),
-        "correlation_time_s: gauss-markov without a correlation time",
+        r"passes\[0\]\.position, correlation_time_s: gauss-markov without it; expected seconds in which",
     ),
     "a correlation time of 0": (
         PASS + MARKOV.format(", correlation_time_s = 0"),
-        "correlation_time_s: 0 s: a correlation time; expected seconds in which",
+        r"position, correlation_time_s: 0; expected seconds in which.* above 0",
     ),
+    "jitter without frequency": (PASS + JITTER.format(""), "attitude, frequency_hz: jitter without it; expected cyc"),
+    "broad jitter": (PASS + JITTER.format(", frequency_hz = 2, bandwidth_hz = 3"), "bandwidth: 3.0"),
+    "a cubic beside a process": (
+        PASS + JITTER.format(", frequency_hz = 2") + "position = { degree = 2 }", "a polynomial of degree 2 beside a"
+    ),
+    "another unit": (
+        PASS + JITTER.format(', frequency_hz = 2, plus = [{ model = "white", sigma_m = 1 }]'), r"plus\[0\]: sigma_m, of att"
+    ),
+    "estimated what": (PASS + 'position = { model = "white", sigma_m = "found" }', "'found'"),
     "keys of another model": (PASS + "position = { sigma_m = 1 }", 'sigma_m beside model = "polynomial"'),
     "nodes for polynomials": (PASS + "nodes = { spacing_s = 1 }", "nodes beside polynomials"),
     "an unknown model": (PASS + 'position = { model = "spline" }', "'spline'; expected one of 'gauss-markov', "),

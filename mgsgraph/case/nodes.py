@@ -13,7 +13,7 @@ from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenl
 from mgsgraph.network.joining import seconds, straightest
 from mgsgraph.wording import listed
 
-_SPACING = 10.0
+SPACING = 10.0
 """s between nodes where nothing is said: 40 km on the ground for Mars Express."""
 _MOST_NODES = 10_000
 """In a strip; more are a slip in the unit of their spacing."""
@@ -43,7 +43,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if self.times_et_s or self.times_utc:
             times = tdb_of_utc(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
             return OrientationImages(self.basis, epoch, times - epoch)
-        spacing = self.spacing_s or _SPACING
+        spacing = self.spacing_s or SPACING
         if self.spacing_lines is not None:
             reference = pictures[straightest(pictures)]
             first, last = seconds(reference)

@@ -8,15 +8,15 @@ import msgspec
 import numpy as np
 
 from mgsgraph.altimetry.time_scales import utc_of_tdb
-from mgsgraph.case.motion import AttitudeInput, PositionInput, polynomial_sigmas, process_sigmas
-from mgsgraph.case.nodes import NodesInput
+from mgsgraph.case.motion import AttitudeInput, Motion, PositionInput, polynomial_sigmas, processes, still, trend_sigmas
+from mgsgraph.case.nodes import SPACING, NodesInput
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Index
-from mgsgraph.network import NodePrior, Pass, PassPrior, PolynomialPrior
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings, seconds
 
@@ -32,7 +32,8 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     images: tuple[str, ...] | None = None
     """Names of its images; when absent, all that no other pass or strip names, each with those of its own pass."""
     nodes: NodesInput | None = None
-    """Its orientation images; for polynomials four over the pass, and nothing to say."""
+    """Its orientation images; for polynomials four over the pass, and nothing to say. Of processes one every half
+    correlation time or eighth of a cycle when absent."""
     position: PositionInput = PositionInput()
     """What is known of its positions beforehand."""
     attitude: AttitudeInput = AttitudeInput()
@@ -46,13 +47,20 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def nodes_of(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
         """Nodes of a pass of these images; `where` names this table."""
         if not self.polynomial:
-            return (self.nodes or NodesInput()).images(pictures, f"{where}.nodes")
+            nodes = self.nodes or NodesInput(spacing_s=min(self._spacing(), _longest(pictures)))
+            return nodes.images(pictures, f"{where}.nodes")
         if self.nodes is not None:
             found = "nodes beside polynomials, which four nodes over the pass carry"
             raise InputError(where, found, "nodes with a process", "take one of the two out")
         edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
         start, stop = float(edges[:, 0].min()) - epoch, float(edges[:, 1].max()) - epoch
         return evenly_spaced("lagrange", epoch, (start, stop), stop - start)
+
+    def _spacing(self) -> float:
+        """S between nodes that describe the fastest process: half its correlation time, an eighth of a cycle."""
+        every = [one for motion in (self.position, self.attitude) for one in (motion, *motion.plus)]
+        times = [one.correlation_time_s / 2.0 for one in every if one.correlation_time_s]
+        return min([*times, *(1.0 / (8.0 * one.frequency_hz) for one in every if one.frequency_hz)], default=SPACING)
 
     def prior(self, where: str, default: OrientationPrior) -> PassPrior:
         """What is known of the nodes beforehand; `default` is that of [orientation], `where` names this table."""
@@ -62,22 +70,29 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
                 polynomial_sigmas(self.position, default.sigmas[:, :3], places[0]),
                 polynomial_sigmas(self.attitude, default.sigmas[:, 3:], places[1]),
             )
-        if self.position.model != self.attitude.model:
-            found = f'position = "{self.position.model}" and attitude = "{self.attitude.model}"'
-            raise InputError(where, found, "the same model for both")
-        position, attitude = process_sigmas(self.position, places[0]), process_sigmas(self.attitude, places[1])
-        if self.position.correlation_time_s != self.attitude.correlation_time_s:
-            raise InputError(where, "two correlation times", "the same for position and attitude")
-        sigmas, bias, drift = (np.concatenate(both) for both in zip(position, attitude, strict=True))
-        return NodePrior(sigmas, bias, drift, float(self.position.correlation_time_s or 0.0))
+        parts, trends = list[tuple[Process, ...]](), list[tuple[Array, Array]]()
+        tables: tuple[Motion, Motion] = (self.position, self.attitude)
+        for motion, columns, place in zip(tables, (slice(3), slice(3, 6)), places, strict=True):
+            trends.append(trend_sigmas(motion, default.sigmas[:, columns], place))
+            line = motion.model == "polynomial"
+            parts.append(still(trends[-1][0]) if line else processes(motion, place))
+        bias, drift = (np.concatenate(both) for both in zip(*trends, strict=True))
+        with errors_from(where):
+            return ProcessPrior(parts[0], parts[1], bias, drift)
 
     def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
         """About what is known of one of its images by itself: the constant and the linear part."""
         prior = self.prior(where, default)
         if isinstance(prior, PolynomialPrior):
             return OrientationPrior(prior.coefficient_sigmas)
-        assert isinstance(prior, NodePrior)
-        return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
+        assert isinstance(prior, ProcessPrior)
+        return OrientationPrior(np.stack([prior.node_sigmas(np.zeros(1))[0], np.maximum(prior.drift, 1e-9)]))
+
+
+def _longest(pictures: Sequence[PushbroomImage]) -> float:
+    """S from the first line of some images to the last one."""
+    edges = np.array([seconds(image) for image in pictures])
+    return float(edges[:, 1].max() - edges[:, 0].min())
 
 
 Trajectories = Sequence[StripInput | PassInput]
