@@ -128,6 +128,8 @@ def _shared_pixels(network: Network, image: int, one: SharedUnknown, spacing: fl
         return 0.0
     if one.kind is SharedKind.FOCAL_LENGTH:
         return float(one.sigmas[0] / picture.interior.focal_length * 0.5 * picture.samples)
+    if one.kind.is_interior:  # m in the focal plane, of radial distortion at the farthest pixel
+        return float(np.linalg.norm(one.sigmas)) / (picture.pixel_angle * picture.interior.focal_length)
     if not one.kind.moves_pose or picture.trajectory.spin is None:
         return np.inf
     moved = np.linalg.norm(ground_shift(picture, one.kind), axis=1)

@@ -16,7 +16,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
 
@@ -115,7 +115,8 @@ def not_told_apart(
     correlation = covariance[np.ix_(known, known)] / np.outer(sigmas[known], sigmas[known])
     found = []
     for group in _groups(correlation, limit):
-        mine = [Quantity(*named[k], float(sigmas[k])) for k in known[group].tolist()]
+        members = known[group].tolist()
+        mine = [Quantity(named[k][0], named[k][1], named[k][2], float(sigmas[k])) for k in members]
         found.append(_described(mine, correlation[np.ix_(group, group)]))
     return tuple(sorted(found, key=lambda one: one.sigma / one.quantities[0].sigma))
 
@@ -133,7 +134,7 @@ def _described(mine: list[Quantity], correlation: Array) -> NotToldApart:
     return NotToldApart(tuple(mine[k] for k in order), largest, coefficients / scale, sigma)
 
 
-def _groups(correlation: Array, limit: float) -> list[Array]:
+def _groups(correlation: Array, limit: float) -> list[Index]:
     """Groups that hang together by pairs; then each quantity of none of them whose multiple correlation with all others
     exceeds the limit, with those of the others that it depends on.
     """
@@ -199,8 +200,8 @@ def _components(network: Network, unknown: SharedUnknown) -> list[tuple[str, Arr
     image = next((network.images[j] for j in unknown.images.tolist()), None)
     if image is not None and unknown.kind in (*_TURNING, *_ARMS):
         turned = unknown.kind in _TURNING
-        names = ("roll", "pitch", "yaw") if turned else ("along", "across", "up")
-        return [(f"{name} of {unknown.name}", row) for name, row in zip(names, _flight(image, turned), strict=True)]
+        axes = ("roll", "pitch", "yaw") if turned else ("along", "across", "up")
+        return [(f"{axis} of {unknown.name}", row) for axis, row in zip(axes, _flight(image, turned), strict=True)]
     names = unknown.kind.components
     return [(f"{name} of {unknown.name}" if name else unknown.name, row)
             for name, row in zip(names, np.eye(len(names)), strict=True)]  # fmt: skip

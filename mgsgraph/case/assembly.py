@@ -198,8 +198,8 @@ class Parts:
             return laser_profile(taken, name, wanted, of_each[0][0] if of_each else None)
         for image, mine in of_each:
             names = [taken.ids[k] for k in mine.tolist()]
-            require_ranges(image, *(one[mine] for one in (taken.times, taken.footprints, taken.ranges)), taken.source,
-                           names)  # fmt: skip
+            times, places, ranges = taken.times[mine], taken.footprints[mine], taken.ranges[mine]
+            require_ranges(image, times, places, ranges, taken.source, names)
         return laser_profile(taken, name, wanted, None, ranged=of_each[0][0].name)
 
     def _add_shifts(self, name: str, taken: AltimeterShots, wanted: ShotsInput, first: int) -> None:

@@ -121,6 +121,8 @@ class _Camera(NamedTuple):
     summing: float
     distortion: str
     coefficients: list[float]
+    radial: list[float]
+    point: list[float]
     covered: tuple[float, float]
     lines: int
     times: Numbers
@@ -139,10 +141,18 @@ def _cameras() -> dict[str, _Camera]:
             int(said["SPACECRAFT"][0]), frame, int(_variable(f"CK_{frame}_SCLK")[0]), int(said["BODY"][0]),
             said["BODY_FRAME"][0], said["FOCAL_LENGTH"][0], np.array(said["ITRANSL"]), np.array(said["ITRANSS"]),
             np.array(said["DETECTOR_CENTRE"]), np.array(said["DETECTOR_FIRST"]), said["SAMPLE_SUMMING"][0],
-            said["DISTORTION"][0], said["OD_K"], (said["LINES_COVERED"][0], said["LINES_COVERED"][1]),
-            int(said["IMAGE_LINES"][0]), np.array(said["LINE_TIMES"]).reshape(-1, 3),
+            said["DISTORTION"][0], said["OD_K"], *_added(int(number)),
+            (said["LINES_COVERED"][0], said["LINES_COVERED"][1]), int(said["IMAGE_LINES"][0]),
+            np.array(said["LINE_TIMES"]).reshape(-1, 3),
         )  # fmt: skip
     return found
+
+
+def _added(number: int) -> tuple[list[float], list[float]]:
+    """Radial coefficients and principal point that an adjustment found; zeros where there are none."""
+    if not spiceypy.expool(f"INS{number}_OD_POINT"):
+        return [0.0] * 3, [0.0] * 2
+    return _variable(f"INS{number}_OD_RADIAL"), _variable(f"INS{number}_OD_POINT")
 
 
 def _seen(camera: _Camera, points: Numbers) -> Numbers:
@@ -198,12 +208,18 @@ def _distorted(camera: _Camera, ideal: Numbers) -> Numbers:
     }  # fmt: skip
     if camera.distortion not in forms:
         raise InputError("instrument kernel, DISTORTION", repr(camera.distortion), ", ".join(forms))
-    ideally, place = forms[camera.distortion], ideal.copy()
+    model, place = forms[camera.distortion], ideal.copy()
+    c1, c2, c3 = camera.radial
+
+    def ideally(at: Numbers) -> Numbers:
+        plane = model(at, camera.coefficients)
+        square = (plane**2).sum(axis=0)
+        whole = 1.0 + c1 * square + c2 * square**2 + c3 * square**3
+        return np.asarray(plane * whole - np.array(camera.point)[:, None])
+
     for _ in range(_STEPS):
-        here = ideally(place, camera.coefficients)
-        (a, c), (b, d) = (
-            (ideally(place + _NUDGE * axis[:, None], camera.coefficients) - here) / _NUDGE for axis in np.eye(2)
-        )
+        here = ideally(place)
+        (a, c), (b, d) = ((ideally(place + _NUDGE * axis[:, None]) - here) / _NUDGE for axis in np.eye(2))
         x, y = ideal - here
         place = place + np.array([d * x - b * y, a * y - c * x]) / (a * d - b * c)
     return place

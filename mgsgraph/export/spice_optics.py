@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.distortion import (
+    CorrectedDistortion,
     Distortion,
     KaguyaDistortion,
     KaguyaMiDistortion,
@@ -57,14 +58,29 @@ def optics_comment() -> str:
     for name, model in _MODELS.items():
         first, *rest = model.said.split("\n")
         lines += [f"            {name:<11}{first}", *(f"            {'':<11}{line}" for line in rest)]
+    lines += [
+        "            OD_RADIAL, OD_POINT (where an adjustment found them) go on from there, with (x, y) of the model:",
+        "                       (x, y) (1 + c1 r^2 + c2 r^4 + c3 r^6) - OD_POINT, r^2 = x^2 + y^2,",
+        "                       OD_RADIAL = c1 c2 c3",
+    ]
     return "\n".join(lines).replace("            NONE", "DISTORTION  NONE", 1)
+
+
+def adjusted_optics(distortion: Distortion) -> dict[str, list[float]]:
+    """What an adjustment added to a model: radial coefficients in powers of mm, and the principal point in mm."""
+    if not isinstance(distortion, CorrectedDistortion):
+        return {}
+    radial = [value * MM ** (2 * n + 2) for n, value in enumerate(distortion.radial)]
+    return {"OD_RADIAL": radial, "OD_POINT": [value / MM for value in distortion.point]}
 
 
 def stated_optics(distortion: Distortion, name: str) -> tuple[str, list[float]]:
     """Model and coefficients, in powers of mm; InputError for a model that the kernel has no formula of.
 
-    `name` is the image's.
+    `name` is the image's. What an adjustment added is in `adjusted_optics`.
     """
+    if isinstance(distortion, CorrectedDistortion):
+        distortion = distortion.nominal
     for word, model in _MODELS.items():
         if isinstance(distortion, model.kind):
             fields = astuple(cast(Any, distortion))

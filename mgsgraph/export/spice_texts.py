@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.export.spice_optics import optics_comment, stated_optics
+from mgsgraph.export.spice_optics import adjusted_optics, optics_comment, stated_optics
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.folders import PROGRAM
@@ -247,6 +247,7 @@ def _instrument(body: Body, one: Carrier) -> str:
         "SAMPLE_SUMMING": _numbers([interior.sample_summing]),
         "DISTORTION": f"'{model}'",
         "OD_K": _numbers(coefficients),
+        **{key: _numbers(values) for key, values in adjusted_optics(interior.distortion).items()},
         "LINES_COVERED": _numbers(one.covered),
         "LINE_TIMES": _numbers(times),
         **_field_of_view(one),
