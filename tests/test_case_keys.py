@@ -24,7 +24,7 @@ def test_every_key_is_there_with_a_meaning_and_a_kind() -> None:
         assert table.meaning
         for key in table.keys:
             assert key.meaning, f"{table.head} {key.name}"
-            assert re.fullmatch(r"[a-z\d\"][\w ,\"+-]*", key.kind), f"{table.head} {key.name}: {key.kind}"
+            assert re.fullmatch(r"[a-z\d\"][\w ,\"+/-]*", key.kind), f"{table.head} {key.name}: {key.kind}"
     (kernels,) = [key for key in TABLES["images"].keys if key.name == "kernels"]
     assert kernels.kind == "list of texts"
     (loss,) = [key for key in TABLES["solver"].keys if key.name == "loss"]

@@ -162,7 +162,7 @@ WRONG = {
         PASS + JITTER.format(", frequency_hz = 2") + "position = { degree = 2 }", "a polynomial of degree 2 beside a"
     ),
     "another unit": (
-        PASS + JITTER.format(', frequency_hz = 2, plus = [{ model = "white", sigma_m = 1 }]'), r"plus\[0\]: sigma_m, of att"
+        PASS + JITTER.format(', frequency_hz = 2, plus = [{ model = "white", sigma_m = 1 }]'), "sigma_m, of att"
     ),
     "estimated what": (PASS + 'position = { model = "white", sigma_m = "found" }', "'found'"),
     "keys of another model": (PASS + "position = { sigma_m = 1 }", 'sigma_m beside model = "polynomial"'),

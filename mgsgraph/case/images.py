@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from mgsgraph.case.case_file import image_file
+from mgsgraph.case.mountings import mounted_images
 from mgsgraph.case.passes import table_names
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceInput
 from mgsgraph.case.strips import StripInput
@@ -47,8 +48,18 @@ def read_images(
         found[j], fit = orientation.nominal_of(found[j])
         fits.append(fit)
     images = tuple(found[j] for j in range(len(wanted.images)))
+    images = mounted_images(wanted.mountings, instruments(wanted, path), images, str(path))
     require_distinct(images, f"{path}, images")
     return images, tuple(fit for fit in fits if fit is not None)
+
+
+def instruments(wanted: CaseInput, path: Path) -> list[str]:
+    """What the file of each image calls its instrument, in capitals, if [[mountings]] ask for it; empty where it does not
+    say.
+    """
+    asked = any(one.instrument for one in wanted.mountings)
+    files = [entry.label or entry.cube if asked else None for entry in wanted.images]
+    return [instrument_of(path.parent / file) if file is not None else "" for file in files]
 
 
 def _require_of_pass(

@@ -18,9 +18,10 @@ from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
+from mgsgraph.case.images import instruments, read_images
 from mgsgraph.case.images import read_image as read_image
-from mgsgraph.case.images import read_images
 from mgsgraph.case.laser import AltimetryInput, ShotsInput
+from mgsgraph.case.mountings import mounted, mounting_unknowns
 from mgsgraph.case.passes import members, passes_of
 from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
@@ -207,10 +208,14 @@ def _with_shared(
     """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
     go with its rows.
     """
-    if not (wanted.shared or of_profiles):
+    if not (wanted.shared or of_profiles or wanted.mountings):
         return network
     names = [image.name for image in network.images]
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
+    of_mountings = mounted(wanted.mountings, instruments(wanted, path), names, str(path))
+    unknown = mounting_unknowns(wanted.mountings, of_mountings, network, str(path))
+    _require_once(shared, unknown, names, path)
+    shared += unknown
     if not laser:
         shared = tuple(one for one in shared if not one.kind.of_laser)
     shared += tuple(of_profiles)
@@ -218,6 +223,17 @@ def _with_shared(
         network = replace(network, shared=shared)
         network.require_observed()
         return network
+
+
+def _require_once(
+    shared: Sequence[SharedUnknown], mountings: Sequence[SharedUnknown], names: Sequence[str], path: Path
+) -> None:
+    """Raise InputError where both [[shared]] and [[mountings]] have a boresight or lever arm of one image."""
+    for one in mountings:
+        for other in shared:
+            for j in np.intersect1d(one.images, other.images)[: int(one.kind is other.kind)].tolist():
+                found = f"a {one.kind} of image {names[j]} in [[shared]], too ({other.name})"
+                raise InputError(f"{path}, mountings", found, "one of the two")
 
 
 def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
@@ -278,6 +294,7 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
         parts.add_altimetry(read_altimetry(altimetry, path.parent, parts.images[0].body), altimetry)
     stated = [one for one in wanted.shared if one.kind == "altimeter boresight"]
     pointed = frozenset(name for one in stated for name in one.images or [image.name for image in wanted.images])
+    pointed |= {name for one in wanted.mountings if one.boresight_sigma_mrad is not None for name in one.laser}
     return tuple(parts.add_shots(read_profile(entry, path.parent), entry, pointed) for entry in wanted.shots)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
+from mgsgraph.case.mountings import MountingInput
 from mgsgraph.case.numbers import Factor, Positive, Sigma
 from mgsgraph.case.passes import PassInput
 from mgsgraph.case.strips import StripInput
@@ -308,6 +309,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     while their sigmas enter those of all else (Schmidt 1966)."""
     passes: tuple[PassInput, ...] = ()
     """Images on one trajectory, adjusted through its corrections in time."""
+    mountings: tuple[MountingInput, ...] = ()
+    """How cameras and the laser stand against the trajectories that carry them."""
     strips: tuple[StripInput, ...] = ()
     """The same of several lines of one camera (HRSC), through orientation images."""
     spice: SpiceInput | None = None
