@@ -27,7 +27,7 @@ NUGGET = 1e-5
 """Times a process's sigma: white noise that keeps its covariances regular."""
 DIVERGENCE = 0.01
 """Nats a node: Kullback-Leibler divergence from the whole process below which neighbours are enough."""
-_MEMORIES = (1, 2, 3, 4, 5, 6, 8, 10, 12)
+_MEMORIES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)
 """Numbers of neighbours that are tried."""
 _WINDOW = 48
 """Nodes before one that stand for all of them."""
