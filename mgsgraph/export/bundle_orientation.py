@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import splu
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import PLACES
@@ -16,6 +18,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.network import Network, Pass, PolynomialPrior
 from mgsgraph.network.corrections import designs
 
 PARAMETERS = ("X", "Y", "Z", "RA", "DEC", "TWIST")
@@ -37,16 +40,20 @@ class OrientationPolynomials(NamedTuple):
     correction: Array
     """(6, d + 1) adjusted minus nominal."""
     prior: Array
-    """(6, d + 1) a-priori sigmas by the image's own prior: infinite where nothing is known, NaN where it has none."""
+    """(6, d + 1) a-priori sigmas by the prior of the image, or of its pass: infinite where nothing is known, NaN where
+    it has none."""
     sigma: Array
     """(6, d + 1) of the adjusted ones, for sigma0 = 1; zero of a held image that shares nothing."""
 
 
 def common_degree(solution: Solution) -> int:
-    """Highest degree of the images' own polynomials; jigsaw's usual 2 where no image has any."""
+    """Highest degree of the polynomials of images and passes; jigsaw's usual 2 where none has any."""
     network = solution.network
-    images = np.flatnonzero(network.with_polynomial).tolist()
-    return max((network.priors[j].degree for j in images), default=_USUAL_DEGREE)
+    degrees = [network.priors[j].degree for j in np.flatnonzero(network.with_polynomial).tolist()]
+    for one in network.passes:
+        if isinstance(one.prior, PolynomialPrior):
+            degrees.append(max(len(one.prior.attitude_sigmas), len(one.prior.position_sigmas)) - 1)
+    return max(degrees, default=_USUAL_DEGREE)
 
 
 def orientation_polynomials(solution: Solution, image: int, degree: int) -> OrientationPolynomials:
@@ -103,4 +110,40 @@ def _sigmas(
         own = np.where(np.abs(own) > _NOTHING * np.abs(own).max(axis=1, keepdims=True), own, 0.0)
         counts, sigmas = own != 0.0, np.broadcast_to(network.priors[image].sigmas.ravel(), own.shape)
         prior = np.sqrt(np.sum(np.where(counts, own, 0.0) ** 2 * np.where(counts, sigmas, 0.0) ** 2, axis=1))
+    elif network.pass_of[image] >= 0:
+        owner, turn = int(network.pass_of[image]), network.axes_of(image)
+        prior = _pass_sigmas(network, owner, lines, image, turned, fit, np.eye(3) if turn is None else turn)
     return prior.reshape(shape), np.sqrt(np.maximum(variance, 0.0)).reshape(shape)
+
+
+def _pass_sigmas(
+    network: Network, owner: int, lines: Array, image: int, turned: Sequence[Array], fit: Array, axes: Array
+) -> Array:
+    """(6 (d + 1),) a-priori sigmas of an image's coefficients by what is known of its pass's nodes and trend."""
+    one, moments = network.passes[owner], network.images[image].moments(lines)
+    basis, _ = one.nodes.dense(moments.times, moments.epoch)
+    halves = [np.einsum("nij,nk->nikj", part, basis) for part in (turned[0], turned[1] @ axes)]
+    design = np.zeros((lines.size, 6, basis.shape[1], 6))
+    design[:, :3, :, :3], design[:, 3:, :, 3:] = halves
+    rows = np.einsum("kn,nc...->ck...", fit, design).reshape(6 * fit.shape[0], -1)
+    scales = np.concatenate([np.where(np.isfinite(sigmas), sigmas, 1.0) for sigmas in one.sigmas])
+    root = _prior_root(one, scales)
+    rows = np.pad(rows, ((0, 0), (0, scales.size - rows.shape[1]))) * scales
+    information = (root.T @ root).tocsc()
+    try:
+        found = splu(information).solve(np.ascontiguousarray(rows.T))
+    except RuntimeError:  # exactly singular: nodes of which nothing is known
+        return np.full(rows.shape[0], np.inf)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("rc,cr->r", rows, found), 0.0)))
+
+
+def _prior_root(one: Pass, scales: Array) -> csr_array:
+    """(rows, columns) whitened rows of a pass's prior on its nodes and trend, in units of `scales`."""
+    first, parts, height = np.concatenate([[0], np.cumsum(one.widths)]), list[tuple[Array, Array, Array]](), 0
+    for factor in one.prior.factors(one.nodes):
+        for unknown, block in zip(factor.unknowns, factor.blocks, strict=True):
+            row, column = np.nonzero(block)
+            parts.append((height + row, first[unknown] + column, block[row, column] * scales[first[unknown] + column]))
+        height += factor.blocks[0].shape[0]
+    row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return csr_array((value, (row, column)), shape=(height, scales.size))

@@ -10,7 +10,7 @@ from mgsgraph.export.bundle_orientation import PARAMETERS, OrientationPolynomial
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.network import PointClass
+from mgsgraph.network import Network, PointClass, PolynomialPrior
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM
 from mgsgraph.wording import root_mean_square
@@ -113,7 +113,7 @@ def _head(solution: Solution, tables: Tables, scaled: bool) -> list[str]:
         "* Residuals are measured minus predicted, in pixels of the image (jigsaw: of the detector, undistorted).",
         f"* X, Y, Z, RA, DEC, TWI: polynomials of the time past each image's middle, fitted to its lines, axes {axes}.",
         "  RA, DEC, TWI: angles about the axes 3, 1, 3, as jigsaw's. Initial values are the nominal orientation's,",
-        "  with time biases applied; initial accuracies are the image's own (of shared unknowns nothing is in them).",
+        "  with time biases applied; initial accuracies are those of image or pass (nothing of shared unknowns).",
         "* Laser footprints count among the points; what has no counterpart here is N/A.",
         f"* State: {'converged' if solution.converged else 'NOT converged'}. {solution.message}",
         "",
@@ -132,12 +132,13 @@ def _head(solution: Solution, tables: Tables, scaled: bool) -> list[str]:
 def _options(solution: Solution) -> list[str]:
     network, settings = solution.network, solution.settings
     own = np.flatnonzero(network.with_polynomial).tolist()
-    degree = max((network.priors[j].degree for j in own), default=None)
-    solved = "ALL POLYNOMIAL COEFFICIENTS" if degree is not None and degree >= len(_SOLVED) else None
     none = "N/A (orientation images)" if network.passes else "NONE"
-    kinds = [solved or name + _SOLVED[degree] if degree is not None else none for name in ("ANGLES", "POSITION")]
-    more = [[f"{key}: {degree}" for key in keys] if solved else [] for keys in (
-        ("CKDEGREE", "CKSOLVEDEGREE"), ("SPKDEGREE", "SPKSOLVEDEGREE"))]  # fmt: skip
+    kinds, more = list[str](), list[list[str]]()
+    for name, keys, degree in zip(("ANGLES", "POSITION"), (("CKDEGREE", "CKSOLVEDEGREE"), ("SPKDEGREE",
+                                  "SPKSOLVEDEGREE")), _degrees(network, own), strict=True):  # fmt: skip
+        solved = degree is not None and degree >= len(_SOLVED)
+        kinds.append("ALL POLYNOMIAL COEFFICIENTS" if solved else none if degree is None else name + _SOLVED[degree])
+        more.append([f"{key}: {degree}" for key in keys] if solved else [])
     over = "ON" if all(isinstance(image.trajectory, Trajectory) for image in network.images) else "OFF"
     reject, robust = settings.reject > 0.0, settings.loss != "none"
     return [
@@ -165,6 +166,15 @@ def _options(solution: Solution) -> list[str]:
         *(f"{f'POINT {name} SIGMA':>33}: N/A" for name in _COORDINATES),
         *_prior_lines(solution, own),
     ]  # fmt: skip
+
+
+def _degrees(network: Network, own: list[int]) -> tuple[int | None, int | None]:
+    """Highest degree of the polynomials of attitude and of position, of images and passes; None where none has any."""
+    of_passes = [one.prior for one in network.passes if isinstance(one.prior, PolynomialPrior)]
+    both = [network.priors[j].degree for j in own]
+    attitude = [*both, *(len(prior.attitude_sigmas) - 1 for prior in of_passes)]
+    position = [*both, *(len(prior.position_sigmas) - 1 for prior in of_passes)]
+    return max(attitude, default=None), max(position, default=None)
 
 
 def _prior_lines(solution: Solution, own: list[int]) -> list[str]:

@@ -29,7 +29,7 @@ from mgsgraph.geometry.distortion import RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.network import NodePrior, Pass, SharedKind, SharedUnknown
+from mgsgraph.network import NodePrior, Pass, PolynomialPrior, SharedKind, SharedUnknown
 from mgsgraph.network.joining import mountings, seconds
 
 HADLEY = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "jigsaw_nac.toml"
@@ -217,3 +217,33 @@ def test_the_real_rig_comes_back(shared_data: Path, tmp_path: Path) -> None:
     assert len(segments(tmp_path)) == 1
     assert spice_differences(tmp_path, reprojection(solution)).max() < TOLERANCE
     assert csm_differences(tmp_path, reprojection(solution)).max() < CSM
+
+
+def test_prior_sigmas_of_a_pass_are_those_of_its_draws() -> None:
+    """Nodes drawn from the prior, independently, make the polynomials' coefficients scatter by what is written."""
+    solution, rng = adjusted_rig(), np.random.default_rng(5)
+    one, prior = solution.network.passes[0], solution.network.passes[0].prior
+    assert isinstance(prior, NodePrior)
+    memory = np.exp(-np.diff(one.nodes.times) / prior.correlation_time)
+    drawn = []
+    for _ in range(400):
+        noise = rng.standard_normal((len(one.nodes), 6)) * prior.sigmas
+        for k, forgotten in enumerate(np.sqrt(1.0 - memory**2).tolist()):
+            noise[k + 1] = memory[k] * noise[k] + forgotten * noise[k + 1]
+        nodes = noise + rng.standard_normal(6) * prior.bias
+        drawn.append(orientation_polynomials(replace(solution, nodes=(nodes,), shared=(np.zeros(3),)), 1, 2).correction)
+    scatter = np.sqrt(np.mean(np.square(drawn), axis=0))
+    np.testing.assert_allclose(orientation_polynomials(solution, 1, 2).prior, scatter, rtol=0.16)
+
+
+def test_polynomials_of_a_pass_are_named_by_their_degrees(tmp_path: Path) -> None:
+    one = rig().passes[0]
+    nodes = evenly_spaced("lagrange", one.nodes.epoch, one.nodes.coverage, (one.nodes.times[-1] - one.nodes.times[0]) / 3)
+    prior = PolynomialPrior(np.full((1, 3), 200.0), np.full((4, 3), 4e-4))
+    solution = adjust_network(replace(rig(), passes=(replace(one, nodes=nodes, prior=prior),)), SolverSettings())
+    write_isis(solution, tmp_path)
+    text = (tmp_path / "bundleout.txt").read_text()
+    assert "CAMSOLVE: ALL POLYNOMIAL COEFFICIENTS" in text
+    assert "CKSOLVEDEGREE: 3" in text
+    write_spice(solution, tmp_path)
+    assert spice_differences(tmp_path, reprojection(solution)).max() < 2.0 * TOLERANCE
