@@ -238,7 +238,8 @@ def test_prior_sigmas_of_a_pass_are_those_of_its_draws() -> None:
 
 def test_polynomials_of_a_pass_are_named_by_their_degrees(tmp_path: Path) -> None:
     one = rig().passes[0]
-    nodes = evenly_spaced("lagrange", one.nodes.epoch, one.nodes.coverage, (one.nodes.times[-1] - one.nodes.times[0]) / 3)
+    third = float(np.ptp(one.nodes.times)) / 3.0
+    nodes = evenly_spaced("lagrange", one.nodes.epoch, one.nodes.coverage, third)
     prior = PolynomialPrior(np.full((1, 3), 200.0), np.full((4, 3), 4e-4))
     solution = adjust_network(replace(rig(), passes=(replace(one, nodes=nodes, prior=prior),)), SolverSettings())
     write_isis(solution, tmp_path)
