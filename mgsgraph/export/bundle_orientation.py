@@ -9,16 +9,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.linalg import splu
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.pass_priors import prior_sigmas
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.network import Network, Pass, PolynomialPrior
+from mgsgraph.network import Network, PolynomialPrior
 from mgsgraph.network.corrections import designs
 
 PARAMETERS = ("X", "Y", "Z", "RA", "DEC", "TWIST")
@@ -126,24 +125,4 @@ def _pass_sigmas(
     design = np.zeros((lines.size, 6, basis.shape[1], 6))
     design[:, :3, :, :3], design[:, 3:, :, 3:] = halves
     rows = np.einsum("kn,nc...->ck...", fit, design).reshape(6 * fit.shape[0], -1)
-    scales = np.concatenate([np.where(np.isfinite(sigmas), sigmas, 1.0) for sigmas in one.sigmas])
-    root = _prior_root(one, scales)
-    rows = np.pad(rows, ((0, 0), (0, scales.size - rows.shape[1]))) * scales
-    information = (root.T @ root).tocsc()
-    try:
-        found = splu(information).solve(np.ascontiguousarray(rows.T))
-    except RuntimeError:  # exactly singular: nodes of which nothing is known
-        return np.full(rows.shape[0], np.inf)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("rc,cr->r", rows, found), 0.0)))
-
-
-def _prior_root(one: Pass, scales: Array) -> csr_array:
-    """(rows, columns) whitened rows of a pass's prior on its nodes and trend, in units of `scales`."""
-    first, parts, height = np.concatenate([[0], np.cumsum(one.widths)]), list[tuple[Array, Array, Array]](), 0
-    for factor in one.prior.factors(one.nodes):
-        for unknown, block in zip(factor.unknowns, factor.blocks, strict=True):
-            row, column = np.nonzero(block)
-            parts.append((height + row, first[unknown] + column, block[row, column] * scales[first[unknown] + column]))
-        height += factor.blocks[0].shape[0]
-    row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return csr_array((value, (row, column)), shape=(height, scales.size))
+    return prior_sigmas(one, rows)
