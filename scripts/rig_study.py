@@ -140,8 +140,8 @@ class Judged:
 def judged(rig: SimulatedRig, network: Network, errors: PassErrors, away: float) -> Judged:
     """Adjust a network of a rig and compare; `away` in m is from camera to ground."""
     solution = adjust_network(network, SolverSettings(reject=0.0))
-    ties = np.flatnonzero((network.points.classes == PointClass.TIE) & solution.determined)
-    every = np.flatnonzero(solution.determined)
+    every = np.flatnonzero(solution.determined & _seen_by_all_passes(rig))
+    ties = every[network.points.classes[every] == PointClass.TIE]
     off = solution.places - rig.points
     up = rig.points / np.linalg.norm(rig.points, axis=1)[:, None]
     frames = np.concatenate([east_north(rig.points), up[:, None]], axis=1)
@@ -154,10 +154,18 @@ def judged(rig: SimulatedRig, network: Network, errors: PassErrors, away: float)
     squares, count = _trajectory(rig, solution, errors)
     return Judged(
         solution.converged, solution.fit.squares / solution.fit.degrees_of_freedom, solution.fit.degrees_of_freedom,
-        shared, squares, count, float(nees(off[every], solution.covariances[every]).mean()) / 3.0,
+        shared, squares, count,
+        float(nees(off[every], solution.covariances[every]).mean()) / 3.0 if solution.converged else float("nan"),
         np.einsum("nij,nj->ni", frames[ties], off[ties]), np.sqrt(local), _seam(rig, solution, away),
         _pointing(rig, solution),
     )  # fmt: skip
+
+
+def _seen_by_all_passes(rig: SimulatedRig) -> Array:
+    """(n,) True for points with rays from every pass: those of one pass alone are on nearly parallel rays."""
+    seen = np.zeros((len(rig.points), len(rig.network.passes)), dtype=bool)
+    seen[rig.network.rays.point, rig.network.pass_of[rig.network.rays.image]] = True
+    return np.asarray(seen.all(axis=1) | (rig.network.points.classes == PointClass.LASER))
 
 
 def _trajectory(rig: SimulatedRig, solution: Solution, errors: PassErrors) -> tuple[float, int]:
@@ -258,7 +266,7 @@ def nac_part(first: int, seeds: int) -> list[str]:
         for way in runs[0]:
             rows.append([name if way == "rig" else "", way, *_errors([run[way] for run in runs])])
     head = ["", "adjusted as", "R against L, m", "common, m", "rest, horizontal, m", "rest, up, m",
-            "sigma, horizontal, m", "sigma, up, m", "NEES of points", "squares"]  # fmt: skip
+            "sigma, horizontal, m", "sigma, up, m", "NEES of points", "squares", "converged"]  # fmt: skip
     return [*lines, *table(head, rows), NAC_READING]
 
 
@@ -276,8 +284,9 @@ def _boresights(runs: Sequence[dict[str, Judged]], settings: NacSettings) -> lis
     return table(head, rows)
 
 
-def _errors(runs: Sequence[Judged]) -> list[str]:
-    """Cells of errors over the seeds."""
+def _errors(every: Sequence[Judged]) -> list[str]:
+    """Cells of errors over the seeds that converged."""
+    runs = [one for one in every if one.converged]
     common = np.array([one.places.mean(axis=0) for one in runs])
     rest = np.concatenate([one.places - one.places.mean(axis=0) for one in runs])
     sigmas = np.concatenate([one.sigmas for one in runs])
@@ -287,7 +296,7 @@ def _errors(runs: Sequence[Judged]) -> list[str]:
         flat, root_mean_square(rest[:, 2], 0), stated, root_mean_square(sigmas[:, 2], 0),
         np.mean([one.points for one in runs]), np.mean([one.squares for one in runs]),
     ]  # fmt: skip
-    return [number(float(cell)) for cell in cells]
+    return [*(number(float(cell)) for cell in cells), f"{len(runs)} of {len(every)}"]
 
 
 # --- what both parts have
