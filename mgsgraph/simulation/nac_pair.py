@@ -19,7 +19,7 @@ from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.distortion import LrocNacDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import interior_orientation
@@ -43,6 +43,8 @@ _SITE = (3.6 * DEG, 26.1 * DEG)
 """rad, longitude and latitude: Hadley rille."""
 _RELIEF = 300.0
 """m, sigma of the ground's heights."""
+_LOOSE = (1000.0, 1000.0, 30.0)
+"""m, east, north and up: sigmas of the place of a tie point that one pass alone shows, by a terrain model's height."""
 _TRIES = 60
 """Points drawn for one in the overlap of L and R."""
 
@@ -139,7 +141,7 @@ def simulate_nac_pair(settings: NacSettings | None = None, seed: int = 1) -> Sim
     shots, ranges, carrier = _shots(truth, images, settings, of_shots)
     points = np.concatenate([ties, shots])
     rays = _rays(truth, points, len(ties), settings, of_noise)
-    given, shifts = _given(ties, shots, carrier, settings, of_noise)
+    given, shifts = _given(ties, shots, carrier, _of_one_pass(rays, len(points)), settings, of_noise)
     n = np.arange(len(shots))
     shared = SharedUnknown(
         BORESIGHT, SharedKind.CAMERA_BORESIGHT, np.array([1, 3]), np.array(settings.boresight_sigmas)
@@ -222,24 +224,35 @@ def _rays(
     return measured(truth.seen(points), np.repeat(sigmas[:, None], len(truth.images), axis=1), rng)
 
 
+def _of_one_pass(rays: ImageRays, count: int) -> Mask:
+    """(count,) True for points that one pass alone shows: their rays are nearly parallel."""
+    seen = np.zeros((count, 2), dtype=bool)
+    seen[rays.point, rays.image // 2] = True
+    return np.asarray(~seen.all(axis=1))
+
+
 def _given(
-    ties: Array, shots: Array, carrier: Index, settings: NacSettings, rng: np.random.Generator
+    ties: Array, shots: Array, carrier: Index, alone: Mask, settings: NacSettings, rng: np.random.Generator
 ) -> tuple[GroundPoints, ProfileShifts | None]:
-    """Points as an adjustment is given them. What footprints of a pass have in common is one error, an unknown."""
+    """Points as an adjustment is given them. What footprints of a pass have in common is one error, an unknown; tie
+    points that are `alone` (n,) on rays of one pass have a height to start from: their rays are so nearly parallel that
+    the boresight's error makes them meet behind the cameras.
+    """
     n, m = len(ties), len(shots)
     frames = east_north(np.concatenate([ties, shots]))
     up = np.concatenate([ties, shots]) / np.linalg.norm(np.concatenate([ties, shots]), axis=1)[:, None]
     frames = np.concatenate([frames, up[:, None]], axis=1)
     flat, height = settings.footprint_sigmas
-    sigmas = np.concatenate([np.full((n, 3), settings.control_sigma), np.tile([flat, flat, height], (m, 1))])
+    known = alone | (np.arange(n + m) >= n)
+    control = rng.permutation(n)[: settings.control]
+    sigmas = np.concatenate([np.tile(_LOOSE, (n, 1)), np.tile([flat, flat, height], (m, 1))])
+    sigmas[control] = settings.control_sigma
     errors = sigmas * rng.standard_normal((n + m, 3))
     profile = carrier // 2
     shifts = settings.track_sigma * rng.standard_normal((2, 2))
     errors[n:, :2] -= shifts[profile]
-    known = np.zeros(n + m, dtype=bool)
-    known[rng.permutation(n)[: settings.control]] = True
-    classes = np.where(known, int(PointClass.CONTROL), int(PointClass.TIE))
-    known[n:], classes[n:] = True, int(PointClass.LASER)
+    classes = np.full(n + m, int(PointClass.TIE))
+    known[control], classes[control], classes[n:] = True, int(PointClass.CONTROL), int(PointClass.LASER)
     places = np.concatenate([ties, shots]) + np.einsum("nk,nkj->nj", errors, frames)
     covariances = np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames)
     names = [f"T{i:04d}" for i in range(n)] + [f"S{i:04d}" for i in range(m)]

@@ -23,8 +23,9 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, assign, frozen
-from mgsgraph.network import ImageRays, JointNodePrior, Network, Pass
+from mgsgraph.network import ImageRays, Network, Pass
 from mgsgraph.network.joining import mountings, seconds
+from mgsgraph.network.node_priors import PolynomialPrior
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, line_image, one_rate
 from mgsgraph.simulation.observations import Visible, well_inside
 from mgsgraph.simulation.orbit import CircularPass, circle_times, circular_attitude, circular_orbit, sampled_trajectory
@@ -84,10 +85,11 @@ class PassErrors:
         terms = np.arange(SUPPORT)[:, None]
         return np.repeat(terms < np.array([[len(self.position), len(self.attitude)]]), 3, axis=1)
 
-    def prior(self, nodes: OrientationImages) -> JointNodePrior:
-        """The same of the values at four nodes: a cubic polynomial of time is Lagrange's through them."""
-        coefficients = np.kron(np.linalg.inv(powers(nodes)), np.eye(6))
-        return JointNodePrior(coefficients / self.sigmas.ravel()[:, None], np.zeros(0))
+    @property
+    def prior(self) -> PolynomialPrior:
+        """The same of the nodes of a pass: a cubic polynomial of time is Lagrange's through four of them."""
+        rows = self.sigmas
+        return PolynomialPrior(rows[: len(self.position), :3], rows[: len(self.attitude), 3:])
 
 
 def powers(nodes: OrientationImages) -> Array:
@@ -106,7 +108,7 @@ def joined(name: str, images: Sequence[PushbroomImage], first: int, errors: Pass
     start, stop = float(edges[:, 0].min()) - epoch, float(edges[:, 1].max()) - epoch
     nodes = evenly_spaced("lagrange", epoch, (start, stop), stop - start)
     numbers = np.arange(first, first + len(images))
-    return Pass(name, numbers, nodes, errors.prior(nodes), mountings(images, f"pass {name!r}"))
+    return Pass(name, numbers, nodes, errors.prior, mountings(images, f"pass {name!r}"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
