@@ -150,6 +150,12 @@ def test_polynomials_of_each_its_degree() -> None:
     assert free.scaled(np.full(6, 2.0), np.zeros(0)).attitude_sigmas[2, 1] == 6e-4
 
 
+def test_a_trend_alone_beside_a_process() -> None:
+    prior = ProcessPrior((), (process("matern-5/2", 1e-6),), TREND, NONE)
+    found = covariance(prior, EVEN)[0::6, 0::6]
+    np.testing.assert_allclose(found, TREND[0] ** 2, rtol=1e-6)
+
+
 def factors_of(prior: PassPrior, nodes: OrientationImages) -> list[LinearFactor]:
     return list(prior.factors(nodes))
 
@@ -162,7 +168,7 @@ def factors_of(prior: PassPrior, nodes: OrientationImages) -> list[LinearFactor]
         (lambda: Process("matern-3/2", SIZE), "correlation time"),
         (lambda: Process("white", SIZE, 3.0), "no correlation time"),
         (lambda: Process("jitter", SIZE, 0.0, 2.0, 3.0), "bandwidth.* up to 2 Hz"),
-        (lambda: ProcessPrior((), (process("white"),), NONE, NONE), "position: no process"),
+        (lambda: ProcessPrior(process("white"), (process("white"),), NONE, NONE), "position: no tuple"),  # type: ignore[arg-type]
         (lambda: ProcessPrior((process("integrated-wiener"),), (process("white"),), NONE, TREND), "without bias"),
         (lambda: PolynomialPrior(np.ones((5, 3)), np.ones((1, 3))), "degree of 0 to 3"),
         (lambda: factors_of(PolynomialPrior(np.ones((1, 3)), np.ones((1, 3))), EVEN), "25 nodes of the basis lagrange"),

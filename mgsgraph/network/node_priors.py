@@ -32,7 +32,10 @@ _LONGEST = 1e9
 _UNKNOWN = 1e5
 """m of a position for a rad of a rotation, where nothing else says what counts for more."""
 _HELD = 1e-4
-"""Share of a component's largest sigma to which polynomial terms above the degree are held."""
+"""Share of a component's largest sigma to which polynomial terms above the degree are held; less would cost the
+covariances their digits."""
+_NOTHING = np.array([100.0] * 3 + [1e-3] * 3)
+"""m and rad, that sigma where there is none."""
 
 
 class LinearFactor(NamedTuple):
@@ -210,14 +213,18 @@ class PolynomialPrior:
             assign(self, **{name: given})
 
     @property
+    def polynomial(self) -> bool:
+        """One polynomial: it holds before and after its nodes, too."""
+        return True
+
+    @property
     def coefficient_sigmas(self) -> Array:
         """(4, 6) m and rad of the coefficients of s^0 .. s^3, those held at a sigma so small that it is nothing."""
         found = np.zeros((SUPPORT, 6))
         found[: self.position_sigmas.shape[0], :3] = self.position_sigmas
         found[: self.attitude_sigmas.shape[0], 3:] = self.attitude_sigmas
         largest = np.where(np.isfinite(found), found, 0.0).max(axis=0)
-        unknown = np.array([_UNKNOWN * 1e-3] * 3 + [1e-3] * 3)
-        held = _HELD * np.where(largest > 0.0, largest, unknown)
+        held = _HELD * np.where(largest > 0.0, largest, _NOTHING)
         return np.where(found > 0.0, found, held)
 
     @property
@@ -283,7 +290,7 @@ class ProcessPrior:
     """
 
     position: tuple[Process, ...]
-    """Their sum: along X, Y, Z; m."""
+    """Their sum: along X, Y, Z; m. Where there is none, departures from the trend are held at nothing."""
     attitude: tuple[Process, ...]
     """The same about x, y, z; rad."""
     bias: Array
@@ -297,8 +304,8 @@ class ProcessPrior:
         if min(self.bias.min(), self.drift.min()) < 0.0:
             raise InputError("process prior, bias and drift", "a negative sigma", "sigmas, or 0 for none")
         for name, part, mine in (("position", self.position, slice(0, 3)), ("attitude", self.attitude, slice(3, 6))):
-            if not isinstance(part, tuple) or not part:
-                raise InputError(f"process prior, {name}", "no process", "one or more, of which the sum is meant")
+            if not isinstance(part, tuple):
+                raise InputError(f"process prior, {name}", "no tuple", "processes, of which the sum is meant, or none")
             if any(not one.stationary for one in part) and min(self.bias[mine].min(), self.drift[mine].min()) == 0.0:
                 found = "an integrated Wiener process without bias or drift"
                 raise InputError(f"process prior, {name}", found, "both, large where nothing is known")
@@ -322,12 +329,13 @@ class ProcessPrior:
         """(n, 6) a-priori sigma of values at s (n,), with the trend's, without what integrated Wiener processes add: it
         depends on the time since they began (`own_sigmas` has it).
         """
-        own = [sum(p.sigmas**2 for p in part if p.stationary) + np.zeros(3) for part in (self.position, self.attitude)]
+        parts = (self._parts(0), self._parts(3))
+        own = [sum(p.sigmas**2 for p in part if p.stationary) + np.zeros(3) for part in parts]
         return np.sqrt(np.concatenate(own) + self.bias**2 + (s[:, None] * self.drift) ** 2)
 
     def own_sigmas(self, nodes: OrientationImages) -> Array:
         """(k, 6) a-priori sigma of the coefficient of each of some nodes, with the trend's."""
-        own = np.stack([variances(self._part(c), c % 3, nodes) for c in range(6)], axis=1)
+        own = np.stack([variances(self._parts(c), c % 3, nodes) for c in range(6)], axis=1)
         return np.asarray(np.sqrt(own + self.bias**2 + (normalised(nodes)[:, None] * self.drift) ** 2))
 
     def scaled(self, nodes: Array, trend: Array) -> "ProcessPrior":
@@ -342,14 +350,18 @@ class ProcessPrior:
             drift=self.drift * of_drift,
         )
 
-    def _part(self, component: int) -> tuple[Process, ...]:
-        return self.position if component < 3 else self.attitude
+    def _parts(self, component: int) -> tuple[Process, ...]:
+        """Processes of a component (0 .. 5); where there are none, white noise that is nothing."""
+        mine = slice(0, 3) if component < 3 else slice(3, 6)
+        largest = np.maximum(self.bias, self.drift)[mine]
+        held = np.where(largest > 0.0, largest, _NOTHING[mine])
+        return (self.position if component < 3 else self.attitude) or (Process("white", _HELD * held),)
 
     def conditionals(self, nodes: OrientationImages) -> tuple[Conditionals, ...]:
         """Of each of the six components: how a node follows from those before it, and what is lost by taking few."""
         found, seen = list[Conditionals](), dict[tuple[float, ...], Conditionals]()
         for c in range(6):
-            part = self._part(c)
+            part = self._parts(c)
             size = float(part[0].sigmas[c % 3])
             key = (c // 3, *(float(one.sigmas[c % 3]) / size for one in part[1:]))
             if key not in seen:
