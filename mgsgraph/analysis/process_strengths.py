@@ -18,15 +18,18 @@ Foerstner's estimate, v'v / r over all tie rays, in the same rounds; that is its
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.grouping import group_rows
 from mgsgraph.analysis.helmert import group_redundancy
 from mgsgraph.analysis.linearised import at_solution
@@ -43,7 +46,8 @@ _STEP = math.log(5.0)
 """Largest change of a log strength in one round."""
 _FLOOR = 1e-3
 """Of where the search began: a strength there can't be told from zero."""
-_INNER = 12
+_INNER, _HALVINGS, _AT_REST = 30, 8, 1e-4
+"""Steps of scoring for one adjustment, and halvings of one; log strengths."""
 _AXES = ("X", "Y", "Z", "x", "y", "z")
 
 
@@ -81,10 +85,10 @@ class Combination:
 
     of_pass: str
     """Name of the pass."""
-    position: int
-    """Component 0 .. 2."""
-    rotation: int
-    """Component 3 .. 5."""
+    position: str
+    """Along the track, across it, or radial."""
+    rotation: str
+    """Roll, pitch or yaw."""
     correlation: float
     """Median over nodes, of the corrections' errors."""
     lever: float
@@ -97,9 +101,9 @@ class Combination:
     def words(self) -> str:
         """A sentence."""
         return (
-            f"pass {self.of_pass}: position {_AXES[self.position]} and rotation {_AXES[self.rotation]} are not "
-            f"separable (correlation {self.correlation:.3f} at the nodes): determined is position "
-            f"{self.lever / 1e3:+.4g} km x rotation, to {self.sigma:.3g} m, position alone to {self.alone:.3g} m"
+            f"pass {self.of_pass}: {self.position} and {self.rotation} are not separable (correlation "
+            f"{self.correlation:.3f} at the nodes): determined is {self.position} {self.lever / 1e3:+.4g} km x "
+            f"{self.rotation}, to {self.sigma:.3g} m, {self.position} alone to {self.alone:.3g} m"
         )
 
 
@@ -181,7 +185,8 @@ def estimated_strengths(
     most : int
         Adjustments.
     tolerance : float
-        Relative change, or share of a strength's own standard deviation, below which they are at rest.
+        Relative change below which they are at rest; ten times that share of a strength's own standard deviation where
+        this is more.
     progress : callable
         Called with the number of adjustments done, and of all at the most.
 
@@ -197,7 +202,8 @@ def estimated_strengths(
         solution = adjust_network(network, settings, f"strengths, round {done + 1}", left_in=left_in)
         factor, spread = _ray_factor(solution) if rays else (1.0, 0.0)
         steps, covariance = _scored(solution, wanted)
-        sizes = np.minimum(tolerance, 1.0) * np.maximum(1.0, 10.0 * np.sqrt(np.diagonal(covariance)))
+        # a strength that is known to a tenth only need not be at rest to a hundredth
+        sizes = tolerance * np.maximum(1.0, 10.0 * np.minimum(np.sqrt(np.diagonal(covariance)), 1.0))
         now = _sigmas(network, wanted)
         floor = _FLOOR * _sigmas(begin, wanted)
         zero = now * np.exp(steps) <= floor
@@ -263,37 +269,61 @@ def _scored(solution: Solution, wanted: list[tuple[Strength, int]]) -> tuple[Arr
 
 def _of_pass(solution: Solution, number: int, wanted: list[Strength]) -> tuple[Array, Array]:
     one = solution.network.passes[number]
-    assert isinstance(one.prior, ProcessPrior)
     parts = [_parts(one, strength) for strength in wanted]
     start, push = _information(solution, number)
     steps = np.zeros(len(wanted))
+    here = _likelihood(start, push, parts, steps)
+    regular = here.information + np.diag(1e-6 + 1e-9 * np.diagonal(here.information))
+    covariance = np.linalg.solve(regular, np.eye(len(wanted)))
     for _ in range(_INNER):
-        grown = np.exp(2.0 * steps)
-        change = np.zeros_like(start)
-        for growth, part in zip(grown, parts, strict=True):
-            for c, matrix in part:
-                change[c::6, c::6] += (growth - 1.0) * matrix
-        inside = np.linalg.solve(np.eye(push.size) + start @ change, np.column_stack([start, push]))
-        within, pushed = inside[:, :-1], inside[:, -1]
-        score, products = np.zeros(len(wanted)), list[list[tuple[int, Array]]]()
-        for i, part in enumerate(parts):
-            through = [(c, within[:, c::6] @ (grown[i] * matrix)) for c, matrix in part]
-            # of the logarithm of the strength: twice that of the variance's
-            score[i] = sum(
-                grown[i] * pushed[c::6] @ matrix @ pushed[c::6] - np.trace(product[c::6])
-                for (c, matrix), (_, product) in zip(part, through, strict=True)
-            )
-            products.append(through)
-        information = np.array([
-            [2.0 * sum(np.sum(a[d::6] * b[c::6].T) for c, a in left for d, b in right) for right in products]
-            for left in products
-        ])  # fmt: skip
-        information += 1e-12 * np.diag(np.maximum(np.diagonal(information), 1e-12))
-        move = np.clip(np.linalg.solve(information + 0.05 * np.eye(len(wanted)), score), -1.0, 1.0)
-        steps = np.clip(steps + move, -3.0 * _STEP, _STEP)
-        if np.abs(move).max() < 1e-4:
+        move = np.clip(np.linalg.solve(here.information + 0.05 * np.eye(len(wanted)), here.score), -1.0, 1.0)
+        for _ in range(_HALVINGS):
+            trial = np.clip(steps + move, -3.0 * _STEP, _STEP)
+            there = _likelihood(start, push, parts, trial)
+            if there.logarithm >= here.logarithm:
+                break
+            move = 0.5 * move  # scoring overshoots where the likelihood bends more than is expected
+        else:
             break
-    return steps, np.linalg.inv(information)
+        steps, here = trial, there
+        if np.abs(move).max() < _AT_REST:
+            break
+    return steps, covariance
+
+
+class _Likelihood(NamedTuple):
+    """Of log strengths."""
+
+    logarithm: float
+    """Of the likelihood, over that of the strengths that the adjustment had."""
+    score: Array
+    """(p,) its derivatives."""
+    information: Array
+    """(p, p) that is expected."""
+
+
+def _likelihood(start: Array, push: Array, parts: Sequence[list[tuple[int, Array]]], steps: Array) -> _Likelihood:
+    """Where log strengths change by `steps` (p,); `start` and `push` are W_0 and u_0."""
+    from scipy.linalg import lu_factor, lu_solve  # slow to import
+
+    grown, change = np.exp(2.0 * steps), np.zeros_like(start)
+    for growth, part in zip(grown, parts, strict=True):
+        for c, matrix in part:
+            change[c::6, c::6] += (growth - 1.0) * matrix
+    factored = lu_factor(np.eye(push.size) + start @ change)
+    within, pushed = lu_solve(factored, start), lu_solve(factored, push)
+    logarithm = 0.5 * float(push @ change @ pushed - np.sum(np.log(np.abs(np.diagonal(factored[0])))))
+    score, products = np.zeros(len(parts)), list[list[tuple[int, Array]]]()
+    for i, part in enumerate(parts):
+        through = [(c, within[:, c::6] @ (grown[i] * matrix)) for c, matrix in part]
+        squares = sum(grown[i] * pushed[c::6] @ matrix @ pushed[c::6] for c, matrix in part)
+        score[i] = squares - sum(np.trace(product[c::6]) for c, product in through)
+        products.append(through)
+    information = np.array([
+        [2.0 * sum(np.sum(a[d::6] * b[c::6].T) for c, a in left for d, b in right) for right in products]
+        for left in products
+    ])  # fmt: skip
+    return _Likelihood(logarithm, score, information)
 
 
 def _parts(one: Pass, strength: Strength) -> list[tuple[int, Array]]:
@@ -368,11 +398,14 @@ def _with_rays(network: Network, factor: float) -> Network:
 
 
 def combinations(solution: Solution, number: int) -> tuple[Combination, ...]:
-    """Positions and rotations of a pass that the measures can't tell apart, and what they determine of them."""
+    """Positions and rotations of a pass, along the axes of its flight, that the measures can't tell apart, and what
+    they determine of them.
+    """
     one = solution.network.passes[number]
-    first = int(solution.network.first_of_passes[number])
-    joint = at_solution(solution).of_estimator().joint
-    blocks = np.stack([joint.of([first + k]) for k in range(len(one.nodes))])
+    inner = np.flatnonzero(np.isin(one.nodes.times, one.nodes.inner))
+    first, joint = int(solution.network.first_of_passes[number]), at_solution(solution).of_estimator().joint
+    turns = strip_turns(solution.network, number, one.nodes.inner + one.nodes.epoch, solution.settings.angles)
+    blocks = turns @ np.stack([joint.of([first + k]) for k in inner.tolist()]) @ np.swapaxes(turns, 1, 2)
     scale = np.sqrt(np.diagonal(blocks, axis1=1, axis2=2))
     correlation = np.median(blocks / scale[:, :, None] / scale[:, None, :], axis=0)[:3, 3:]
     found = list[Combination]()
@@ -380,5 +413,6 @@ def combinations(solution: Solution, number: int) -> tuple[Combination, ...]:
         lever = -np.median(blocks[:, p, 3 + r] / blocks[:, 3 + r, 3 + r])
         both = blocks[:, p, p] + 2.0 * lever * blocks[:, p, 3 + r] + lever**2 * blocks[:, 3 + r, 3 + r]
         sigma, alone = float(np.sqrt(np.median(both))), float(np.median(scale[:, p]))
-        found.append(Combination(one.name, p, 3 + r, float(correlation[p, r]), float(lever), sigma, alone))
+        names = FLIGHT[p], FLIGHT[3 + r]
+        found.append(Combination(one.name, *names, float(correlation[p, r]), float(lever), sigma, alone))
     return tuple(found)
