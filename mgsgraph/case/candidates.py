@@ -22,6 +22,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.decoding import read_toml, validated
 from mgsgraph.io.lidar import read_lidar
+from mgsgraph.network.definitions import joining
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.candidates import (
     Candidate,
@@ -60,6 +61,9 @@ class CandidateImage(ImageInput, forbid_unknown_fields=True, frozen=True):
     """Whether tie points of the network that it shows are measured in it, too."""
     everywhere: bool = True
     """Whether a new tie point is measured in all images that show it, or in the two of the overlap alone."""
+    of_pass: str = ""
+    """Name of the pass of the network on whose trajectory it is taken, which goes on over its lines; when absent it has
+    an orientation of its own."""
 
     def planned(self, where: str) -> PlannedTies:
         """As the planner takes them."""
@@ -191,11 +195,12 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
     if image.body != coverage.network.images[0].body:
         raise InputError(where, "an image of another body than the network's", "one body")
     for known in coverage.network.images:
-        if _same_exposure(image, known):
+        if not entry.of_pass and _same_exposure(image, known):
             found = f"image {entry.name!r}, which is {known.name!r} of the network under another name"
             raise InputError(where, found, "a new image", "take it out of the candidates")
     image, _ = orientation.nominal_of(image)
-    return planned_image(coverage, KnownImage(image, prior, entry.held), ties)
+    brought = joining(coverage.definitions, entry.name, entry.of_pass, where=f"{where}, of_pass")
+    return planned_image(coverage, KnownImage(image, prior, entry.held), ties, brought)
 
 
 def _same_exposure(one: PushbroomImage, other: PushbroomImage) -> bool:

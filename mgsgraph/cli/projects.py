@@ -48,6 +48,8 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.argument("images", nargs=-1, metavar="[NAME=]IMAGE...")
 @click.option("--ties", type=PATH, multiple=True, help="Control network with their measures; may be repeated.")
 @click.option("--shots", type=PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
+@click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT whose trajectory they are taken on.")
+@click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
 @click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
 @click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
 @click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
@@ -58,6 +60,8 @@ def add(
     images: tuple[str, ...],
     ties: tuple[Path, ...],
     shots: tuple[Path, ...],
+    of_pass: str,
+    shares: tuple[str, ...],
     table: Path | None,
     check: bool,
     dry_run: bool,
@@ -65,7 +69,8 @@ def add(
     """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
 
     IMAGE is support data (.json, .isd), a MOC label (.img, .lbl, .cub; with the project's kernels) or a case file
-    (.toml), which brings everything that it names. NAME is what control networks call it.
+    (.toml), which brings everything that it names, passes among it. NAME is what control networks call it. The
+    trajectory of a pass that is there goes on over the lines of its new images.
 
     What is printed is the impact: which images and points moved, in metres and in their sigmas. --check ends with the
     closing check: batch over everything, the largest difference, and batch's result where the two are not the same.
@@ -88,7 +93,9 @@ def add(
     closing = None
     with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
-            addition = read_addition(opened.store, opened.settings, str(project), wanted, ties, shots)
+            addition = read_addition(
+                opened.store, opened.settings, str(project), wanted, ties, shots, of_pass, shares
+            )
         if not dry_run:
             with stages.stage("adjusting"):
                 impact = put(opened, addition)

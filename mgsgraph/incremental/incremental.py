@@ -40,15 +40,15 @@ from mgsgraph.incremental.state import (
 )
 from mgsgraph.incremental.sweep import Sweep
 from mgsgraph.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
-from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
+from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import (
     Members,
     Unknown,
+    alone,
     bundles,
-    image_columns,
     joined,
     known_images,
     pass_unknowns,
@@ -116,11 +116,11 @@ class IncrementalAdjustment:
 
     def correction(self, image: str) -> OrientationCorrection:
         """Present orientation correction of an image, with what shared unknowns do to it; zero for a held one."""
-        alone = with_definitions(_alone(self._known(image)), self._engine.known)
+        one = with_definitions(alone(self._known(image)), self._engine.known)
         own, value = Unknown("image", image), self._engine.value
-        zero = np.zeros(alone.priors[0].sigmas.size)
-        values = [value.get(name, zero) if name != own or not alone.held[0] else zero for name in unknowns(alone)]
-        return whole_correction(alone, 0, values, self.settings.angles)
+        zero = np.zeros(one.priors[0].sigmas.size)
+        values = [value.get(name, zero) if name != own or not one.held[0] else zero for name in unknowns(one)]
+        return whole_correction(one, 0, values, self.settings.angles)
 
     def trajectory(self, name: str) -> tuple[Array, Array, Array]:
         """Times (k,) in s TDB past J2000 of the orientation images of a pass, their coefficients (k, 6) and the
@@ -383,14 +383,6 @@ class IncrementalAdjustment:
         self.store.renew(there)
         self.store.put_shared({unknown: one for unknown, one in shared.items() if one is not before.get(unknown)})
         self.store.drop_shared([unknown for unknown in before if unknown not in shared])
-
-
-def _alone(known: KnownImage) -> Network:
-    """A network of one image without any point."""
-    nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    points = GroundPoints((), nothing, nothing, none, np.zeros((0, 3, 3)))
-    rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
-    return Network(*image_columns([known]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
 
 
 def _alike(one: KnownImage, other: KnownImage) -> bool:

@@ -8,6 +8,7 @@ span stay those of the first images, and it holds before and after them. With th
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from mgsgraph.incremental.state import StateStore
 from mgsgraph.incremental.tree import PriorRows
 from mgsgraph.network.definitions import Definitions, NamedPass, united
 from mgsgraph.network.joining import mountings, seconds
-from mgsgraph.network.node_priors import JointNodePrior
+from mgsgraph.network.node_priors import JointNodePrior, PolynomialPrior, normalised
 from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
 
 _UNTURNED = 1e-3
@@ -31,8 +32,16 @@ _NEIGHBOURS = 6
 """Images of a pass, nearest in time, against which another one's clock, position and mounting are tried."""
 
 
+class KnowsImages(Protocol):
+    """Who has images by their names."""
+
+    def image(self, name: str) -> KnownImage:
+        """An image by its name."""
+        ...
+
+
 def extended(
-    store: StateStore, known: Definitions, brought: Definitions, new: Sequence[KnownImage]
+    store: KnowsImages, known: Definitions, brought: Definitions, new: Sequence[KnownImage]
 ) -> Definitions:
     """Definitions with those that new images bring: of passes that are there the images alone count, for which the
     nodes of these are continued.
@@ -85,10 +94,10 @@ def _over(one: NamedPass, images: Sequence[PushbroomImage]) -> NamedPass:
 
 def _with_given_nodes(one: NamedPass) -> bool:
     """Whether what is known of a pass is said of its nodes together, so that they stay: a polynomial, a joint prior."""
-    return isinstance(one.prior, JointNodePrior) or bool(getattr(one.prior, "polynomial", False))
+    return isinstance(one.prior, JointNodePrior | PolynomialPrior)
 
 
-def _joined_by(store: StateStore, one: NamedPass, joining: Sequence[PushbroomImage], alike: bool) -> NamedPass:
+def _joined_by(store: KnowsImages, one: NamedPass, joining: Sequence[PushbroomImage], alike: bool) -> NamedPass:
     """A pass with more images: mounted as their nominal attitudes say, its nodes continued over their lines. `alike`:
     where they have no time in common, lines that look the same way are of one camera.
     """
@@ -159,6 +168,19 @@ def prior_rows(known: Definitions) -> list[PriorRows]:
         for unknowns, blocks, _ in one.prior.factors(one.nodes):
             found.append(PriorRows(tuple(names[k] for k in unknowns), blocks))
     return found
+
+
+def with_expected(values: Mapping[Unknown, Array], known: Definitions) -> dict[Unknown, Array]:
+    """Values (d,) of unknowns, m and rad, with those that orientation images of passes which have none yet are expected
+    to have.
+    """
+    units = dict[Unknown, Array]()
+    for one in known.passes.values():
+        own = [*one.prior.node_sigmas(normalised(one.nodes)), one.prior.trend_sigmas]
+        units |= zip(pass_unknowns(one), own, strict=False)
+    new = {unknown: unit for unknown, unit in units.items() if unknown not in values}
+    rows = prior_rows(known) if new else []
+    return dict(values) | expected(rows, new, values)
 
 
 def expected(

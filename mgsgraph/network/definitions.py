@@ -161,13 +161,48 @@ def united(parts: Sequence[Definitions]) -> Definitions:
     return Definitions(passes, shared)
 
 
+def joining(
+    known: Definitions, image: str, of_pass: str = "", shares: Sequence[str] = (), where: str = "image"
+) -> Definitions:
+    """Definitions by which an image joins a pass that is known, and shared unknowns; how its camera is mounted its
+    attitude says.
+
+    Raises InputError, naming `where`, for an unknown name.
+    """
+    for name, there, what in ((of_pass, known.passes, "pass"), *((one, known.shared, "shared unknown") for one in shares)):
+        if name and name not in there:
+            names = ", ".join(list(there)[:4]) or "there is none"
+            raise InputError(where, f"no {what} {name!r}", f"one that is there ({names})", "begin it in a case file")
+    passes = [replace(known.passes[of_pass], images=(image,), axes=None)] if of_pass else []
+    shared = [replace(known.shared[name], images=(image,)) for name in shares]
+    return Definitions({one.name: one for one in passes}, {one.name: one for one in shared})
+
+
+def latest(parts: Sequence[Definitions]) -> Definitions:
+    """Several as one, as `united`, where passes of some parts have been continued: each has the nodes of all parts."""
+    times = dict[str, list[Array]]()
+    for part in parts:
+        for name, one in part.passes.items():
+            times.setdefault(name, []).append(one.nodes.times)
+    merged = {name: np.unique(np.concatenate(every)) for name, every in times.items()}
+
+    def with_all(one: NamedPass) -> NamedPass:
+        every = merged[one.name]
+        if every.size == one.nodes.times.size and one.nodes.span is not None:
+            return one
+        return replace(one, nodes=replace(one.nodes, times=every, span=one.nodes.trend_span))
+
+    passes = [{name: with_all(one) for name, one in part.passes.items()} for part in parts]
+    return united([Definitions(mine, part.shared) for mine, part in zip(passes, parts, strict=True)])
+
+
 def _united_pass(one: NamedPass, other: NamedPass) -> NamedPass:
     where = f"pass {one.name!r}"
     if one.nodes is not other.nodes and not alike(one.nodes, other.nodes):
         raise InputError(where, "other orientation images in one part than in another", "the same")
     if one.prior is not other.prior and not alike(one.prior, other.prior):
         raise InputError(where, "another prior in one part than in another", "one")
-    return one.with_images(other)
+    return replace(one.with_images(other), whole=one.whole and other.whole)
 
 
 def _united_shared(one: NamedShared, other: NamedShared) -> NamedShared:

@@ -106,6 +106,14 @@ def require_separable(network: Network) -> None:
         )
 
 
+def alone(known: KnownImage) -> Network:
+    """A network of one image without any point."""
+    nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    points = GroundPoints((), nothing, nothing, none, np.zeros((0, 3, 3)))
+    rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
+    return Network(*image_columns([known]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
+
+
 def part(network: Network, points: Index) -> Network:
     """Some points (n,) of a network, in the order given, with their rows and with the images and shifts that they
     depend on.

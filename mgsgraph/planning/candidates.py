@@ -12,7 +12,9 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.incremental.trajectories import extended, with_expected
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
 from mgsgraph.planning.coverage import CommonGround, ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork
@@ -98,18 +100,28 @@ class PlannedShots:
     """px, of their places in the images that show them; None for no such measures."""
 
 
-def planned_image(coverage: ImageCoverage, known: KnownImage, ties: PlannedTies) -> Candidate:
-    """A candidate image with its tie points; images of the network in their order, and then the candidate."""
+def planned_image(
+    coverage: ImageCoverage, known: KnownImage, ties: PlannedTies, brought: Definitions | None = None
+) -> Candidate:
+    """A candidate image with its tie points; images of the network in their order, and then the candidate.
+
+    `brought` are passes and shared unknowns that it begins or joins: of a pass of the network it uses the trajectory,
+    which is continued over its lines.
+    """
     name = known.image.name
     if name in coverage.views:
         found = "a candidate that is an image of the network already"
         raise InputError(f"candidate {name}", found, "a new image", "take it out of the candidates")
-    view = coverage.new_image(known)
+    passes = coverage.definitions
+    if brought is not None:
+        passes = extended(coverage, passes, brought, [known])
+    view = coverage.new_image(known, passes)
     near = coverage.overlapping(view)
     if not near:
         return Candidate(name, "image", None, "no overlap with an image of the network", overlap=0.0)
     area = sum(common for _, common, _ in near)
-    parts = (_new_ties(coverage, view, [one for one, _, _ in near], ties), _existing_ties(coverage, view, ties))
+    others = [one for one, _, _ in near]
+    parts = _new_ties(coverage, view, others, ties, passes), _existing_ties(coverage, view, ties, passes)
     additions = [one for one in parts if one is not None]
     if not additions:
         reason = "no tie point can be placed where it overlaps: too little ground, or rays nearly parallel"
@@ -120,7 +132,7 @@ def planned_image(coverage: ImageCoverage, known: KnownImage, ties: PlannedTies)
 
 
 def _new_ties(
-    coverage: ImageCoverage, view: OrientedImage, near: Sequence[OrientedImage], ties: PlannedTies
+    coverage: ImageCoverage, view: OrientedImage, near: Sequence[OrientedImage], ties: PlannedTies, passes: Definitions
 ) -> Network | None:
     """New tie points in the overlaps with the images near; None where there are none that their rays determine."""
     grids = [_tie_places(coverage, view, other, ties) for other in near]
@@ -139,11 +151,13 @@ def _new_ties(
         tuple(f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(grid.shape[0])),
         np.full(n, int(PointClass.TIE)), np.full(n, int(PointKind.FREE)), points, np.zeros((n, 3, 3)),
     )  # fmt: skip
-    network = _network(coverage, ground, (point, images, places, _sigmas(images, view, ties)), new_image=view.known)
+    rays = point, images, places, _sigmas(images, view, ties)
+    network = _network(coverage, ground, rays, new_image=view.known, passes=passes)
     if network is None:
         return None
     state = coverage.state
-    kept = ReducedNetwork(network, state.settings, state.values, points).determined
+    values = with_expected(state.values, definitions(network))
+    kept = ReducedNetwork(network, state.settings, values, points).determined
     return part(network, np.flatnonzero(kept)) if np.any(kept) else None
 
 
@@ -165,7 +179,9 @@ def _shared_pixels(shape: tuple[int, int], shows: CommonGround) -> float:
     return float(shows(raster).mean() * shape[0] * shape[1])
 
 
-def _existing_ties(coverage: ImageCoverage, view: OrientedImage, ties: PlannedTies) -> Network | None:
+def _existing_ties(
+    coverage: ImageCoverage, view: OrientedImage, ties: PlannedTies, passes: Definitions
+) -> Network | None:
     """Tie points of the network that the candidate shows, each with its measure in it; None unless they're wanted."""
     if not ties.existing:
         return None
@@ -180,7 +196,8 @@ def _existing_ties(coverage: ImageCoverage, view: OrientedImage, ties: PlannedTi
         np.full(n, int(PointKind.FREE)), state.places[old], np.zeros((n, 3, 3)),
     )  # fmt: skip
     names = [view.image.name] * n
-    return _network(coverage, points, (np.arange(n), names, places, _sigmas(names, view, ties)), view.known, old=True)
+    rays = np.arange(n), names, places, _sigmas(names, view, ties)
+    return _network(coverage, points, rays, view.known, old=True, passes=passes)
 
 
 def _sigmas(images: Sequence[str], view: OrientedImage, ties: PlannedTies) -> Array:
@@ -267,6 +284,7 @@ _Ranges = tuple[Index, str, Array, Array, Array]
 def _network(
     coverage: ImageCoverage, points: GroundPoints, rays: _Rays, new_image: KnownImage | None = None,
     ranges: _Ranges | None = None, shifts: ProfileShifts | None = None, old: bool = False,
+    passes: Definitions | None = None,
 ) -> Network | None:  # fmt: skip
     """Points with their rows and the images that they name; None without any row. `old` points have their
     terrain rows already.
@@ -284,9 +302,11 @@ def _network(
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
     image = np.array([number[name] for name in names], dtype=np.int64)
     network = Network(*image_columns(known), points, ImageRays(point, image, places, sigmas), shots, shifts)
+    network = with_definitions(network, coverage.definitions if passes is None else passes)
     if old:
         return network
-    return replace(network, surface=_surface(coverage, points)).considering(coverage.network.considered)
+    considered = (*coverage.network.considered, *network.considered)
+    return replace(network, surface=_surface(coverage, points)).considering(dict.fromkeys(considered))
 
 
 def _surface(coverage: ImageCoverage, points: GroundPoints) -> Surface | None:

@@ -10,9 +10,11 @@ from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.incremental.trajectories import with_expected
 from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.network.definitions import Definitions, definitions
 from mgsgraph.network.parts import KnownImage, known_images
-from mgsgraph.planning.state import NetworkState
+from mgsgraph.planning.state import NetworkState, correction_of
 
 EDGE = 0.01
 """Share of an image's lines and samples along its edges in which nothing is planned."""
@@ -68,6 +70,7 @@ class ImageCoverage:
     def __init__(self, state: NetworkState) -> None:
         network = state.network
         self.state, self.network = state, network
+        self.definitions = definitions(network)
         self.grid = None if network.surface is None else network.surface.grid
         heights = geodetic(state.places, network.images[0].body)[:, 2]
         self._height = float(np.median(heights))
@@ -83,10 +86,18 @@ class ImageCoverage:
         mine = heights[self.network.rays.point[self.network.rays.image == image]]
         return float(np.median(mine)) if mine.size else self._height
 
-    def new_image(self, known: KnownImage) -> OrientedImage:
-        """An image that is not in the network, with its nominal orientation."""
-        nominal = OrientationCorrection(np.zeros((1, 6)), self.state.settings.angles)
-        return OrientedImage(known, nominal, self._height, footprint(known.image, self._height))
+    def image(self, name: str) -> KnownImage:
+        """An image of the network by its name."""
+        return self.views[name].known
+
+    def new_image(self, known: KnownImage, passes: Definitions | None = None) -> OrientedImage:
+        """An image that is not in the network: with its nominal orientation, or on the trajectory of a pass, as it is
+        expected to go on.
+        """
+        passes, settings = passes or Definitions(), self.state.settings
+        mine = passes.of([known.image.name])
+        correction = correction_of(known, settings, with_expected(self.state.values, mine), mine)
+        return OrientedImage(known, correction, self._height, footprint(known.image, self._height))
 
     def overlapping(self, one: OrientedImage) -> list[tuple[OrientedImage, float, float]]:
         """Images of the network that overlap with another, with the area in m^2 and its share of the smaller one."""

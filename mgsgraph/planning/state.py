@@ -14,14 +14,27 @@ from mgsgraph.adjustment.rounds import Selection, determined_points, everything,
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import require_covariance
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.incremental.shared import shared_of
+from mgsgraph.incremental.trajectories import with_expected
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows
 from mgsgraph.network import Network
-from mgsgraph.network.parts import Unknown, joined, known_images, part, unknowns, with_images
+from mgsgraph.network.corrections import whole_correction
+from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions
+from mgsgraph.network.parts import (
+    KnownImage,
+    Unknown,
+    alone,
+    joined,
+    known_images,
+    part,
+    require_separable,
+    unknowns,
+    with_images,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,16 +51,38 @@ class NetworkState:
     """(n, 3) m, of the points."""
 
     def correction(self, image: str) -> OrientationCorrection:
-        """Orientation correction of one image; zero for a held one."""
-        value = self.values.get(Unknown("image", image), np.zeros(6))
-        return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
+        """Whole orientation correction of one image; zero for a held one that shares nothing."""
+        number = next(j for j, one in enumerate(self.network.images) if one.name == image)
+        return correction_of(known_images(self.network)[number], self.settings, self.values, definitions(self.network))
 
     def extended(self, additions: Sequence[Network]) -> "NetworkState":
-        """The network state with planned measures: new unknowns at zero, new points at their planned positions."""
-        network = joined([self.network, *additions])
+        """The network state with planned measures: new unknowns at zero (orientation images where their neighbours make
+        them likely), new points at their planned positions.
+        """
+        network = together([self.network, *additions])
         places = network.points.places.copy()
         places[: self.places.shape[0]] = self.places  # the points of the first part come first, in their order
-        return NetworkState(network, self.settings, self.values, places)
+        values = with_expected(self.values, definitions(network))
+        return NetworkState(network, self.settings, values, places)
+
+
+def together(networks: Sequence[Network]) -> Network:
+    """Networks as one, in which passes have the orientation images that any of them has."""
+    known = latest([definitions(one) for one in networks])
+    return joined([with_definitions(one, known) for one in networks])
+
+
+def correction_of(
+    known: KnownImage, settings: SolverSettings, values: Mapping[Unknown, Array], passes: Definitions
+) -> OrientationCorrection:
+    """Whole orientation correction of an image at values of unknowns; those that are missing are zero."""
+    one, image = with_definitions(alone(known), passes), Unknown("image", known.image.name)
+    widths = [known.prior.sigmas.size, *(s.kind.width for s in one.shared), *(w for p in one.passes for w in p.widths)]
+    there = [
+        values.get(name, np.zeros(width)) if name != image or not known.held else np.zeros(width)
+        for name, width in zip(unknowns(one), widths, strict=True)
+    ]
+    return whole_correction(one, 0, there, settings.angles)
 
 
 def state_of_solution(solution: Solution) -> NetworkState:
@@ -81,12 +116,8 @@ def network_state(
     rays, ranges : (k,), (r,)
         False for those that were rejected.
     """
-    for one in network.shared:
-        found = f"shared unknown {one.name!r}"
-        raise InputError("plan", found, "orientation and shifts alone, for now", "plan with an adjustment without it")
-    for strip in network.passes:
-        found, remedy = f"strip {strip.name!r}", "plan with an adjustment without [[strips]]"
-        raise InputError("plan", found, "images with an orientation of their own, for now", remedy)
+    with errors_from("plan"):
+        require_separable(network)
     kept = np.flatnonzero(np.isfinite(places[:, 0]))
     if kept.size == 0:
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
@@ -161,7 +192,11 @@ class ReducedNetwork:
                 if v != w:
                     matrix[across, rows] += block.T
         if priors:
-            matrix[np.diag_indices(size)] += 1.0 / layout.sigmas[self.columns(names)] ** 2
+            mine = self.columns(names)
+            known = layout.prior.weights[mine] > 0.0
+            matrix[np.diag_indices(size)] += np.where(known, 1.0 / layout.sigmas[mine] ** 2, 0.0)
+            root = layout.prior.root[:, mine].toarray() if layout.prior.factors else np.zeros((0, size))
+            matrix += root.T @ root
         return matrix
 
 

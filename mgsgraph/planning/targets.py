@@ -12,7 +12,8 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.shared import ground_motion
 from mgsgraph.network import PointClass
-from mgsgraph.network.parts import KnownImage, Unknown
+from mgsgraph.network.corrections import designs
+from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.state import CurrentState, NetworkState
 from mgsgraph.planning.update import Update
 from mgsgraph.ties import PointKind
@@ -116,15 +117,15 @@ class TargetSigmas:
         number = {image.name: j for j, image in enumerate(network.images)}
         chosen = [number[name] for name in targets.images]
         known = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
-        self._ground = [ground_motion(one, present.state.settings.angles) for one in known]
+        self._ground = [self._motion(one, j) for one, j in zip(known, chosen, strict=True)]
         under = np.array([_under(one) for one in known]).reshape(-1, 3)
         self._axes = east_north_up(np.concatenate([present.state.places[self._index], under]))
 
     def before(self) -> Array:
         """(t, 4) m: total, east, north, up of every target in the present network."""
         flat = self.present.layout.blocks.filled(self.present.joint)
-        numbers = [self.present.names.index(Unknown("image", name)) for name in self.targets.images]
-        return self._sigmas(self._of_points(flat), [self.present.joint.block(v, v) for v in numbers])
+        joint = self.present.joint
+        return self._sigmas(self._of_points(flat), [joint.of(list(one)) for one, _ in self._ground])
 
     def after(self, update: Update) -> Array:
         """(t, 4) m: total, east, north, up of every target after planned measures."""
@@ -135,7 +136,16 @@ class TargetSigmas:
         if again.size:
             found, _ = update.point_covariances()
             points[[place[ids[i]] for i in again.tolist()]] = found[again]
-        return self._sigmas(points, [update.covariance(Unknown("image", name)) for name in self.targets.images])
+        names = self.present.names
+        return self._sigmas(points, [update.joint_of([names[v] for v in one]) for one, _ in self._ground])
+
+    def _motion(self, known: KnownImage, image: int) -> tuple[tuple[int, ...], Array]:
+        """Variables that the orientation of an image's middle line depends on, and by how much the ground under it
+        moves with them (3, d), m per m and per rad.
+        """
+        angles, network = self.present.state.settings.angles, self.present.network
+        (parts,) = designs(network, image, angles, np.array([0.5 * known.image.lines]))
+        return tuple(parts), ground_motion(known, angles)[:, :6] @ np.hstack(list(parts.values()))
 
     def _of_points(self, flat: Array) -> Array:
         """(p, 3, 3) m^2 with the joint covariance in blocks."""
@@ -145,7 +155,7 @@ class TargetSigmas:
         return np.asarray(layout.network_order(found)[self._index])
 
     def _sigmas(self, points: Array, images: Sequence[Array]) -> Array:
-        ground = [motion @ spread @ motion.T for motion, spread in zip(self._ground, images, strict=True)]
+        ground = [motion @ spread @ motion.T for (_, motion), spread in zip(self._ground, images, strict=True)]
         every = np.concatenate([points, np.array(ground).reshape(-1, 3, 3)])
         local = np.einsum("tij,tjk,tik->ti", self._axes, every, self._axes)
         return np.asarray(np.sqrt(np.maximum(np.column_stack([local.sum(axis=1), local]), 0.0)))

@@ -19,9 +19,12 @@ import numpy as np
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.incremental.trajectories import prior_rows, with_expected
+from mgsgraph.incremental.tree import TOGETHER
 from mgsgraph.network import Network
-from mgsgraph.network.parts import Unknown, joined, part
-from mgsgraph.planning.state import CurrentState, ReducedNetwork
+from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions
+from mgsgraph.network.parts import Unknown, part
+from mgsgraph.planning.state import CurrentState, ReducedNetwork, together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +88,7 @@ class Update:
         change = self.change[self.present.layout.columns_of(v)]
         return self.present.joint.block(v, v) + (change * self.signs) @ change.T
 
-    def _joint_of(self, names: Sequence[Unknown]) -> Array:
+    def joint_of(self, names: Sequence[Unknown]) -> Array:
         """(d, d) m and rad, joint covariance of some present unknowns."""
         present, columns = self.present, self.present.columns(names)
         number, change = [present.names.index(name) for name in names], self.change[columns]
@@ -95,7 +98,7 @@ class Update:
     def point_covariances(self) -> tuple[Array, Mask]:
         """(n, 3, 3) m^2 of the points touched, network order, and (n,) which of them have a place."""
         added, after = self.added, self.added.after
-        layout, known = after.layout, self._joint_of(added.touched)
+        layout, known = after.layout, self.joint_of(added.touched)
         across = added.regression @ known
         joint = np.block([[known, across.T], [across, added.conditional + across @ added.regression.T]])
         order = np.argsort(after.columns([*added.touched, *added.new]))
@@ -127,20 +130,25 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
     state, index = present.state, present.index_of
     ids = dict.fromkeys(name for one in additions for name in one.points.ids)
     again = np.array([index[name] for name in ids if name in index], dtype=np.int64)
+    known = latest([definitions(one) for one in (state.network, *additions)])
+    again = np.union1d(again, turned_points(state.network, known))
     before = part(state.network, again) if again.size else None
-    network = joined([*([before] if before else []), *additions])
+    network = together([*([before] if before else []), *additions])
+    network = with_definitions(network, known)
+    values = with_expected(state.values, known)
     places = network.points.places.copy()
     places[: again.size] = state.places[again]
-    after = ReducedNetwork(network, state.settings, state.values, places)
-    known = set(present.adjusted)
-    touched = tuple(name for name in after.adjusted if name in known)
-    new = tuple(name for name in after.adjusted if name not in known)
-    gained, own, regression = _on_touched(after, touched, new)
+    after = ReducedNetwork(network, state.settings, values, places)
+    there = set(present.adjusted)
+    touched = tuple(name for name in after.adjusted if name in there)
+    new = tuple(name for name in after.adjusted if name not in there)
+    whole = after.information([*touched, *new]) + _of_priors(after, present, [*touched, *new])
     if before is not None:
         old = ReducedNetwork(before, state.settings, state.values, state.places[again])
         before_too = [name for name in touched if name in set(old.adjusted)]
         columns = _positions(after, touched, before_too)
-        gained[np.ix_(columns, columns)] -= old.information(before_too)
+        whole[np.ix_(columns, columns)] -= old.information(before_too)
+    gained, own, regression = _on_touched(whole, after, touched, new)
     root = _root(gained, present.layout.scales[present.columns(touched)])
     return AddedInformation(after, touched, new, root, own, regression)
 
@@ -168,16 +176,50 @@ def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence
     return np.array([number.get(column, -1) for column in network.columns(some).tolist()], dtype=np.int64)
 
 
+def turned_points(network: Network, known: Definitions) -> Index:
+    """Points that depend on other orientation images once passes are as known: those seen at their ends."""
+    found = [np.zeros(0, dtype=np.int64)]
+    for one in network.passes:
+        nodes = known.passes[one.name].nodes
+        for j in one.images.tolist() if nodes.times.size != one.nodes.times.size else ():
+            image, rays = network.images[j], np.flatnonzero(network.rays.image == j)
+            ranges = np.flatnonzero(network.ranges.image == j)
+            times = np.concatenate([
+                image.timing.at(network.rays.places[rays, 0])[0] + image.trajectory.epoch, network.ranges.times[ranges]
+            ])  # fmt: skip
+            points = np.concatenate([network.rays.point[rays], network.ranges.point[ranges]])
+            first = [each.times[each.first_of_four(times, 0.0)] for each in (one.nodes, nodes)]
+            found.append(points[first[0] != first[1]])
+    return np.unique(np.concatenate(found))
+
+
+def _of_priors(after: ReducedNetwork, present: CurrentState, names: Sequence[Unknown]) -> Array:
+    """(d, d) what is known beforehand of some unknowns and was not: of new ones, and of passes that are continued."""
+    columns, there = after.columns(names), set(present.adjusted)
+    place = dict(zip(columns.tolist(), range(columns.size), strict=True))
+    alone = [name for name in names if name not in there and name.kind not in TOGETHER]
+    found, mine = np.zeros((columns.size, columns.size)), after.columns(alone)
+    own = [place[column] for column in mine.tolist()]
+    found[own, own] = 1.0 / after.layout.sigmas[mine] ** 2
+    rows = [set(prior_rows(definitions(one.network))) for one in (after, present)]
+    touched = {name for name in names if name.kind in TOGETHER}
+    for more, fewer, sign in ((rows[0], rows[1], 1.0), (rows[1], rows[0], -1.0)):
+        for one in (each for each in more - fewer if touched.issuperset(each.unknowns)):
+            into = [place[column] for column in after.columns(one.unknowns).tolist()]
+            block = np.hstack(one.whitened)
+            found[np.ix_(into, into)] += sign * block.T @ block
+    return found
+
+
 def _on_touched(
-    after: ReducedNetwork, touched: Sequence[Unknown], new: Sequence[Unknown]
+    whole: Array, after: ReducedNetwork, touched: Sequence[Unknown], new: Sequence[Unknown]
 ) -> tuple[Array, Array, Array]:
     """Information (d, d) on the touched unknowns with the new ones eliminated, the covariance (w, w) of these were the
-    touched ones known, and how they follow them (w, d).
+    touched ones known, and how they follow them (w, d); `whole` is that on all of them.
     """
-    whole = after.information([*touched, *new])
     d = after.columns(touched).size
     columns = after.columns(new)
-    own = whole[d:, d:] + np.diag(1.0 / after.layout.sigmas[columns] ** 2)
+    own = whole[d:, d:]
     scales = after.layout.scales[columns]
     try:
         factor = np.linalg.cholesky(own * scales[:, None] * scales)

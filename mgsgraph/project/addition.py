@@ -24,7 +24,8 @@ from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
-from mgsgraph.network.definitions import Definitions, definitions, united, with_definitions
+from mgsgraph.network.definitions import Definitions, definitions, joining, united, with_definitions
+from mgsgraph.network.joining import seconds
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.network.terrain_control import over_terrain
@@ -93,6 +94,7 @@ def parse_image(text: str) -> ImageArgument:
 def read_addition(
     store: ProjectStore, settings: ProjectSettings, where: str,
     images: Sequence[ImageArgument], ties: Sequence[Path], shots: Sequence[Path],
+    of_pass: str = "", shares: Sequence[str] = (),
 ) -> Addition:  # fmt: skip
     """Read everything that is to be added.
 
@@ -109,6 +111,10 @@ def read_addition(
         they name.
     ties, shots : sequence of Path
         Control networks; ISIS lidar files (.json) and files of an altimeter's archive.
+    of_pass : str
+        Pass of the project that single images join.
+    shares : sequence of str
+        Shared unknowns of the project that they share.
 
     Raises
     ------
@@ -135,6 +141,9 @@ def read_addition(
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
     alone = [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
     new += alone
+    known_passes = store.definitions()
+    brought += [joining(known_passes, name, of_pass, shares, where) for name in _names(alone)]
+    notes += [] if of_pass else _taken_along(known_passes, [one.known.image for one in alone], store)
     _require_new(_names(new), there, where)
     if new:
         require_distinct([*(store.image(name).image for name in there), *(one.known.image for one in new)], where)
@@ -162,6 +171,21 @@ def read_addition(
     unconnected = tuple(name for name in _names(new) if name not in linked)
     whole = with_images(network, pictures)
     return Addition(tuple(new), whole, files, unconnected, tuple(sources), tuple(notes), united(brought))
+
+
+def _taken_along(known: Definitions, images: Sequence[PushbroomImage], store: ProjectStore) -> list[str]:
+    """Sentences about images with an orientation of their own that were taken while a pass of the project was."""
+    found = list[str]()
+    for one in known.passes.values():
+        edges = np.array([seconds(store.image(name).image) for name in one.images])
+        for image in images:
+            start, stop = seconds(image)
+            if np.any((edges[:, 0] < stop) & (start < edges[:, 1])):
+                found.append(
+                    f"{image.name} was taken while images of pass {one.name} were, and gets an orientation of its own; "
+                    f"--pass {one.name!r} puts it on that trajectory."
+                )
+    return found
 
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:

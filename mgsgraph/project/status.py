@@ -44,6 +44,19 @@ def _contents(project: Project) -> list[str]:
         f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
         f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
         f"  terrain model as control: {model}",
+        *_passes(project),
+    ]
+
+
+def _passes(project: Project) -> list[str]:
+    """A line for each pass and each unknown that images share."""
+    known = project.store.definitions()
+    return [
+        f"  pass {one.name}: {many(len(one.images), 'image')}, {many(len(one.nodes), 'orientation image')} "
+        f"{one.nodes.spacing:.4g} s apart"
+        for one in known.passes.values()
+    ] + [
+        f"  shared unknown {one.name} ({one.kind}): {many(len(one.images), 'image')}" for one in known.shared.values()
     ]
 
 

@@ -1,0 +1,111 @@
+"""Candidates on the trajectory of a pass: what is promised is what adjusting with them brings."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry.records import Array
+from mgsgraph.incremental.trajectories import extended, with_expected
+from mgsgraph.network import Network
+from mgsgraph.network.definitions import Definitions, definitions, with_definitions
+from mgsgraph.network.parts import KnownImage, known_images, with_images, without_images
+from mgsgraph.planning.candidates import PlannedTies, planned_image
+from mgsgraph.planning.coverage import ImageCoverage
+from mgsgraph.planning.plan import plan
+from mgsgraph.planning.state import CurrentState, correction_of, state_of_solution, together
+from mgsgraph.planning.targets import TargetSigmas, targets_of
+from mgsgraph.planning.update import added, updated
+from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
+from mgsgraph.simulation.segments import in_segments
+from mgsgraph.units import MGON
+
+AS_PROMISED = 0.01
+LATE = "HRSC/00/S2/2"
+"""The last one of the strip: its trajectory ends with it."""
+
+
+@cache
+def strip() -> Network:
+    """One strip of a trajectory that is known well but for what changes on the way."""
+    errors = TrajectoryErrors(attitude=1.0 * MGON, attitude_drift=0.5 * MGON, position=2.0, position_drift=1.0)
+    settings = BlockSettings(strips=1, length=80e3, points=300, terrain=None, spacing=5.0, errors=errors)
+    return in_segments(simulate_hrsc_block(settings, seed=2).network, 2)
+
+
+@cache
+def coverage() -> ImageCoverage:
+    """The strip without its last image, on a trajectory that ends before that."""
+    names = [image.name for image in strip().images]
+    left = without_images(strip(), {LATE})
+    assert left is not None
+    known = definitions(left)
+    own = known.passes["HRSC/00"]
+    edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch - own.nodes.epoch
+             for image in left.images]  # fmt: skip
+    nodes = own.nodes.over(float(np.min(edges)), float(np.max(edges)))
+    assert len(nodes) < len(own.nodes)
+    assert len(names) == len(left.images) + 1
+    shorter = with_definitions(left, Definitions({"HRSC/00": replace(own, nodes=nodes)}))
+    return ImageCoverage(state_of_solution(adjust_network(shorter, SolverSettings())))
+
+
+def late() -> tuple[KnownImage, Definitions]:
+    """The image that is missing, and the pass that it is of."""
+    known = next(one for one in known_images(strip()) if one.image.name == LATE)
+    return known, definitions(strip()).of([LATE])
+
+
+def measured(planned: Network, known: Definitions) -> Network:
+    """Planned measures as the orientation that is expected gives them, without noise."""
+    state, places = coverage().state, planned.rays.places.copy()
+    values = with_expected(state.values, known)
+    for j, one in enumerate(known_images(planned)):
+        mine = planned.rays.image == j
+        correction = correction_of(one, state.settings, values, known.of([one.image.name]))
+        places[mine], _ = one.image.ground_to_image(planned.points.places[planned.rays.point[mine]], correction)
+    return replace(planned, rays=replace(planned.rays, places=places))
+
+
+def sigmas_of(network: Network, names: tuple[str, ...]) -> Array:
+    """(n,) m of points, roots of the traces of their covariances, adjusted."""
+    solution = adjust_network(network, SolverSettings())
+    place = {name: i for i, name in enumerate(network.points.ids)}
+    return np.sqrt(np.trace(solution.covariances[[place[name] for name in names]], axis1=1, axis2=2))
+
+
+@pytest.mark.parametrize("existing", [False, True])
+def test_an_image_that_continues_a_pass_brings_what_was_promised(existing: bool) -> None:
+    known, brought = late()
+    chosen = planned_image(coverage(), known, PlannedTies(12, sigma=0.3, existing=existing), brought)
+    assert chosen.addition is not None
+    state = coverage().state
+    present, targets = CurrentState(state), targets_of(state, ["all"])
+    update = updated(present, added(present, [chosen.addition]))
+    promised = TargetSigmas(present, targets).after(update)[:, 0]
+
+    after = extended(coverage(), definitions(state.network), brought, [known])
+    assert len(after.passes["HRSC/00"].nodes) > len(definitions(state.network).passes["HRSC/00"].nodes)
+    whole = together([state.network, measured(chosen.addition, after)])
+    images = [*known_images(state.network), known]
+    whole = with_definitions(with_images(whole, images), after)
+    had = sigmas_of(whole, targets.points)
+    assert promised == pytest.approx(had, rel=AS_PROMISED)
+    before = TargetSigmas(present, targets).before()[:, 0]
+    large = had < 0.97 * before
+    assert np.count_nonzero(large) > 10  # else nothing was promised
+    assert (before - promised)[large] == pytest.approx((before - had)[large], rel=AS_PROMISED)
+
+
+def test_it_is_ranked_and_an_image_is_a_target() -> None:
+    known, brought = late()
+    chosen = planned_image(coverage(), known, PlannedTies(12, sigma=0.3), brought)
+    found = plan(coverage().state, [chosen], 1)
+    assert [one.name for one in found.chosen] == [LATE]
+    assert found.drop > 0.0
+    name = coverage().network.images[0].name
+    ground = plan(coverage().state, [chosen], 1, [name])
+    assert 0.0 < ground.after.total < ground.now.total
