@@ -48,7 +48,7 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.argument("images", nargs=-1, metavar="[NAME=]IMAGE...")
 @click.option("--ties", type=PATH, multiple=True, help="Control network with their measures; may be repeated.")
 @click.option("--shots", type=PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
-@click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT whose trajectory they are taken on.")
+@click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT that they are images of.")
 @click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
 @click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
 @click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")

@@ -169,9 +169,10 @@ def joining(
 
     Raises InputError, naming `where`, for an unknown name.
     """
-    for name, there, what in ((of_pass, known.passes, "pass"), *((one, known.shared, "shared unknown") for one in shares)):
-        if name and name not in there:
-            names = ", ".join(list(there)[:4]) or "there is none"
+    wanted = [("pass", of_pass, list(known.passes))] if of_pass else []
+    for what, name, there in [*wanted, *(("shared unknown", one, list(known.shared)) for one in shares)]:
+        if name not in there:
+            names = ", ".join(there[:4]) or "there is none"
             raise InputError(where, f"no {what} {name!r}", f"one that is there ({names})", "begin it in a case file")
     passes = [replace(known.passes[of_pass], images=(image,), axes=None)] if of_pass else []
     shared = [replace(known.shared[name], images=(image,)) for name in shares]

@@ -12,6 +12,7 @@ from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.groups import in_images, with_sigmas
 from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.laser import ShotsInput
+from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput
 from mgsgraph.control.table import read_tie_points
@@ -220,13 +221,11 @@ def images_alone(path: Path) -> tuple[list[NewImage], str]:
     Raises
     ------
     InputError
-        As `read_case` about images; strips or shared unknowns, which no project has.
+        As `read_case` about images.
     """
     wanted = decode(path)
-    for key in ("strips", "shared"):
-        if getattr(wanted, key):
-            raise InputError(f"{path}, {key}", "a table that no project has", "none", "use mgsgraph match and adjust")
-    images, _ = read_images(wanted, wanted.orientations, [], path)
+    of_passes = members(wanted.trajectories, [entry.name for entry in wanted.images], str(path))
+    images, _ = read_images(wanted, wanted.orientations, of_passes, path)
     known = map(KnownImage, images, wanted.priors(str(path)), (entry.held for entry in wanted.images))
     return [
         NewImage(one, _files(entry, path), picture_of(entry, path.parent))
@@ -244,6 +243,9 @@ def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
     """All that a case names; of one without ties and laser, the images alone."""
     wanted = decode(path)
     if not wanted.measured and not wanted.shots:
+        for name in [name for name in ("strips", "passes", "shared") if getattr(wanted, name)][:1]:
+            found, remedy = "what its images share, without any measure of them", f"name their ties, or take {name} out"
+            raise InputError(f"{path}, {name}", found, "tie points or laser shots", remedy)
         return images_alone(path)[0], None
     return images_of_case(path)
 

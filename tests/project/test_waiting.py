@@ -159,10 +159,4 @@ def test_what_is_refused(project: Path, case: Path, case_file: Path, tmp_path: P
     call("init", tmp_path / "full", "--case", case_file)
     with pytest.raises(InputError, match="it has measures already"):
         call("match", tmp_path / "full")
-    shared = case.with_name("shared.toml")
-    table = '\n[[shared]]\nkind = "attitude-time bias"\nsigma_s = 1.0\n'
-    shared.write_text(case.read_text(encoding="utf-8") + table, encoding="utf-8")
-    with pytest.raises(InputError, match="shared: a table that no project has"):
-        call("init", tmp_path / "shared", "--case", shared)
-    assert not (tmp_path / "shared").exists()
     assert (project / "project.sqlite").read_bytes() == before
