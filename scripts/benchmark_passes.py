@@ -72,8 +72,8 @@ def page(chosen: Namespace) -> str:
         rows = grown(network, what)
         lines += [f"## A trajectory that {what}", "", *table(_HEAD[0], [rows[k] for k in _shown(len(rows))]), ""]
     words = (
-        f"Time is the median of the last five additions, of one processor. {chosen.length:g} km, {chosen.points} points, "
-        f"{chosen.spacing:g} s between orientation images, a terrain model good to 10 m, seed {chosen.seed}."
+        f"Time is the median of the last five additions, of one processor. {chosen.length:g} km, {chosen.points} "
+        f"points, {chosen.spacing:g} s between orientation images, a terrain model good to 10 m, seed {chosen.seed}."
     )
     return "\n".join([*lines, words, "", f"{machine()}. {made_with()}", ""])
 
