@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Pass
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def _root(one: Pass, scales: Array) -> "csr_array":
     """(rows, columns) whitened rows of the prior on nodes and trend, in units of `scales` (columns,)."""
     from scipy.sparse import csr_array
 
-    first, parts, height = np.concatenate([[0], np.cumsum(one.widths)]), list[tuple[Array, Array, Array]](), 0
+    first, parts, height = np.concatenate([[0], np.cumsum(one.widths)]), list[tuple[Index, Index, Array]](), 0
     for factor in one.prior.factors(one.nodes):
         for unknown, block in zip(factor.unknowns, factor.blocks, strict=True):
             row, column = np.nonzero(block)
