@@ -47,6 +47,8 @@ _LANES = 30
 """Lanes of bars at most; more images share them."""
 MOST_PASSES = 10
 """Passes with a sheet each among the files of a result; a report page has fewer."""
+_ALIKE = 0.9
+"""Correlation from which on one may stand for another."""
 _IN_OVERVIEW = 60
 """Passes on the sheet of all."""
 _ROWS = ("along (m)", "across (m)", "radial (m)", "roll (mgon)", "pitch (mgon)", "yaw (mgon)")
@@ -190,12 +192,13 @@ def _caption(drawn: DrawnPass) -> str:
     """What one sees, with figures."""
     shift, turn = (max(float(np.abs(drawn.curves[n][0]).max()) for n in part) for part in (range(3), range(3, 6)))
     spread, twist = (max(float(drawn.curves[n][1].max()) for n in part) for part in (range(3), range(3, 6)))
+    stands = ", so that one may stand for the other" if drawn.coupling > _ALIKE else ""
     return (
         f"{many(len(drawn.images), 'image')} on one trajectory with {many(drawn.nodes.size, 'orientation image')} over "
         f"{number(float(drawn.places[-1]), 4)} s: positions moved by up to {number(shift)} m and the axes of the pass "
         f"turned by up to {number(turn)} mgon, with sigmas of up to {number(spread)} m and {number(twist)} mgon; "
-        f"position and rotation of the middle one are correlated by up to {drawn.coupling:.3f}, so that one may stand "
-        "for the other. Boresights, lever arms and other unknowns that images share are not in these curves"
+        f"position and rotation of the middle one are correlated by up to {drawn.coupling:.3f}{stands}. Boresights, "
+        "lever arms and other unknowns that images share are not in these curves"
     )
 
 
