@@ -8,8 +8,9 @@ them. In the table, for every k-th image: processor time of `IncrementalAdjustme
 trajectories: one that forgets its errors within a few seconds and has no error in common, and Mars Express's, with a
 bias and a drift that the whole strip shares.
 
-It is not flat up to 40 images: along a strip without control each addition moves all points by more than 0.01 of
-their sigma, and all that move are placed anew. What it costs goes with the points that it moves, some 0.3 to 0.4 ms each.
+It is not flat up to 40 images: along a strip without horizontal control each addition moves all points by more than
+0.01 of their sigma, and all that move are placed anew. What it costs goes with the points that it moves, some 0.3 to
+0.4 ms each.
 """
 
 import statistics
