@@ -71,10 +71,10 @@ def move_basis(rows, i, w, s):
 
 
 @lane
-def leave_out_unsolved(count, w, s):
+def leave_out_unsolved(count, width, w, s):
     """Take points that aren't solved out of the system."""
     for row in range(count):
-        for a in range(STATE_WIDTH):
+        for a in range(width):
             state = s + RESULT + BY_STATE + row * ROW + a * LANES
             for l in range(LANES):
                 w[state + l] = w[state + l] if w[STATUS + l] == GOOD else 0.0
@@ -128,7 +128,7 @@ def couple_all(rows, model, segments, w, depth, y):
         s = TILE + (i - begin) * depth
         if observation_columns(rows, i)[1] > 0:
             if lost:
-                leave_out_unsolved(row_count(rows.observation_kind[i]), w, s)
+                leave_out_unsolved(row_count(rows.observation_kind[i]), rows.observation_width[i], w, s)
             if model.line == PREDICTED:
                 move_basis(rows, i, w, s)
             couple(row_count(rows.observation_kind[i]), rows.observation_width[i], w, s, y, (i - begin) * COUPLED)

@@ -61,6 +61,7 @@ from mgsgraph.kernel.lanes import (
     ROWS_SQUARED,
     SCALE,
     SLOPE,
+    STATE_WIDTH,
     STATUS,
     TILE,
     VELOCITY,
@@ -102,8 +103,10 @@ def put(w, register, l, values, used):
     w[register + 2 * LANES + l] = values[2] if used else 0.0
 
 
-def _image_loop(attitude_of, predicted):
-    """The loop over image rays of one form of the model: `attitude_of` is one of `factors.pose`."""
+def _image_loop(attitude_of, predicted, interior):
+    """The loop over image rays of one form of the model: `attitude_of` is one of `factors.pose`, `interior` whether the
+    interior orientation is unknown.
+    """
 
     @lane
     def loop(w):
@@ -120,7 +123,7 @@ def _image_loop(attitude_of, predicted):
             attitude, axes, camera_rate = attitude_of(nominal, angular_rate, line_offset, theta, rate)
             centre = perspective_centre(vector(w, _C + POSITION, l), velocity, line_offset, vector(w, DELTA, l))
             ray = transform(attitude, subtract(vector(w, POINT, l), centre))
-            x, y, longer = vector(w, DELTA + 6 * LANES, l)
+            x, y, longer = vector(w, DELTA + 6 * LANES, l) if interior else (0.0, 0.0, 0.0)
             focal, detector = w[_C + FOCAL + l] + longer, (w[_C + DETECTOR + l] + x, w[_C + DETECTOR + LANES + l] + y)
             image = focal_plane(ray, focal)
             if predicted:
@@ -149,10 +152,11 @@ def _image_loop(attitude_of, predicted):
             put(w, _SECOND_ROW, l, by_point(of_sample, attitude), used)
             put(w, _BY_STATE + 3 * LANES, l, by_rotation(of_line, ray, axes), used)
             put(w, _BY_STATE + ROW + 3 * LANES, l, by_rotation(of_sample, ray, axes), used)
-            in_line = weight_line * scale[0][0], weight_line * scale[0][1]
-            in_sample = weight_sample * scale[1][0], weight_sample * scale[1][1]
-            put(w, _BY_STATE + 6 * LANES, l, by_interior(in_line, ray), used)
-            put(w, _BY_STATE + ROW + 6 * LANES, l, by_interior(in_sample, ray), used)
+            if interior:
+                in_line = weight_line * scale[0][0], weight_line * scale[0][1]
+                in_sample = weight_sample * scale[1][0], weight_sample * scale[1][1]
+                put(w, _BY_STATE + 6 * LANES, l, by_interior(in_line, ray), used)
+                put(w, _BY_STATE + ROW + 6 * LANES, l, by_interior(in_sample, ray), used)
         for row in range(2):  # by position: minus by point
             for r in range(3 * LANES):
                 w[_BY_STATE + row * ROW + r] = -w[_FIRST_ROW + row * ROW + r]
@@ -160,9 +164,28 @@ def _image_loop(attitude_of, predicted):
     return loop
 
 
-_about_axes_predicted, _about_axes_measured = _image_loop(about_axes, True), _image_loop(about_axes, False)
-_opk_paper_predicted, _opk_paper_measured = _image_loop(opk_paper, True), _image_loop(opk_paper, False)
-_opk_peer_predicted, _opk_peer_measured = _image_loop(opk_peer, True), _image_loop(opk_peer, False)
+def _image_loops(attitude_of):
+    """The loop of one attitude: predicted or measured line, and interior orientation unknown or not."""
+    predicted, measured = _image_loop(attitude_of, True, False), _image_loop(attitude_of, False, False)
+    predicted_interior, measured_interior = _image_loop(attitude_of, True, True), _image_loop(attitude_of, False, True)
+
+    @inlined
+    def loops(w, at_predicted, interior):
+        """Rows with the pose of LINE_OFFSET."""
+        if at_predicted:
+            if interior:
+                predicted_interior(w)
+            else:
+                predicted(w)
+        elif interior:
+            measured_interior(w)
+        else:
+            measured(w)
+
+    return loops
+
+
+_about_axes, _opk_paper, _opk_peer = _image_loops(about_axes), _image_loops(opk_paper), _image_loops(opk_peer)
 
 
 @lane
@@ -179,27 +202,20 @@ def next_line(w):
 @inlined
 def image_rows(rows, model, segments, count, i, x, w, s):
     """Rows of image observation i: at the predicted line by Newton's method, or at the measured one."""
-    predicted = model.line == PREDICTED
+    predicted, interior = model.line == PREDICTED, rows.observation_width[i] > 6
     copy_block(w, s, _C, OF_PREDICTED if predicted else OF_MEASURED)
     for l in range(LANES):
         w[ROWS + LINE_OFFSET + l] = 0.0
     for step in range(NEWTON_STEPS if predicted else 1):
         correct(rows, segments, count, i, x, w, s, predicted)
-        if predicted:
-            if model.angles == CAMERA:
-                _about_axes_predicted(w)
-            elif model.angles == OPK_PAPER:
-                _opk_paper_predicted(w)
-            else:
-                _opk_peer_predicted(w)
-            if step == NEWTON_STEPS - 1 or not next_line(w):
-                break
-        elif model.angles == CAMERA:
-            _about_axes_measured(w)
+        if model.angles == CAMERA:
+            _about_axes(w, predicted, interior)
         elif model.angles == OPK_PAPER:
-            _opk_paper_measured(w)
+            _opk_paper(w, predicted, interior)
         else:
-            _opk_peer_measured(w)
+            _opk_peer(w, predicted, interior)
+        if predicted and (step == NEWTON_STEPS - 1 or not next_line(w)):
+            break
 
 
 @lane
@@ -369,4 +385,5 @@ def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
         measured = kind == IMAGE or kind == RANGE or kind == STEREO
         add_rows(model, robust and measured, kind, rows.observation_width[i], w)
         if kept:
-            copy_block(w, ROWS, s + RESULT, OF_ROWS[row_count(kind)])
+            unused = STATE_WIDTH - rows.observation_width[i]  # of the last row
+            copy_block(w, ROWS, s + RESULT, OF_ROWS[row_count(kind)] - unused * LANES)

@@ -199,7 +199,7 @@ def pose_components(width):
 @inlined
 def correct(rows, segments, count, i, x, w, s, rates):
     """DELTA and, if `rates`, RATE: what the unknowns x do to observation i, LINE_OFFSET lines from its reference."""
-    for r in range(STATE_WIDTH * LANES):
+    for r in range(max(rows.observation_width[i], 4) * LANES):
         w[DELTA + r] = 0.0
     for r in range(6 * LANES if rates else 0):
         w[RATE + r] = 0.0

@@ -7,6 +7,7 @@
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.separation import mixtures, separations
 from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.wording import some
@@ -25,7 +26,7 @@ ON_PAGE = ("name", "kind", "axis", "unit", "value", "sigma", "prior_sigma", "ima
 
 def shared_table(solution: Solution) -> Table:
     """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
-    found = shared_estimates(solution)
+    found, apart = shared_estimates(solution), separations(solution)
     units = [one.unit for one in found]
     return Table("shared", "Unknowns that images share", (
         Column("text", [f"{one.name[:34]} {one.axis}".strip() for one in found], label="Shared unknowns", text="<38",
@@ -48,12 +49,19 @@ def shared_table(solution: Solution) -> Table:
         Column("likeness_to_pitches", numbers(found, "together"),
                meaning="with the best mixture of all images' pitches"),
         Column("ground_m_per_{unit}", numbers(found, "ground"), units, "m on the ground, in the middle of that image"),
+        Column("gain", numbers(apart, "gain"), meaning="sigma over a-priori sigma"),
+        Column("most_correlated_with", [one.other for one in apart], meaning="of all other unknowns"),
+        Column("largest_correlation", numbers(apart, "correlation"), meaning="with that one, of the posterior"),
+        Column("multiple_correlation", numbers(apart, "together"), meaning="with all other unknowns together"),
+        Column("verdict", [one.verdict.value for one in apart], meaning="whether it can be told apart"),
     ))  # fmt: skip
 
 
 def shared_statements(solution: Solution) -> list[str]:
-    """A sentence or two about each column."""
-    return [" ".join([_value(one), *_warnings(one)]) for one in shared_estimates(solution)]
+    """Some sentences about each column, and one about each mixture of them that is determined."""
+    both = zip(shared_estimates(solution), separations(solution), strict=True)
+    each = [" ".join([_value(one), apart.words, *_warnings(one)]) for one, apart in both]
+    return each + [f"Of shared unknowns together is determined: {one.words}." for one in mixtures(solution)]
 
 
 def _value(one: SharedEstimate) -> str:
