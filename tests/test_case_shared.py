@@ -13,6 +13,7 @@ import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
+from mgsgraph.project.project import open_project
 from mgsgraph.reports.inventory import inventory
 from mgsgraph.simulation.files import write_site
 
@@ -124,14 +125,13 @@ def test_one_clear_line(case_file: Path, entry: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_projects_refuse_it_and_leave_nothing_behind(case_file: Path, tmp_path: Path) -> None:
+def test_projects_keep_them(case_file: Path, tmp_path: Path) -> None:
     with_text(case_file, GOOD)
-    with pytest.raises(InputError, match="adjusted image by image"):
-        group(["init", str(tmp_path / "project"), "--case", str(case_file)], standalone_mode=False)
-    assert not (tmp_path / "project").exists()
-    group(["init", str(tmp_path / "project")], standalone_mode=False)
-    with pytest.raises(InputError, match="adjust such a case as a whole"):
-        group(["add", str(tmp_path / "project"), str(case_file)], standalone_mode=False)
+    project = tmp_path / "project"
+    assert not group(["init", str(project), "--case", str(case_file)], standalone_mode=False)
+    with open_project(project) as opened:
+        kinds = [one.kind for one in opened.store.network().shared]
+    assert kinds == [SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT, SharedKind.RANGE_BIAS]
 
 
 def test_the_command_line_reports_them(case_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
