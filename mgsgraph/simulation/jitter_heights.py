@@ -17,6 +17,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.simulation.ctx import SimulatedCtxPair, image_times
 from mgsgraph.simulation.observations import well_inside
+from mgsgraph.simulation.strip_truth import correction_at
 
 _BAND = 0.25
 """Of the frequency, to either side, that counts as the ripple."""
@@ -62,9 +63,10 @@ def height_errors(
     truth: DenseTruth, images: Sequence[PushbroomImage], corrections: Sequence[OrientationCorrection]
 ) -> Array:
     """(n,) m, intersections with some orientations less the true points, upwards."""
-    sight = [image.sightlines(*places.T, correction) for image, places, correction in zip(
-        images, (truth.first, truth.second), corrections, strict=True
-    )]  # fmt: skip
+    sight = [
+        image.sightlines(places[:, 0], places[:, 1], correction)
+        for image, places, correction in zip(images, (truth.first, truth.second), corrections, strict=True)
+    ]
     n = truth.points.shape[0]
     origins, directions = (np.concatenate([each[k] for each in sight]) for k in range(2))
     places, _, _ = intersect_rays(origins, directions, np.tile(np.arange(n), 2), n)
@@ -99,8 +101,6 @@ def attitude_errors(
     """Times (n,) in s past the epoch, and by how much pitch and roll (n, 2) in rad of one image's adjusted orientation
     exceed the true ones.
     """
-    from mgsgraph.simulation.strip_truth import correction_at
-
     image = pair.network.images[number]
     times = np.linspace(*image_times(image), count)
     found, true = (

@@ -88,7 +88,7 @@ class SeriesSpectrum:
         self._bin = np.minimum((series.times / series.duration + 0.5) * bins, bins - 1).astype(np.int64)
         self._length = round(_FINE * bins)
         self._numbers = np.arange(round(_LOWEST * _FINE), round(highest * _FINE))
-        self.grid: Array = self._numbers * once / _FINE
+        self.grid: Array = np.asarray(self._numbers * once / _FINE, dtype=np.float64)
         self.width = float(self.grid[-1] - self.grid[0]) * math.sqrt(4.0 * math.pi * float(np.var(series.times)))
         u = series.times / (0.5 * series.duration)
         polynomials = np.polynomial.legendre.legvander(u, _DEGREE) * series.moves[:, None]
