@@ -45,8 +45,9 @@ _BANDWIDTH = 0.5
 """Of a vibration, in reciprocals of a pass's duration: what is narrower can't be told from a sine."""
 _STEPS, _TOLERANCE = 40, 1e-2
 """Steps of strengths at most, and their change below which they rest."""
-_UNSEEN = 0.02
-"""Degrees of freedom, of those that a process has, that measures have to take for its strength to be found."""
+_UNSEEN = 0.5
+"""Share of the a-priori variance of a process of one pixel that measures have to take away for its strength to be
+found: a strength that is hardly seen runs away."""
 _QUIET = 1e-3
 """Pixels: the least strength."""
 
@@ -238,26 +239,30 @@ class _Search:
     def run(self, pixel: float) -> None:
         """Climb from a pixel for each."""
         self.theta[:] = pixel**2
-        for _ in range(_STEPS):
+        for step in range(_STEPS):
             before = self.theta.copy()
             projected, residual = self._projected()
-            for j, kernels in enumerate(self._kernels):
+            for j in range(len(self._kernels)):
                 for a in _AXES:
-                    self._step(j, a, kernels, projected, residual, pixel)
+                    self._step((j, a), projected, residual, pixel, begins=step == 0)
             for j, row in enumerate(self.found):
                 if row.any() and not row.all():
                     self.theta[j, ~row] = self.theta[j, row].max()
             if np.abs(np.log(self.theta / before)).max() < _TOLERANCE:
                 break
 
-    def _step(self, j: int, a: int, kernels: Sequence[Array], projected: Array, residual: Array, pixel: float) -> None:
-        q = s = freedom = 0.0
+    def _step(
+        self, which: tuple[int, int], projected: Array, residual: Array, pixel: float, begins: bool
+    ) -> None:
+        """A step of one strength; whether it can be found is judged where the search begins."""
+        j, a = which
+        kernels, q, s = self._kernels[j], 0.0, 0.0
         for mine, kernel in zip(self._slices[a], kernels, strict=True):
             q += float(residual[mine] @ kernel @ residual[mine])
             s += float(np.sum(kernel * projected[mine, mine]))
-            freedom += float(mine.stop - mine.start)
         self.seen[j, a] = min(self.theta[j, a] * s / _freedom(kernels), 1.0)
-        self.found[j, a] = self.theta[j, a] * s > _UNSEEN * _freedom(kernels)
+        if begins:
+            self.found[j, a] = self.seen[j, a] > _UNSEEN
         if self.found[j, a]:
             self.theta[j, a] = max(self.theta[j, a] * q / s, (_QUIET * pixel) ** 2)
 
