@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rig_files import PASS, write_rig
-from rigs import rig
+from rigs import TURN, rig
 
 import mgsgraph
 from mgsgraph.case.mountings import MountingInput, mounted_images
@@ -14,6 +14,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.network.shared import image_effect
+from mgsgraph.reports.inventory import inventory
 from mgsgraph.units import MRAD
 
 R = '[[mountings]]\ncamera = ["R"]\nname = "NAC-R"\n'
@@ -99,3 +100,17 @@ def test_one_clear_line(tmp_path: Path, fault: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         mgsgraph.read_case(write_rig(tmp_path, PASS + tables))
     assert "\n" not in str(caught.value)
+
+
+def test_check_says_who_makes_a_pass_and_how_it_is_mounted(tmp_path: Path) -> None:
+    """The angle of 3.1 rad about z, 177.6 degrees; and that boresights of both cameras are one too many."""
+    said = inventory(mgsgraph.read_case(write_rig(tmp_path, PASS + R + "boresight_sigma_mrad = 1\n")))
+    assert "Passes\n  one: L, R\n    4 orientation images (lagrange)" in said
+    assert "a-priori sigmas: of the terms 1, s, s^2, s^3 of polynomials" in said
+    x, y, z = np.degrees(rotation.logarithm(TURN.T[None])[0])
+    assert f"mounted at {x:+.4f}, {y:+.4f}, {z:+.4f} deg about the axes x, y, z of L (from the tables): R" in said
+    assert "orientation images of pass one" in said
+    assert "leave one camera out" not in said
+    both = R + "boresight_sigma_mrad = 1\n" + R.replace("R", "L") + "boresight_sigma_mrad = 1\n"
+    said = inventory(mgsgraph.read_case(write_rig(tmp_path, PASS + both)))
+    assert "boresights of all cameras of one are unknown beside the pass's own attitude: what they have" in said

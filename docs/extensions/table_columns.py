@@ -35,10 +35,10 @@ from mgsgraph.registration.search import CostSurface
 from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
 from mgsgraph.reports.likelihood import likelihood_table
+from mgsgraph.reports.passes import nodes_table
 from mgsgraph.reports.plan import judged_table
 from mgsgraph.reports.reliability import reliability_table
 from mgsgraph.reports.shared import shared_table
-from mgsgraph.reports.strips import nodes_table
 from mgsgraph.reports.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.reports.unexplained import unexplained_table
 from mgsgraph.reports.vibrations import vibrations_table
@@ -89,7 +89,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "residuals.csv", residuals_table(solution)
     yield "connectivity.csv", connectivity_table(solution_connectivity(solution))
     yield "shared.csv", shared_table(solution)
-    yield "strips.csv", nodes_table(solution)
+    yield "passes.csv", nodes_table(solution)
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "unexplained.csv", unexplained_table(unexplained(linearised))
     yield "vibrations.csv", vibrations_table(ResidualVibrations((), ()))

@@ -54,9 +54,7 @@ def read_images(
 
 
 def instruments(wanted: CaseInput, path: Path) -> list[str]:
-    """What the file of each image calls its instrument, in capitals, if [[mountings]] ask for it; empty where it does not
-    say.
-    """
+    """What the file of each image calls its instrument, in capitals, if [[mountings]] ask for it; else empty."""
     asked = any(one.instrument for one in wanted.mountings)
     files = [entry.label or entry.cube if asked else None for entry in wanted.images]
     return [instrument_of(path.parent / file) if file is not None else "" for file in files]

@@ -38,7 +38,7 @@ _KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, EXPORT)
 """The first of these in a folder says of what kind its results are."""
 TABLES = (
     RECORD, "solution.npz", "summary.json", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
-    "shared.csv", "strips.csv", "report.html",
+    "shared.csv", "passes.csv", "report.html",
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",

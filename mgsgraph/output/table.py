@@ -259,7 +259,7 @@ class Table:
         most : int, optional
             Rows that are shown.
         more : str
-            Noun of the rest, and after a colon where it is: "more strip: see strips.csv".
+            Noun of the rest, and after a colon where it is: "more strip: see passes.csv".
         indent : int
             Blanks before each row, over which the first heading reaches.
         units : bool

@@ -31,8 +31,8 @@ from mgsgraph.network.connectivity_words import (
 from mgsgraph.network.terrain_control import coverage
 from mgsgraph.registration.crossing_tables import crossing_sentences
 from mgsgraph.registration.crossings import shots_over_images
+from mgsgraph.reports.passes import bare_nodes, mounting_warnings, passes_inventory
 from mgsgraph.reports.readings import beyond_priors_statements, range_statements, reading_statements
-from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
 from mgsgraph.wording import many, root_mean_square, some, some_of
@@ -75,7 +75,7 @@ def inventory(case: Case) -> str:
         _connections(connected),
         *_pulses(case),
         *([_shared(network)] if network.shared else []),
-        *([strips_inventory(network)] if network.passes else []),
+        *([passes_inventory(network)] if network.passes else []),
         *([_terrain(network, network.surface, prediction.places)] if network.surface is not None else []),
         "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
     ]
@@ -139,13 +139,13 @@ def _with_priors(network: Network) -> Network:
     """The network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
     wide = np.repeat([1e3, 1e-2], 3)
     priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
-    strips = tuple(
-        replace(strip, prior=replace(prior, sigmas=np.where(np.isinf(prior.sigmas), wide, prior.sigmas)))
-        if isinstance(prior := strip.prior, NodePrior)
-        else strip
-        for strip in network.passes
+    passes = tuple(
+        replace(one, prior=replace(prior, sigmas=np.where(np.isinf(prior.sigmas), wide, prior.sigmas)))
+        if isinstance(prior := one.prior, NodePrior)
+        else one
+        for one in network.passes
     )
-    return replace(network, priors=priors, passes=strips)
+    return replace(network, priors=priors, passes=passes)
 
 
 def _terrain(network: Network, surface: Surface, places: Array) -> str:
@@ -214,9 +214,9 @@ def _image(image: PushbroomImage, held: str = "") -> list[str]:
 
 def _orientation(network: Network, j: int) -> str:
     """How an image is adjusted."""
-    strip, prior = int(network.pass_of[j]), network.priors[j]
-    if strip >= 0:
-        return f"orientation images of strip {network.passes[strip].name}"
+    owner, prior = int(network.pass_of[j]), network.priors[j]
+    if owner >= 0:
+        return f"orientation images of pass {network.passes[owner].name}"
     return (
         f"orientation polynomials of degree {prior.degree}, a-priori sigma {_range(prior.sigmas[0, :3])} m and "
         f"{_range(prior.sigmas[0, 3:] / MRAD)} mrad (constant term)"
@@ -327,6 +327,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
         names = some_of(network.points.ids, flat, _NAMED)
         found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {names}")
     found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
+    found += mounting_warnings(network)
     angle = _convergence(network)
     if np.any(angle < _NARROW):
         found.append(
@@ -376,7 +377,7 @@ def wild_ranges(network: Network, values: Array) -> Index:
 
 def _poor_images(network: Network) -> list[str]:
     found = []
-    for j in np.flatnonzero(network.pass_of < 0).tolist():  # a strip's images lean on each other
+    for j in np.flatnonzero(network.pass_of < 0).tolist():  # a pass's images lean on each other
         image, mine = network.images[j], network.rays.image == j
         count, lines = int(np.count_nonzero(mine)), network.rays.places[mine, 0]
         if count < _FEW_POINTS:

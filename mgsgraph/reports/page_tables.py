@@ -17,8 +17,8 @@ from mgsgraph.output.csv_json import picked
 from mgsgraph.output.table import Column, Table, cut
 from mgsgraph.reports.group_fits import group_fits_table
 from mgsgraph.reports.minima import minima_table
+from mgsgraph.reports.passes import passes_table
 from mgsgraph.reports.shared import ON_PAGE, shared_table
-from mgsgraph.reports.strips import strips_table
 from mgsgraph.reports.tables import classes_table, images_table, points_table, residuals_table
 
 MOST_ROWS = 1000
@@ -34,7 +34,7 @@ def tables(solution: Solution) -> list[Table]:
     found = [
         _images(solution), group_fits_table(group_fits(solution)), _points_by_class(solution), _ranges(solution),
         _shifts(solution),
-        minima_table(solution.minima), shared_table(solution).pick(*ON_PAGE), strips_table(solution),
+        minima_table(solution.minima), shared_table(solution).pick(*ON_PAGE), passes_table(solution),
         _measures(solution), _points(solution),
     ]  # fmt: skip
     return [table for table in found if len(table)]

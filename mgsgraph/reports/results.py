@@ -32,9 +32,9 @@ from mgsgraph.reports.control import control_json
 from mgsgraph.reports.group_fits import fits_json
 from mgsgraph.reports.likelihood import linearity_json
 from mgsgraph.reports.minima import minima_json
+from mgsgraph.reports.passes import nodes_table, passes_table
 from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.soundness import soundness_json
-from mgsgraph.reports.strips import nodes_table, strips_table
 from mgsgraph.reports.summary import statements
 from mgsgraph.reports.tables import (
     classes_table,
@@ -103,8 +103,8 @@ def write_into(
         shared_table(solution).write_csv(folder / "shared.csv")
         names.append("shared.csv")
     if solution.network.passes:
-        nodes_table(solution).write_csv(folder / "strips.csv")
-        names.append("strips.csv")
+        nodes_table(solution).write_csv(folder / "passes.csv")
+        names.append("passes.csv")
     if not figures:
         return names
     from mgsgraph.figures import write_figures  # matplotlib takes its time; only those who draw wait for it
@@ -168,7 +168,7 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "laser_effect": _laser_effect(solution),
         "control": control_json(solution),
         "shared": shared_table(solution).drop("unit").records(),
-        "strips": strips_table(solution).records(),
+        "passes": passes_table(solution).records(),
         "sigmas": _sigmas(solution),
         "settings": dataclasses.asdict(solution.settings),
         "seconds": dict(solution.seconds),
@@ -189,7 +189,7 @@ def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
     record: dict[str, Any] = {
         "name": image.name,
         "held": bool(solution.network.held[j]),
-        "strip": _strip_name(solution, j),
+        "pass": _strip_name(solution, j),
         "lines": image.lines,
         "samples": image.samples,
         "rays": int(rays.total[j]),

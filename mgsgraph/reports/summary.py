@@ -27,10 +27,10 @@ from mgsgraph.reports.control import control_statements
 from mgsgraph.reports.group_fits import group_fits_table, weight_unit
 from mgsgraph.reports.likelihood import linearity_statements
 from mgsgraph.reports.minima import minima_statements
+from mgsgraph.reports.passes import passes_statements, passes_table
 from mgsgraph.reports.readings import range_statements, reading_statements
 from mgsgraph.reports.shared import IN_TEXT, shared_statements, shared_table
 from mgsgraph.reports.soundness import soundness_statements, state_of
-from mgsgraph.reports.strips import strips_statements, strips_table
 from mgsgraph.reports.tables import classes_table, images_table
 from mgsgraph.ties import PointKind
 from mgsgraph.units import MRAD
@@ -41,7 +41,7 @@ _PIXELS = 0.5
 _FEW_RAYS = 8
 """Fewer rays don't show how they scatter."""
 _ROWS = 24
-"""Images, and strips, listed in the table."""
+"""Images, and passes, listed in the table."""
 _ALIKE = 1.05
 """Ratio up to which two sigmas count as the same."""
 
@@ -60,7 +60,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
         *_datum(solution),
         *control_statements(solution),
         *shared_statements(solution),
-        *strips_statements(solution),
+        *passes_statements(solution),
         *_constant_residuals(solution, rays),
         *_left_out(solution),
         *reading_statements(solution.network.images),
@@ -141,9 +141,9 @@ def _datum(solution: Solution) -> list[str]:
 
 
 def _constant_sigmas(network: Network) -> Array:
-    """(n, 6) m and rad, a-priori sigmas of the constant terms of images, and of strips in their middle."""
+    """(n, 6) m and rad, a-priori sigmas of the constant terms of images, and of passes in their middle."""
     own = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.with_polynomial)]
-    return np.array(own + [strip.prior.node_sigmas(np.zeros(len(strip.nodes)))[0] for strip in network.passes])
+    return np.array(own + [one.prior.node_sigmas(np.zeros(len(one.nodes)))[0] for one in network.passes])
 
 
 def _laser_effect(solution: Solution, without: Array) -> str:
@@ -266,8 +266,8 @@ def summary_table(solution: Solution) -> str:
         "\n".join(group_fits_table(group_fits(solution)).text(indent=2)),
     ]
     if solution.network.passes:
-        strips = strips_table(solution).text(_ROWS, "more strip: see solution.json", indent=2)
-        sections.append("\n".join([*strips, "  (sigmas for sigma0 = 1; every node: strips.csv)"]))
+        passes = passes_table(solution).text(_ROWS, "more pass: see solution.json", indent=2)
+        sections.append("\n".join([*passes, "  (sigmas for sigma0 = 1; every node: passes.csv)"]))
     if solution.network.shared:
         sections.append("\n".join(shared_table(solution).pick(*IN_TEXT).text(indent=2)))
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())

@@ -35,10 +35,10 @@ def images_table(solution: Solution) -> Table:
     found = [orientation_statistics(solution, j) for j in range(len(network.images))]
     mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
     sigma = np.where(network.held[:, None], np.nan, sigma)
-    strips = [network.passes[strip].name if strip >= 0 else "" for strip in network.pass_of.tolist()]
+    passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
     return Table("images", "Images", (
         Column("image", [image.name for image in network.images], page="s", label="Images", text="<26"),
-        Column("strip", strips, page="s"),
+        Column("pass", passes, page="s"),
         Column("lines", np.array([image.lines for image in network.images]), "px", page="s"),
         Column("samples", np.array([image.samples for image in network.images]), "px", page="s"),
         Column("measures", rays.total, page="s", label="rays", text=">6"),

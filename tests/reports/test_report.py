@@ -169,7 +169,7 @@ def test_one_that_has_not_converged_is_marked(tmp_path: Path) -> None:
 def test_strips_without_laser(tmp_path: Path) -> None:
     text = text_of(adjust_network(block().network, SolverSettings(), "block"), tmp_path)
     assert "This solution has no laser points" in text
-    assert 'id="table-strips"' in text
+    assert 'id="table-passes"' in text
     assert 'id="table-ranges"' not in text
 
 

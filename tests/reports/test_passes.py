@@ -26,8 +26,8 @@ from mgsgraph.network import Network, Pass
 from mgsgraph.network.joining import seconds
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.reports.inventory import inventory
+from mgsgraph.reports.passes import bare_nodes, calendar, nodes_table
 from mgsgraph.reports.results import solution_json
-from mgsgraph.reports.strips import bare_nodes, calendar, nodes_table
 from mgsgraph.reports.summary import statements, summary_table
 from mgsgraph.units import ARCSEC, MGON
 
@@ -139,8 +139,8 @@ def test_report(solution: Solution) -> None:
 
 
 def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None:
-    nodes_table(solution).write_csv(tmp_path / "strips.csv")
-    with (tmp_path / "strips.csv").open(newline="") as file:
+    nodes_table(solution).write_csv(tmp_path / "passes.csv")
+    with (tmp_path / "passes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == sum(len(strip.nodes) for strip in solution.network.passes)
     assert [row["node"] for row in rows[:3]] == ["1", "2", "3"]
@@ -173,7 +173,7 @@ def test_words_and_table(solution: Solution, mixed: Solution) -> None:
     assert not any("held" in line for line in statements(solution))
     for one in (solution, mixed):
         table = summary_table(one)
-        assert "Strips " in table
+        assert "Passes " in table
         assert "held" not in table
         assert max(map(len, table.splitlines())) <= 110
 
@@ -183,8 +183,8 @@ def test_json(solution: Solution, mixed: Solution) -> None:
         record = solution_json(one)
         assert json.loads(json.dumps(record, allow_nan=False)) == record
         assert not any(image["held"] for image in record["images"])
-    assert [image["strip"] for image in solution_json(mixed)["images"]] == ['one, "A"', None]
-    strip = solution_json(solution)["strips"][0]
+    assert [image["pass"] for image in solution_json(mixed)["images"]] == ['one, "A"', None]
+    strip = solution_json(solution)["passes"][0]
     assert strip["images"][0] == "HRSC/00/S1"
     assert strip["trend"][3]["component"] == "rotation x"
     assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(solution.trends[0][3])
@@ -194,7 +194,7 @@ def test_without_strips_nothing_is_said(tmp_path: Path) -> None:
     solved = adjust_network(network(pair()), SolverSettings(), "pair")
     assert not any("trip" in line for line in statements(solved))
     assert "Strips" not in summary_table(solved)
-    assert solution_json(solved)["strips"] == []
+    assert solution_json(solved)["passes"] == []
 
 
 # --- check
@@ -203,7 +203,7 @@ def test_without_strips_nothing_is_said(tmp_path: Path) -> None:
 def test_check(tmp_path: Path) -> None:
     case = read_case(write_block(tmp_path))
     said = inventory(case)
-    assert "orientation images of strip HRSC/01" in said
+    assert "orientation images of pass HRSC/01" in said
     assert f"{len(case.network.passes[1].nodes)} orientation images (lagrange), one every" in said
     assert (
         "a-priori sigmas: bias 50 m and 28 mgon, drift 10 m and 5 mgon, departures 1 m and 3 mgon, correlated over 60 s"
@@ -226,9 +226,9 @@ def test_bare_nodes_are_counted() -> None:
         times[mine] = net.images[j].timing.at(net.rays.places[mine, 0])[0]
     gone = (times > strip.nodes.times[2]) & (times < strip.nodes.times[4])
     (said,) = bare_nodes(replace(net, rays=net.rays.chosen(~gone)))
-    assert said.startswith(f"strip HRSC/00: fewer than 3 rays near 1 of its {len(strip.nodes)} nodes, between others")
+    assert said.startswith(f"pass HRSC/00: fewer than 3 rays near 1 of its {len(strip.nodes)} nodes, between others")
     (said,) = bare_nodes(replace(net, rays=net.rays.chosen(times < strip.nodes.times[-3])))
-    assert said == "strip HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
+    assert said == "pass HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
 
 
 # --- pictures
@@ -325,7 +325,7 @@ def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFix
     nodes = len(block().network.passes[1].nodes)
     assert f"Pass HRSC/01 (5 images): {nodes} orientation images" in said
     assert "pitch" in said
-    assert (tmp_path / "out" / "strips.csv").is_file()
+    assert (tmp_path / "out" / "passes.csv").is_file()
     assert len(read_solution(tmp_path / "out").network.passes) == 2
     (tmp_path / "plan.toml").write_text('format = 1\n[[profiles]]\nname = "a"\nimage = "HRSC/00/ND"\nevery_s = 1.0\n')
     with pytest.raises(InputError, match="plan: strip 'HRSC/00'; expected images with an orientation of their own"):
