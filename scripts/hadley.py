@@ -50,6 +50,7 @@ PRIORS = (0.1, 1.0, 10.0)
 
 WORDS = """# NAC-L and NAC-R near Hadley rille: one rig
 
+`mgsgraph adjust scripts/cases/hadley_rig.toml` is the rig with radii free.
 Made by `scripts/hadley.py` from `lro_nac_hadley`: both images of 2009-07-13, read from the cubes' labels and tables
 (whose line times hold the preroll and the line-time correction that the ISDs beside them lack), and ISIS's network:
 46 points in the seam, two of them fixed, 92 measures of {sigma} px. (What jigsaw makes of it: [](real_networks.md).)
