@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
@@ -169,7 +170,8 @@ def estimated_strengths(
     rays: bool = True,
     most: int = 15,
     tolerance: float = 0.01,
-    progress: Callable[[int, int], None] = lambda done, of: None,
+    name: str = "adjustment",
+    progress: Callable[[Iteration], None] = lambda _: None,
 ) -> EstimatedStrengths:
     """Find the strengths of all processes that are marked as `estimated`.
 
@@ -187,8 +189,10 @@ def estimated_strengths(
     tolerance : float
         Relative change below which they are at rest; ten times that share of a strength's own standard deviation where
         this is more.
+    name : str
+        What to call the adjustment in reports.
     progress : callable
-        Called with the number of adjustments done, and of all at the most.
+        Called with every iteration of every adjustment.
 
     Raises
     ------
@@ -198,8 +202,7 @@ def estimated_strengths(
     wanted, total, begin = _wanted(network, by_axis), 1.0, network
     left_in = unmarked(network) if settings.reject == 0.0 else None
     for done in range(most):
-        progress(done, most)
-        solution = adjust_network(network, settings, f"strengths, round {done + 1}", left_in=left_in)
+        solution = adjust_network(network, settings, name, progress, left_in=left_in)
         factor, spread = _ray_factor(solution) if rays else (1.0, 0.0)
         steps, covariance = _scored(solution, wanted)
         # a strength that is known to a tenth only need not be at rest to a hundredth
@@ -214,7 +217,6 @@ def estimated_strengths(
         network = _with_strengths(network, wanted, np.exp(change))
         if rays:
             network, total = _with_rays(network, factor), total * factor
-    progress(most, most)
     errors = now * np.sqrt(np.diagonal(covariance))
     strengths = tuple(
         replace(one, sigma=float(value), error=float(error), zero=bool(gone))
@@ -224,6 +226,13 @@ def estimated_strengths(
     return EstimatedStrengths(
         network, solution, strengths, covariance, total, total * spread, combined, converged, done + 1
     )
+
+
+def asks_for_strengths(network: Network) -> bool:
+    """Whether some process of a pass is to be estimated."""
+    priors = [one.prior for one in network.passes]
+    mine = [prior for prior in priors if isinstance(prior, ProcessPrior)]
+    return any(one.estimated for prior in mine for one in (*prior.position, *prior.attitude))
 
 
 def _wanted(network: Network, by_axis: bool) -> list[tuple[Strength, int]]:
@@ -288,7 +297,7 @@ def _of_pass(solution: Solution, number: int, wanted: list[Strength]) -> tuple[A
         steps, here = trial, there
         if np.abs(move).max() < _AT_REST:
             break
-    return steps, covariance
+    return steps, np.asarray(covariance)
 
 
 class _Likelihood(NamedTuple):
@@ -371,7 +380,9 @@ def _with_strengths(network: Network, wanted: list[tuple[Strength, int]], factor
         own[[c % 3 for c in one.axes]] = factor
         part = list(prior.position if one.part == "position" else prior.attitude)
         part[one.number] = part[one.number].scaled(own)
-        passes[k] = replace(passes[k], prior=replace(prior, **{one.part: tuple(part)}))
+        position = one.part == "position"
+        changed = replace(prior, position=tuple(part)) if position else replace(prior, attitude=tuple(part))
+        passes[k] = replace(passes[k], prior=changed)
     return replace(network, passes=tuple(passes))
 
 

@@ -88,6 +88,7 @@ def adjust(
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.adjustment.cluster import open_cluster, parse_cluster
+    from mgsgraph.analysis.process_strengths import asks_for_strengths, estimated_strengths
     from mgsgraph.analysis.soundness import is_result
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import iteration_bar
@@ -109,9 +110,17 @@ def adjust(
     if two_steps:
         ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, verbose) else 1)
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
-        solution = adjust_network(read.network, settings, read.name, bar, workers)
+        if asks_for_strengths(read.network):
+            if cluster is not None:
+                raise click.UsageError("strengths of processes are estimated without --cluster")
+            found = estimated_strengths(read.network, settings, name=read.name, progress=bar)
+            solution, words = found.solution, found.words()
+        else:
+            solution, words = adjust_network(read.network, settings, read.name, bar, workers), ""
     write_results(solution, out, overrides.figures, case, read.networks)
     print_solution(solution)
+    if words:
+        click.echo(words)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if is_result(solution) else 1)
 

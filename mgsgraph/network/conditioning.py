@@ -15,6 +15,7 @@ filter, sqrt(3) z^|j| with z = sqrt(3) - 2 (Unser et al. 1993), gives the covari
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ _SAMPLES = 32
 """Nodes at which the divergence is taken."""
 _POLE, _REACH = math.sqrt(3.0) - 2.0, 32
 """Of the inverse filter of a spline, and its length."""
-_FINE = np.longdouble
+_FINE: Any = np.longdouble
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,4 +194,4 @@ def _of_coefficients(processes: Sequence[Process], axis: int, spacing: float, mo
         weight = 3.0 * (abs(n) + (1.0 + _POLE**2) / (1.0 - _POLE**2)) * _POLE ** abs(n)
         apart = (numbers + n).astype(_FINE) * spacing
         total += weight * sum(p.sigmas[axis] ** 2 * p.covariance(apart, 0.0 * apart, 0.0) for p in processes)
-    return total
+    return np.asarray(total)
