@@ -150,6 +150,7 @@ class ImageRay(NamedTuple):
             if abs(step_back) < NEWTON_TOLERANCE or step == NEWTON_STEPS - 1:
                 break
             line_offset -= step_back
+        assert scale is not None  # of the last step
         of_ray = by_ray(scale, ray, focal)
         by_points = np.array([by_point(row, attitude) for row in of_ray])
         state_rows: list[Any] = [-by_points, [by_rotation(row, ray, axes) for row in of_ray]]

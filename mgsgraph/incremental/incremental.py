@@ -318,12 +318,12 @@ class IncrementalAdjustment:
         """
         found, angles = dict[Unknown, Shared](), self.settings.angles
         every = ImagesByName(self.store, new)
-        for one in known.passes.values():
-            if one is not self._engine.known.passes.get(one.name):
-                found |= shared_pass(one, every, angles)
-        for name, unknown in known.shared.items():
-            found[Unknown("shared", name)] = shared_by_images(unknown, every, angles)
-        found = {unknown: one for unknown, one in found.items() if unknown not in self._engine.shared}
+        for of_pass in known.passes.values():
+            if of_pass is not self._engine.known.passes.get(of_pass.name):
+                found |= shared_pass(of_pass, every, angles)
+        for name, by_images in known.shared.items():
+            found[Unknown("shared", name)] = shared_by_images(by_images, every, angles)
+        found = {unknown: start for unknown, start in found.items() if unknown not in self._engine.shared}
         for one in new:
             if known.of_image(one.image.name) is not None:
                 continue

@@ -141,9 +141,9 @@ def shared_of(solution: Solution) -> dict[Unknown, Shared]:
         found[names[count + p]] = replace(one, value=solution.shifts[p], covariance=solution.shift_covariance(p))
     known, every = definitions(network), {one.image.name: one for one in known_images(network)}
     more = {Unknown("shared", n): shared_by_images(s, every, solution.settings.angles) for n, s in known.shared.items()}
-    for one in known.passes.values():
-        more |= shared_pass(one, every, solution.settings.angles)
+    for of_pass in known.passes.values():
+        more |= shared_pass(of_pass, every, solution.settings.angles)
     values = solution.values
-    for v, name in enumerate(names[network.first_shared :], network.first_shared):
-        found[name] = replace(more[name], value=values[v], covariance=solution.joint_covariance.block(v, v))
+    for v, unknown in enumerate(names[network.first_shared :], network.first_shared):
+        found[unknown] = replace(more[unknown], value=values[v], covariance=solution.joint_covariance.block(v, v))
     return found

@@ -199,8 +199,9 @@ class Sweep:
         """
         layout, target = self._layout, self._blocks
         blocks = np.zeros(target.size)
-        for group, members in enumerate(layout.group_variables if joint is not None else ()):
-            blocks += sparse(self._joint_of(members, joint, place), layout.groups, target, group)
+        if joint is not None:
+            for group, members in enumerate(layout.group_variables):
+                blocks += sparse(self._joint_of(members, joint, place), layout.groups, target, group)
         return self._ordered(
             point_covariances(
                 self._rows, layout.groups, target, layout.model, found.orientation, blocks, found.points

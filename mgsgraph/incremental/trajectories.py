@@ -110,9 +110,8 @@ def _joined_by(store: KnowsImages, one: NamedPass, joining: Sequence[PushbroomIm
         near = sorted(np.argsort(apart, kind="stable")[:_NEIGHBOURS].tolist())
         one_camera = alike and one.axes is None and _turned(there[int(np.argmin(apart))], image) < _SAME_WAY
         found = mountings([there[k] for k in near] + [image], where, one_camera)
-        axes = None if one.axes is None else one.axes[near[0]]
         turn = np.eye(3) if found is None else found[-1]
-        turn = turn if axes is None else turn @ axes
+        turn = turn if one.axes is None else turn @ one.axes[near[0]]
         mounted = None if one.axes is None and np.abs(turn - np.eye(3)).max() < _UNTURNED else turn[None]
         one = one.with_images(NamedPass(one.name, (image.name,), one.nodes, one.prior, mounted))
         there, edges = [*there, image], np.vstack([edges, [start, stop]])
@@ -123,8 +122,8 @@ def _joined_by(store: KnowsImages, one: NamedPass, joining: Sequence[PushbroomIm
     if _with_given_nodes(one):
         if one.nodes.basis == "lagrange" and len(one.nodes) == SUPPORT:
             return replace(one, whole=False)  # one cubic polynomial, which holds before and after them
-        found = f"images beyond its nodes, {first:.3f} to {last:.3f} s past its epoch, whose joint prior can't go on"
-        raise InputError(where, found, "images within them")
+        beyond = f"images beyond its nodes, {first:.3f} to {last:.3f} s past its epoch, whose joint prior can't go on"
+        raise InputError(where, beyond, "images within them")
     nodes = one.nodes.over(min(first, start), max(last, stop))
     return one if np.array_equal(nodes.times, one.nodes.times) else replace(one, nodes=nodes)
 

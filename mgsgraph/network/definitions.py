@@ -97,7 +97,7 @@ class Definitions:
         """What of it concerns some images."""
         wanted = set(names)
         passes = {name: one for name, every in self.passes.items() if (one := every.of(wanted)) is not None}
-        shared = {name: one for name, every in self.shared.items() if (one := every.of(wanted)) is not None}
+        shared = {name: few for name, all_of in self.shared.items() if (few := all_of.of(wanted)) is not None}
         return Definitions(passes, shared)
 
     def of_image(self, name: str) -> NamedPass | None:

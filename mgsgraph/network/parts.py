@@ -237,10 +237,11 @@ def _of_orientation(network: Network, count: int) -> Iterator[Index]:
 def _of_shared(network: Network, count: int) -> Iterator[Index]:
     """The same of unknowns that images share."""
     for k, one in enumerate(network.shared, network.first_shared):
-        acting = one.kind.acts_on_rays, one.kind.acts_on_ranges
-        for acts, rows in zip(acting, (network.rays, network.ranges), strict=True):
-            if acts:
-                yield rows.point[np.isin(rows.image, one.images)] * count + k
+        rays, ranges = network.rays, network.ranges
+        if one.kind.acts_on_rays:
+            yield rays.point[np.isin(rays.image, one.images)] * count + k
+        if one.kind.acts_on_ranges:
+            yield ranges.point[np.isin(ranges.image, one.images)] * count + k
         if one.kind.moves_footprints:
             yield network.footprints_moved(one) * count + k
 

@@ -149,7 +149,7 @@ class TrueRig:
     def ground(self, image: int, pixels: Array, heights: Array) -> Array:
         """(n, 3) m, where lines and samples (n, 2) of an image meet the ground at heights (n,) above the ellipsoid."""
         one = self.images[image]
-        origins, directions = one.sightlines(*pixels.T, self.corrections[image])
+        origins, directions = one.sightlines(pixels[:, 0], pixels[:, 1], self.corrections[image])
         return intersect_ellipsoid(origins, directions, one.body, heights)[0]
 
     def seen(self, points: Array) -> Visible:
