@@ -118,6 +118,39 @@ def test_an_integrated_wiener_process_is_an_acceleration_of_white_noise() -> Non
     for t, other in ((1.0, 1.0), (2.0, 4.5), (4.0, 0.7)):
         want = step * np.sum(np.maximum(t - grid, 0.0) * np.maximum(other - grid, 0.0))
         assert one.covariance(np.array(t + 3.0), np.array(other + 3.0), 3.0) == pytest.approx(want, rel=1e-5)
+        assert one.covariance(np.array(3.0 - t), np.array(3.0 - other), 3.0) == pytest.approx(want, rel=1e-5)
+        assert one.covariance(np.array(3.0 - t), np.array(3.0 + other), 3.0) == 0.0
+
+
+def wiener() -> ProcessPrior:
+    return ProcessPrior((process("integrated-wiener"),), (process("integrated-wiener", 1e-6),), TREND, TREND)
+
+
+@pytest.mark.parametrize("spacing", [10.0, 5.0, 2.5, 20.0 / 7.0])
+def test_an_integrated_wiener_process_knows_no_spacing(spacing: float) -> None:
+    """A-priori covariance of the times that all node spacings have in common."""
+    coarse, fine = (evenly_spaced("lagrange", 0.0, (0.0, 60.0), apart) for apart in (20.0, spacing))
+    common = np.flatnonzero(np.isin(np.round(fine.times, 6), np.round(coarse.times, 6)))
+    assert common.size == len(coarse)
+    np.testing.assert_allclose(wiener().own_sigmas(fine)[common], wiener().own_sigmas(coarse), rtol=1e-9)
+    columns = (6 * common[:, None] + np.arange(6)).ravel()
+    want, found = covariance(wiener(), coarse), covariance(wiener(), fine)[np.ix_(columns, columns)]
+    size = np.sqrt(np.diagonal(want))
+    np.testing.assert_allclose(found / size / size[:, None], want / size / size[:, None], atol=0.05)
+
+
+@pytest.mark.parametrize("beyond", [(-30.0, 60.0), (0.0, 200.0), (-300.0, 90.0)])
+def test_an_integrated_wiener_process_is_continued(beyond: tuple[float, float]) -> None:
+    """What is known of old nodes stays as it is when later images continue the pass on either side."""
+    nodes = evenly_spaced("lagrange", 0.0, (0.0, 60.0), 5.0)
+    longer = nodes.over(*beyond)
+    old = np.isin(longer.times, nodes.times)
+    assert old.sum() == len(nodes) < len(longer)
+    np.testing.assert_allclose(wiener().own_sigmas(longer)[old], wiener().own_sigmas(nodes), rtol=1e-12)
+    columns = np.repeat(old, 6)
+    want, found = covariance(wiener(), nodes), covariance(wiener(), longer)[columns][:, columns]
+    size = np.sqrt(np.diagonal(want))
+    np.testing.assert_allclose(found / size / size[:, None], want / size / size[:, None], atol=0.05)
 
 
 @pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2", "jitter"])

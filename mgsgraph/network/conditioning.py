@@ -28,6 +28,8 @@ NUGGET = 1e-5
 """Times a process's sigma: white noise that keeps its covariances regular."""
 DIVERGENCE = 0.01
 """Nats a node: Kullback-Leibler divergence from the whole process below which neighbours are enough."""
+_AT_ORIGIN = 1e-3
+"""Times its sigma at the ends of the trend's span: how well an integrated Wiener process is known at its origin."""
 _MEMORIES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)
 """Numbers of neighbours that are tried."""
 _WINDOW = 48
@@ -175,16 +177,25 @@ def _covariance(
     processes: Sequence[Process], axis: int, nodes: OrientationImages, one: Array, other: Array
 ) -> Array:
     """Of the coefficients at times (s past the nodes' epoch) along one axis; the times broadcast."""
-    # an integrated Wiener process begins one interval before the first node: at its start it has no variance
-    start = float(2.0 * nodes.times[0] - nodes.times[1])
     if nodes.basis == "lagrange":
-        return np.asarray(sum(p.sigmas[axis] ** 2 * p.covariance(one, other, start) for p in processes))
+        return np.asarray(sum(p.sigmas[axis] ** 2 * _of_values(p, nodes.trend_span, one, other) for p in processes))
     if any(not p.stationary for p in processes):
         found = "an integrated Wiener process on a spline"
         raise InputError("process prior", found, "a stationary process", "take the basis lagrange")
     # on whole numbers of spacings, so that white noise meets itself
     steps = np.abs(np.rint((one - other) / nodes.spacing)).astype(np.int64)
     return np.asarray(_of_coefficients(processes, axis, nodes.spacing, int(steps.max()))[steps])
+
+
+def _of_values(process: Process, span: tuple[float, float], one: Array, other: Array) -> Array:
+    """Covariance of a process of sigma 1 at times that broadcast; an integrated Wiener process has its origin amid the
+    trend's span, where bias and drift say its value and its rate. So neither the spacing nor later nodes change it.
+    """
+    found = process.covariance(one, other, 0.5 * (span[0] + span[1]))
+    if process.stationary:
+        return found
+    # a node at the origin needs a variance: of a constant, so that no spacing is too small for it
+    return np.asarray(found + _AT_ORIGIN**2 * (0.5 * (span[1] - span[0])) ** 3 / 3.0)
 
 
 def _of_coefficients(processes: Sequence[Process], axis: int, spacing: float, most: int) -> Array:

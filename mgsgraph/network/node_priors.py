@@ -285,8 +285,8 @@ def require_polynomial_nodes(nodes: OrientationImages) -> None:
 class ProcessPrior:
     """Departures from bias and drift are Gaussian processes: of position, and of attitude.
 
-    An integrated Wiener process begins at rest one interval before the first node: bias and drift, which it must have
-    (large where nothing is known), say where it stands and how it moves there.
+    An integrated Wiener process is zero and at rest amid the trend's span: bias and drift, which it must have (large
+    where nothing is known), say its value and its rate there.
     """
 
     position: tuple[Process, ...]
@@ -327,7 +327,7 @@ class ProcessPrior:
 
     def node_sigmas(self, s: Array) -> Array:
         """(n, 6) a-priori sigma of values at s (n,), with the trend's, without what integrated Wiener processes add: it
-        depends on the time since they began (`own_sigmas` has it).
+        depends on the time from the middle of the pass (`own_sigmas` has it).
         """
         parts = (self._parts(0), self._parts(3))
         own = [sum(p.sigmas**2 for p in part if p.stationary) + np.zeros(3) for part in parts]

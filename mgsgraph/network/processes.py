@@ -10,9 +10,12 @@ A process has a kind and a strength (sigma) along each of three axes. Stationary
 
 Jitter is a damped oscillator driven by white noise (Foreman-Mackey et al. 2017, eq. 20-23, with Q = f / bandwidth): its
 spectrum has a peak at the frequency f, of full width `bandwidth` at half its height. The integrated Wiener process is
-an acceleration of white noise: x'' = sigma w(t), at rest before its start; with t and t' counted from there,
+an acceleration of white noise: x'' = sigma w(t), zero and at rest at its origin, from which it goes on both ways;
+with t and t' counted from there,
 
-    integrated-wiener   sigma^2 a^2 (3 b - a) / 6,   a = min(t, t'), b = max(t, t')     (Wahba 1978).
+    integrated-wiener   sigma^2 a^2 (3 b - a) / 6,   a = min(|t|, |t'|), b = max(|t|, |t'|)     (Wahba 1978)
+
+on the same side of the origin, and 0 across it.
 """
 
 import math
@@ -65,17 +68,18 @@ class Process:
         """Whether its covariance depends on the difference of times alone."""
         return self.kind != "integrated-wiener"
 
-    def covariance(self, one: Array, other: Array, start: float) -> Array:
+    def covariance(self, one: Array, other: Array, origin: float) -> Array:
         """Covariance, for sigma = 1, between times of two arrays that broadcast, in their precision; times in s.
 
         Parameters
         ----------
-        start : float
-            s, when an integrated Wiener process begins.
+        origin : float
+            s, when an integrated Wiener process is zero and at rest.
         """
         if self.kind == "integrated-wiener":
-            low, high = np.minimum(one, other) - start, np.maximum(one, other) - start
-            return np.asarray(low**2 * (3.0 * high - low) / 6.0)
+            t, u = one - origin, other - origin
+            low, high = np.minimum(np.abs(t), np.abs(u)), np.maximum(np.abs(t), np.abs(u))
+            return np.asarray(np.where(t * u > 0.0, low**2 * (3.0 * high - low) / 6.0, 0.0))
         return self._correlation(np.abs(one - other))
 
     def _correlation(self, apart: Array) -> Array:
