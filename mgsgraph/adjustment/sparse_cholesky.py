@@ -19,8 +19,9 @@ from mgsgraph.adjustment.square_root import SquareRoot, begins
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.geometry.records import Array, Index
 
-_RELAXED = 0.1
-"""Share of a front that may be zeros for the sake of a larger one: a few large fronts take less time than many."""
+_RELAXED = 0.2
+"""Share of a front's rows that may be zeros, all that it took in counted, for the sake of a larger one: a few large
+fronts take less time than many."""
 _POORLY = 2.0**-24
 """Share of a diagonal that elimination must leave of it, or its variable counts as hardly determined (as in GTSAM)."""
 _WORTHWHILE = 2e10
@@ -242,14 +243,18 @@ def _cliques(order: Index, pairs: Index, width: Index) -> tuple[list[tuple[list[
             parent[k] = min(mine)
             children[parent[k]].append(k)
     frontals: dict[int, list[int]] = {}  # by the last of them
-    size = width[order]
-    for k, mine in enumerate(later):
+    size = width[order].tolist()
+    separator = [sum(size[j] for j in mine) for mine in later]
+    wide, zeros = list(size), [0] * len(size)  # frontal columns of each clique, and the zeros in their rows
+    for k in range(len(later)):
         frontals[k] = [k]
         for child in children[k]:  # a child that hardly differs from its parent joins it
-            own, whole = sum(size[list(frontals[child])]), sum(size[list(later[child])])
-            merged = sum(size[frontals[k]]) + sum(size[list(mine)])
-            if own * (merged - whole) <= _RELAXED * own * (own + whole) or merged == whole:
+            both = wide[child] + wide[k]
+            # zeros that a clique took in before count on: else a band would become one dense front, step by step
+            more = zeros[child] + zeros[k] + wide[child] * (wide[k] + separator[k] - separator[child])
+            if more <= _RELAXED * both * (0.5 * both + separator[k]):
                 frontals[k] = frontals.pop(child) + frontals[k]
+                wide[k], zeros[k] = both, more
     last = sorted(frontals)
     number = {k: c for c, k in enumerate(last)}
     owner = {k: number[end] for end in last for k in frontals[end]}
