@@ -166,6 +166,14 @@ WRONG = {
     ),
     "estimated what": (PASS + 'position = { model = "white", sigma_m = "found" }', "'found'"),
     "keys of another model": (PASS + "position = { sigma_m = 1 }", 'sigma_m beside model = "polynomial"'),
+    "nodes coarser than a vibration": (
+        PASS + JITTER.format(", frequency_hz = 50") + "nodes = { spacing_s = 1 }",
+        r"passes\[0\]\.nodes: nodes [0-9.]+ s apart for a vibration of 50 Hz; expected at most 0\.008 s.*0\.0025",
+    ),
+    "nodes coarser than a slow process's": (
+        PASS + MARKOV.format(", correlation_time_s = 0.01") + "nodes = { spacing_s = 0.5 }",
+        r"s apart for gauss-markov of correlation time 0\.01 s; expected at most 0\.02 s",
+    ),
     "nodes for polynomials": (PASS + "nodes = { spacing_s = 1 }", "nodes beside polynomials"),
     "an unknown model": (PASS + 'position = { model = "spline" }', "'spline'; expected one of 'gauss-markov', "),
     "opk angles": (PASS + '[solver]\nangles = "opk-paper"', "angles: 'opk-paper' for cameras mounted aga.*'one'"),

@@ -8,7 +8,16 @@ import msgspec
 import numpy as np
 
 from mgsgraph.altimetry.time_scales import utc_of_tdb
-from mgsgraph.case.motion import AttitudeInput, Motion, PositionInput, polynomial_sigmas, processes, still, trend_sigmas
+from mgsgraph.case.motion import (
+    AttitudeInput,
+    Motion,
+    PositionInput,
+    ProcessInput,
+    polynomial_sigmas,
+    processes,
+    still,
+    trend_sigmas,
+)
 from mgsgraph.case.nodes import SPACING, NodesInput
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
@@ -19,6 +28,11 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings, seconds
+
+_PER_CYCLE = 2.5
+"""Nodes a cycle of a vibration, at least: by fewer than two it is seen as another, slower one."""
+_CORRELATION_TIMES = 2.0
+"""Between nodes, at most: after them 14 % of a departure is left, and nodes are all but white noise."""
 
 
 class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -48,7 +62,9 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         """Nodes of a pass of these images; `where` names this table."""
         if not self.polynomial:
             nodes = self.nodes or NodesInput(spacing_s=min(self._spacing(), _longest(pictures)))
-            return nodes.images(pictures, f"{where}.nodes")
+            found = nodes.images(pictures, f"{where}.nodes")
+            self._require_close(found, where)
+            return found
         if self.nodes is not None:
             found = "nodes beside polynomials, which four nodes over the pass carry"
             raise InputError(where, found, "nodes with a process", "take one of the two out")
@@ -56,11 +72,31 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         start, stop = float(edges[:, 0].min()) - epoch, float(edges[:, 1].max()) - epoch
         return evenly_spaced("lagrange", epoch, (start, stop), stop - start)
 
+    @property
+    def _processes(self) -> list[Motion | ProcessInput]:
+        return [one for motion in (self.position, self.attitude) for one in (motion, *motion.plus)]
+
     def _spacing(self) -> float:
         """S between nodes that describe the fastest process: half its correlation time, an eighth of a cycle."""
-        every = [one for motion in (self.position, self.attitude) for one in (motion, *motion.plus)]
+        every = self._processes
         times = [one.correlation_time_s / 2.0 for one in every if one.correlation_time_s]
         return min([*times, *(1.0 / (8.0 * one.frequency_hz) for one in every if one.frequency_hz)], default=SPACING)
+
+    def _require_close(self, nodes: OrientationImages, where: str) -> None:
+        """Raise InputError for nodes so far apart that they would stand for a slower process than the stated one."""
+        limits = [
+            (1.0 / (_PER_CYCLE * one.frequency_hz), f"a vibration of {one.frequency_hz:g} Hz")
+            for one in self._processes if one.frequency_hz
+        ] + [
+            (time * _CORRELATION_TIMES, f"{one.model} of correlation time {time:g} s")
+            for one in self._processes if (time := one.correlation_time_s)
+        ]  # fmt: skip
+        apart = float(np.diff(nodes.times).max())
+        for most, what in sorted(limits)[:1]:
+            if apart > most * (1.0 + 1e-9):
+                found = f"nodes {apart:.4g} s apart for {what}"
+                remedy = f"spacing_s = {self._spacing():.3g}, or leave the nodes out"
+                raise InputError(f"{where}.nodes", found, f"at most {most:.4g} s", remedy)
 
     def prior(self, where: str, default: OrientationPrior) -> PassPrior:
         """What is known of the nodes beforehand; `default` is that of [orientation], `where` names this table."""
