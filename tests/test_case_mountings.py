@@ -8,7 +8,7 @@ from rig_files import PASS, write_rig
 from rigs import TURN, rig
 
 import mgsgraph
-from mgsgraph.case.mountings import MountingInput, mounted_images
+from mgsgraph.case.mountings import MountingInput, mounted_images, mounting_unknowns
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
@@ -72,7 +72,26 @@ def test_unknowns_of_a_campaign_and_of_each_pass(tmp_path: Path) -> None:
     assert {one.kind for one in found} == {SharedKind.CAMERA_LEVER_ARM}
 
 
+def test_a_stated_lever_arm_of_a_camera_moves_no_range() -> None:
+    """The trajectory of L is the origin of ranges; R carries none, and an arm of 0 or a turn moves none."""
+    net = rig(boresight=False)
+    assert set(net.ranges.image.tolist()) == {0}
+
+    def unknowns(**stated: tuple[float, ...]) -> tuple[SharedUnknown, ...]:
+        entry = MountingInput(camera=("L",), sharing="fixed", **stated)  # type: ignore[arg-type]
+        return mounting_unknowns([entry], [[0]], net, "case.toml")
+
+    with pytest.raises(InputError, match=r"mountings\[0\], lever_arm_m: a stated arm of image L, whose traj.*_sigma_m"):
+        unknowns(lever_arm_m=(0.0, 0.0, 200.0))
+    assert unknowns(lever_arm_m=(0.0, 0.0, 0.0)) == unknowns(boresight_mrad=(0.1, 0.0, 0.0)) == ()
+    right = MountingInput(camera=("R",), sharing="fixed", lever_arm_m=(0.0, 0.0, 200.0))
+    assert mounting_unknowns([right], [[1]], net, "case.toml") == ()
+
+
 WRONG = {
+    "more than half a turn": (
+        R + 'sharing = "fixed"\nboresight_mrad = [10000, 0, 0]', r"mountings\[0\], boresight_mrad: \[10000.*up to 3141"
+    ),
     "no camera": ("[[mountings]]\nboresight_sigma_mrad = 1", r"mountings\[0\]: no camera; expected one of camera, ins"),
     "two": (R + 'laser = ["L"]\nboresight_sigma_mrad = 1', "camera and laser; expected one of"),
     "unknown image": (R.replace('["R"]', '["Q"]') + "boresight_sigma_mrad = 1", "the image 'Q'; expected some of"),

@@ -42,7 +42,8 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     boresight_mrad: tuple[float, ...] = ()
     """Rotation of the camera about its own axes x, y, z, applied to its nominal attitude; not of the laser."""
     lever_arm_m: tuple[float, ...] = ()
-    """Where the camera is, along its own axes x, y, z, from where its tables have it; not of the laser."""
+    """Where the camera is, along its own axes x, y, z, from where its tables have it; not of the laser, nor of images
+    that carry laser ranges."""
     boresight_sigma_mrad: Sigmas | None = None
     """A-priori sigma of that rotation about x, y, z alike, or three numbers; absent: known."""
     lever_arm_sigma_m: Sigmas | None = None
@@ -72,10 +73,12 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             raise InputError(where, "an unknown mounting without a sigma", expected, 'or sharing = "fixed"')
         if self.laser and self.stated:
             raise InputError(where, "stated angles or arms of the laser", "those of a camera", "take them out")
-        for key in ("boresight_mrad", "lever_arm_m"):
+        # half a turn, and what no spacecraft reaches
+        for key, most in (("boresight_mrad", 1e3 * np.pi), ("lever_arm_m", 1e4)):
             values = getattr(self, key)
-            if values and (len(values) != 3 or not np.all(np.abs(values) <= 1e4)):
-                raise InputError(f"{where}, {key}", f"{list(values)}", "three numbers, of the axes x, y, z")
+            if values and (len(values) != 3 or not np.all(np.abs(values) <= most)):
+                expected = f"three numbers up to {most:g}, of the axes x, y, z"
+                raise InputError(f"{where}, {key}", f"{list(values)}", expected)
 
 
 def mounted_images(
@@ -173,13 +176,16 @@ def mounting_unknowns(
     Raises
     ------
     InputError
-        For images of one camera that their tables have mounted otherwise in a pass.
+        For images of one camera that their tables have mounted otherwise in a pass; for a stated lever arm of an image
+        that carries laser ranges.
     """
     found = list[SharedUnknown]()
     for k, (entry, mine) in enumerate(zip(entries, of_entries, strict=True)):
         where = f"{path}, mountings[{k}]"
         if not entry.laser:
             _require_one_camera(network, mine, where)
+        if any(entry.lever_arm_m):
+            _require_no_ranges(network, mine, where)
         if entry.sharing == "fixed":
             continue
         for after, images in _sharing(entry, mine, network):
@@ -193,6 +199,16 @@ def mounting_unknowns(
                     with errors_from(where):
                         found.append(SharedUnknown(name, kind, np.array(images), sigmas))
     return tuple(found)
+
+
+def _require_no_ranges(network: Network, mine: Sequence[int], where: str) -> None:
+    """Raise InputError for an arm of an image that carries ranges: the laser begins where its trajectory is, which the
+    arm has moved for the camera.
+    """
+    for j in np.intersect1d(network.ranges.image, mine)[:1].tolist():
+        found = f"a stated arm of image {network.images[j].name}, whose trajectory is the origin of laser ranges"
+        remedy = "lever_arm_sigma_m instead, which leaves ranges as they are, or a correction of its tables"
+        raise InputError(f"{where}, lever_arm_m", found, "images without ranges", remedy)
 
 
 _KINDS = {
