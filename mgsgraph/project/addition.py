@@ -113,7 +113,7 @@ def read_addition(
     ties, shots : sequence of Path
         Control networks; ISIS lidar files (.json) and files of an altimeter's archive.
     of_pass : str
-        Pass of the project that single images join.
+        Pass of the project that single images, and those of case files without measures, join.
     shares : sequence of str
         Shared unknowns of the project that they share.
 
@@ -125,11 +125,17 @@ def read_addition(
     """
     there = store.image_names()
     networks, new, sources, notes = list[Network](), list[NewImage](), list(ties), list[str]()
-    brought = list[Definitions]()
+    brought, unmeasured = list[Definitions](), list[NewImage]()
     for wanted in images:
         if wanted.path.suffix.lower() in _CASES:
             found, case = _of_case(wanted.path)
             new += found
+            if case is None:
+                unmeasured += found
+            elif of_pass or shares:
+                option = "--pass" if of_pass else "--share"
+                expected = "none: a case with measures names its passes and shared unknowns itself"
+                raise InputError(str(wanted.path), f"{option} for its images", expected)
             if case is not None:
                 brought.append(definitions(case.network))
                 networks.append(with_definitions(store.with_known_grids(case.network), Definitions()))
@@ -143,8 +149,9 @@ def read_addition(
     alone = [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
     new += alone
     known_passes = store.definitions()
-    brought += [joining(known_passes, name, of_pass, shares, where) for name in _names(alone)]
-    notes += [] if of_pass else _taken_along(known_passes, [one.known.image for one in alone], store)
+    joins = [*unmeasured, *alone]
+    brought += [joining(known_passes, name, of_pass, shares, where) for name in _names(joins)]
+    notes += [] if of_pass else _taken_along(known_passes, [one.known.image for one in joins], store)
     _require_new(_names(new), there, where)
     if new:
         require_distinct([*(store.image(name).image for name in there), *(one.known.image for one in new)], where)
@@ -243,7 +250,9 @@ def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
     """All that a case names; of one without ties and laser, the images alone."""
     wanted = decode(path)
     if not wanted.measured and not wanted.shots:
-        for name in [name for name in ("strips", "passes", "shared") if getattr(wanted, name)][:1]:
+        unknown = any(one.sharing != "fixed" for one in wanted.mountings)
+        there = [name for name in ("strips", "passes", "shared") if getattr(wanted, name)]
+        for name in [*there, *(["mountings"] if unknown else [])][:1]:
             found, remedy = "what its images share, without any measure of them", f"name their ties, or take {name} out"
             raise InputError(f"{path}, {name}", found, "tie points or laser shots", remedy)
         return images_alone(path)[0], None

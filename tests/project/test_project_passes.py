@@ -105,3 +105,21 @@ def test_a_case_that_waits_for_ties_may_have_passes(folder: Path, tmp_path: Path
     call("init", tmp_path / "empty")
     with pytest.raises(InputError, match="what its images share, without any measure"):
         call("add", tmp_path / "empty", waiting)
+
+
+def test_a_case_of_an_image_alone_joins_a_pass(folder: Path, tmp_path: Path) -> None:
+    """What its case says of mountings can't be kept without measures, and is not dropped without a word."""
+    project, ties = tmp_path / "project", folder / "network.pvl"
+    call("init", project, "--case", folder / "case.toml")
+    call("remove", project, LAST)
+    text = f'format = 1\nname = "alone"\n[[images]]\nname = "{LAST}"\nimage = "{folder / LAST.replace("/", "_")}.isd"\n'
+    alone, mounted = tmp_path / "alone.toml", tmp_path / "mounted.toml"
+    alone.write_text(text, encoding="utf-8")
+    mounted.write_text(f'{text}[[mountings]]\ncamera = ["{LAST}"]\nboresight_sigma_mrad = 1.0\n', encoding="utf-8")
+    with pytest.raises(InputError, match="mountings: what its images share, without any measure"):
+        call("add", project, mounted, "--ties", ties, "--pass", "HRSC/01")
+    with pytest.raises(InputError, match="--pass for its images"):
+        call("add", project, folder / "case.toml", "--pass", "HRSC/01")
+    call("add", project, alone, "--ties", ties, "--pass", "HRSC/01")
+    with open_project(project) as opened:
+        assert opened.store.definitions().passes["HRSC/01"].images[-1] == LAST

@@ -327,6 +327,3 @@ def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFix
     assert "pitch" in said
     assert (tmp_path / "out" / "passes.csv").is_file()
     assert len(read_solution(tmp_path / "out").network.passes) == 2
-    (tmp_path / "plan.toml").write_text('format = 1\n[[profiles]]\nname = "a"\nimage = "HRSC/00/ND"\nevery_s = 1.0\n')
-    with pytest.raises(InputError, match="plan: strip 'HRSC/00'; expected images with an orientation of their own"):
-        group(["plan", str(tmp_path / "out"), str(tmp_path / "plan.toml")], standalone_mode=False)
