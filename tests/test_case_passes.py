@@ -1,5 +1,6 @@
 """[[passes]] in a case file."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from rig_files import PASS, later, write_rig
 from rigs import TURN, rig
 
 import mgsgraph
+from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.network import Pass, ProcessPrior
@@ -210,3 +212,24 @@ def test_two_bodies_and_long_pauses() -> None:
         mountings([left, elsewhere], "here")
     with pytest.raises(InputError, match=r"minutes apart; expected images of one pass"):
         mountings([left, later(left, "L2", 7000.0)], "here")
+
+
+def test_nodes_closer_than_the_rays_support_are_named(tmp_path: Path) -> None:
+    """By pass, node, UTC, rays near it and a spacing that does, which then does."""
+    table = PASS + 'nodes = {{ spacing_s = {0} }}\nattitude = {{ model = "matern-3/2", sigma_mrad = 0.01, '
+    table += "correlation_time_s = 1 }}\nposition = {{ sigmas_m = [50, 10] }}\n"
+    with pytest.raises(InputError) as caught:
+        mgsgraph.adjust(mgsgraph.read_case(write_rig(tmp_path, table.format(0.001))))
+    message = str(caught.value)
+    said = re.search(
+        r"^pass 'one', nodes closer than the data supports: of \d+ nodes \(.*\) (\d+) at (\S+), (\S+) s "
+        r"\([012] rays? near it.*a spacing of (\S+) s is what they support",
+        message,
+    )
+    assert said is not None, message
+    assert "strip" not in message
+    case = mgsgraph.read_case(write_rig(tmp_path, table.format(said[4])))
+    nodes = case.network.passes[0].nodes
+    since = tdb_of_utc([said[2]], "")[0] - nodes.epoch - nodes.coverage[0]
+    assert since == pytest.approx(float(said[3]), abs=2e-3)
+    assert mgsgraph.adjust(case).converged

@@ -95,10 +95,10 @@ def test_strips_of_a_network() -> None:
     with pytest.raises(InputError, match="it is held"):
         replace(with_strip, held=np.array([True, False]))
     assert with_strip.first_of_passes.tolist() == [2, 2 + len(nodes)]
-    with pytest.raises(InputError, match=r"strip 'A', images: image 0; expected .* one strip alone"):
+    with pytest.raises(InputError, match=r"pass 'A', images: image 0; expected .* one pass alone"):
         replace(net, passes=(Pass("A", np.array([0]), nodes, prior), Pass("B", np.array([0]), nodes, prior)))
     short = evenly_spaced("lagrange", image.trajectory.epoch, (start, 0.5 * stop), 1.0)
-    with pytest.raises(InputError, match=r"strip 'A', image .*: lines from .* within its nodes'"):
+    with pytest.raises(InputError, match=r"pass 'A', image .*: lines from .* within its nodes'"):
         replace(net, passes=(Pass("A", np.array([0]), short, prior),))
     with pytest.raises(InputError, match="passes"):
         replace(net, passes=(Pass("A", np.array([0]), nodes, prior),) * 2)

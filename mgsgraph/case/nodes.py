@@ -16,11 +16,11 @@ from mgsgraph.wording import listed
 SPACING = 10.0
 """s between nodes where nothing is said: 40 km on the ground for Mars Express."""
 _MOST_NODES = 10_000
-"""In a strip; more are a slip in the unit of their spacing."""
+"""In a pass; more are a slip in the unit of their spacing."""
 
 
 class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Where a strip's orientation images stand: evenly spaced, or at times; at most one of the four is said."""
+    """Where the orientation images of a pass stand: evenly spaced, or at times; at most one of the four is said."""
 
     basis: Basis = "lagrange"
     """Third-order polynomials through the four nearest, or the uniform cubic B-spline."""
@@ -34,7 +34,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Times, UTC as in 2008-02-08T12:08:53.843."""
 
     def images(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
-        """The nodes of a strip of these images; `where` names this table."""
+        """The nodes of a pass of these images; `where` names this table."""
         said = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
         if len(said) > 1:
             raise InputError(where, listed(said), "one of them")
@@ -50,7 +50,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             spacing = self.spacing_lines * (last - first) / reference.lines
         key = said[0] if said else "spacing_s"
         if said and spacing > stop - start:
-            raise InputError(f"{where}, {key}", f"{spacing:.6g} s", f"less than the strip's {stop - start:.6g} s")
+            raise InputError(f"{where}, {key}", f"{spacing:.6g} s", f"less than the pass's {stop - start:.6g} s")
         if (stop - start) / spacing > _MOST_NODES:
             found = f"{spacing:.3g} s, {(stop - start) / spacing:.3g} nodes on {stop - start:.6g} s"
             raise InputError(f"{where}, {key}", found, f"at most {_MOST_NODES} nodes", "a larger spacing")

@@ -115,14 +115,14 @@ def _adjusted_footprints(solution: Solution) -> tuple[Footprint, ...]:
 
 def _footprints(solution: Solution, footprints: tuple[Footprint, ...], name: str, about: str) -> Layer:
     network, rays = solution.network, ray_statistics(solution)
-    owners = ["", *(strip.name for strip in network.passes)]
+    owners = ["", *(one.name for one in network.passes)]
     edges = np.array([
         image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch for image in network.images
     ])  # fmt: skip
     heights = [geodetic(one.outline, one.body)[:, 2] for one in footprints]
     fields = {
         "image": [image.name for image in network.images],
-        "strip": picked(owners, network.pass_of + 1),
+        "pass": picked(owners, network.pass_of + 1),
         "held": network.held,
         "whole": np.array([one.whole for one in footprints]),
         "lines": np.array([image.lines for image in network.images]),

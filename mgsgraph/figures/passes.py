@@ -81,7 +81,7 @@ def pass_sheets(solution: Solution, most: int = MOST_SHEETS) -> Iterator[Sheet]:
     if count > 1:
         yield _overview(solution)
     for k in range(min(count, most)):
-        name = sheet_name("pass", k + 1, min(count, most)) if count > 1 else "strips"
+        name = sheet_name("pass", k + 1, min(count, most)) if count > 1 else "passes"
         yield _pass_sheet(drawn_strip(solution, k), name, left_out(count, min(count, most), f"first {most}", "passes"))
 
 
@@ -213,7 +213,7 @@ def _overview(solution: Solution) -> Sheet:
     found = [strip_corrections(solution, k, node_times(solution, k)) for k in range(shown)]
     names = [short(one.name, 24) for one in solution.network.passes[:shown]]
     sheet = new_sheet(
-        "strips", 10.2, 0.8 + 2 * (0.35 + 0.135 * max(shown, 4)), "Corrections of all passes",
+        "passes", 10.2, 0.8 + 2 * (0.35 + 0.135 * max(shown, 4)), "Corrections of all passes",
         _overview_caption(found, count) + left_out(count, shown, f"first {shown}", "passes") + ".",
     )  # fmt: skip
     grid = sheet.panels(2, 3, sharey="all")

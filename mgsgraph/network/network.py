@@ -161,11 +161,11 @@ class Network:
         require_names(tuple(strip.name for strip in self.passes), "passes")
         every = [j for strip in self.passes for j in strip.images.tolist()]
         for strip in self.passes:
-            where = f"strip {strip.name!r}"
+            where = f"pass {strip.name!r}"
             start, stop = strip.nodes.coverage
             for j in strip.images.tolist():
                 if j >= len(self.images) or every.count(j) > 1:
-                    expected = "an image of the network, of one strip alone"
+                    expected = "an image of the network, of one pass alone"
                     raise InputError(f"{where}, images", f"image {j}", expected)
                 image = self.images[j]
                 if self.held[j]:

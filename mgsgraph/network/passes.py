@@ -22,7 +22,7 @@ class Pass:
     name: str
     """What to call it in reports, each once."""
     images: Index
-    """(m,) its images in the network, each of one strip alone."""
+    """(m,) its images in the network, each of one pass alone."""
     nodes: OrientationImages
     """Times of the orientation images, and the basis between them."""
     prior: PassPrior
@@ -36,13 +36,13 @@ class Pass:
 
     def __post_init__(self) -> None:
         if not self.name:
-            raise InputError("strip", "an empty name", "what to call it")
-        images = frozen_index(self.images, f"strip {self.name!r}, images", np.size(self.images), 2**31)
+            raise InputError("pass", "an empty name", "what to call it")
+        images = frozen_index(self.images, f"pass {self.name!r}, images", np.size(self.images), 2**31)
         if images.size == 0 or np.unique(images).size != images.size:
-            raise InputError(f"strip {self.name!r}, images", f"{images.tolist()[:10]}", "at least one, each once")
+            raise InputError(f"pass {self.name!r}, images", f"{images.tolist()[:10]}", "at least one, each once")
         assign(self, images=images)
         if self.axes is not None:
-            where = f"strip {self.name!r}, axes"
+            where = f"pass {self.name!r}, axes"
             axes = frozen(self.axes, where, (images.size, 3, 3))
             off = np.abs(axes @ np.swapaxes(axes, 1, 2) - np.eye(3)).max()
             if off > _NO_ROTATION or np.linalg.det(axes).min() < 0.0:

@@ -1,4 +1,4 @@
-"""Whether the rays of a network support the orientation images of its strips: nodes with too few rays near them are
+"""Whether the rays of a network support the orientation images of its passes: nodes with too few rays near them are
 named.
 
 A node is observed by the rays near it: those up to the next node on either side (the next but one for a spline,
@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsgraph.altimetry.time_scales import utc_of_tdb
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask, assign
 from mgsgraph.network.network import Network
 from mgsgraph.ties import PointKind
-from mgsgraph.wording import some
+from mgsgraph.wording import NAMED, many, some
 
 LEAST = 3
 """Rays near a node: they bring the six rows that its six unknowns take, were the points known."""
@@ -25,28 +26,28 @@ _COARSER = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StripRays:
-    """Rays of one strip, by time."""
+class PassRays:
+    """Rays of one pass, by time."""
 
-    strip: str
+    of_pass: str
     """Its name."""
     rays: Index
     """(m,) rays of the network."""
     line: Index
-    """(m,) which of the strip's images each belongs to, counted within the strip."""
+    """(m,) which of the pass's images each belongs to, counted within the pass."""
     times: Array
-    """(m,) s past the epoch of the strip's nodes."""
+    """(m,) s past the epoch of the pass's nodes."""
     looks: Array
     """(lines, 2) s past that epoch, when each image begins and ends."""
 
-    def only(self, chosen: Mask) -> "StripRays":
+    def only(self, chosen: Mask) -> "PassRays":
         """Some of them."""
-        return StripRays(self.strip, self.rays[chosen], self.line[chosen], self.times[chosen], self.looks)
+        return PassRays(self.of_pass, self.rays[chosen], self.line[chosen], self.times[chosen], self.looks)
 
 
-def strip_rays(network: Network, strip: int) -> StripRays:
-    """All rays of a strip's images."""
-    one = network.passes[strip]
+def pass_rays(network: Network, number: int) -> PassRays:
+    """All rays of a pass's images."""
+    one = network.passes[number]
     place = np.full(len(network.images), -1)
     place[one.images] = np.arange(one.images.size)
     rays = np.flatnonzero(place[network.rays.image] >= 0)
@@ -56,14 +57,14 @@ def strip_rays(network: Network, strip: int) -> StripRays:
         later = image.trajectory.epoch - one.nodes.epoch
         times[mine] = image.timing.at(network.rays.places[rays[mine], 0])[0] + later
         looks[k] = image.timing.at(np.array([0.0, float(image.lines)]))[0] + later
-    return StripRays(one.name, rays, line, times, looks)
+    return PassRays(one.name, rays, line, times, looks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
-    """What the rays of a strip do for its nodes."""
+    """What the rays of a pass do for its nodes."""
 
-    strip: str
+    of_pass: str
     """Its name."""
     nodes: OrientationImages
     """They."""
@@ -99,33 +100,34 @@ class Support:
         return weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
 
 
-def support(network: Network, strip: int, least: int = LEAST, taken: Mask | None = None) -> Support:
-    """How many rays observe each node of a strip.
+def support(network: Network, number: int, least: int = LEAST, taken: Mask | None = None) -> Support:
+    """How many rays observe each node of a pass.
 
     Parameters
     ----------
     network : Network
-    strip : int
+    number : int
+        Of the pass.
     least : int
         Rays that each node should have near it.
     taken : (rays,), optional
         Those that take part; when absent all that are not marked as blunders.
     """
-    return support_of(network.passes[strip].nodes, useful_rays(network, strip, taken), least)
+    return support_of(network.passes[number].nodes, useful_rays(network, number, taken), least)
 
 
-def useful_rays(network: Network, strip: int, taken: Mask | None = None) -> StripRays:
-    """Rays of a strip whose points something else places, too."""
+def useful_rays(network: Network, number: int, taken: Mask | None = None) -> PassRays:
+    """Rays of a pass whose points something else places, too."""
     used = ~network.rays.rejected if taken is None and network.rays.rejected is not None else taken
     used = np.ones(network.rays.point.size, dtype=bool) if used is None else used
     counts = np.bincount(network.rays.point, used, len(network.points))
     placed = (counts >= 2) | (network.points.kinds != PointKind.FREE)
-    mine = strip_rays(network, strip)
+    mine = pass_rays(network, number)
     return mine.only(used[mine.rays] & placed[network.rays.point[mine.rays]])
 
 
-def support_of(nodes: OrientationImages, rays: StripRays, least: int = LEAST) -> Support:
-    """The same for any nodes over rays of a strip."""
+def support_of(nodes: OrientationImages, rays: PassRays, least: int = LEAST) -> Support:
+    """The same for any nodes over rays of a pass."""
     reach = 1 if nodes.basis == "lagrange" else 2
     number, last = np.arange(len(nodes)), len(nodes) - 1
     start, stop = nodes.times[np.maximum(number - reach, 0)], nodes.times[np.minimum(number + reach, last)]
@@ -134,10 +136,10 @@ def support_of(nodes: OrientationImages, rays: StripRays, least: int = LEAST) ->
         times = np.sort(rays.times[rays.line == k])
         counts[k] = np.searchsorted(times, stop, side="right") - np.searchsorted(times, start, side="left")
         looking += np.minimum(stop, end) - np.maximum(start, first) >= 0.5 * (stop - start)
-    return Support(rays.strip, nodes, counts.sum(axis=0), np.count_nonzero(counts, axis=0), looking, least)
+    return Support(rays.of_pass, nodes, counts.sum(axis=0), np.count_nonzero(counts, axis=0), looking, least)
 
 
-def supported_spacing(nodes: OrientationImages, rays: StripRays, least: int = LEAST) -> float:
+def supported_spacing(nodes: OrientationImages, rays: PassRays, least: int = LEAST) -> float:
     """Spacing, s, of even nodes over the same time that the rays support throughout, at least that of `nodes`; infinite
     where they support none.
     """
@@ -153,10 +155,10 @@ def supported_spacing(nodes: OrientationImages, rays: StripRays, least: int = LE
 
 
 def require_observed_nodes(network: Network, taken: Mask | None = None) -> None:
-    """Raise InputError unless every node of every strip has some rays near it: the least that an adjustment needs.
+    """Raise InputError unless every node of every pass has some rays near it: the least that an adjustment needs.
 
     Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. And nodes before
-    the first rays and after the last ones need none: there a strip follows its prior. `taken` as there, below.
+    the first rays and after the last ones need none: there a pass follows its prior. `taken` as there, below.
     """
     for k in range(len(network.passes)):
         rays = useful_rays(network, k, taken)
@@ -166,7 +168,7 @@ def require_observed_nodes(network: Network, taken: Mask | None = None) -> None:
 
 
 def require_supported(network: Network, least: int = LEAST, taken: Mask | None = None) -> None:
-    """Raise InputError, naming the weak nodes, unless rays observe every node of every strip.
+    """Raise InputError, naming the weak nodes, unless rays observe every node of every pass.
 
     Parameters
     ----------
@@ -183,29 +185,30 @@ def require_supported(network: Network, least: int = LEAST, taken: Mask | None =
             raise unsupported(found, rays, np.flatnonzero(found.weak))
 
 
-def unsupported(found: Support, rays: StripRays, weak: Index) -> InputError:
+def unsupported(found: Support, rays: PassRays, weak: Index) -> InputError:
     """The error for nodes that are closer than the rays support: which ones, what is near them, what would do."""
-    start = found.nodes.coverage[0]
-    names = [
-        f"{k + 1} at {found.nodes.times[k] - start:.4g} s ({_near(int(found.rays[k]), int(found.lines[k]))})"
-        for k in weak.tolist()
-    ]
     spacing = supported_spacing(found.nodes, rays, found.least)
+    names = [_node(found, k) for k in weak[:NAMED].tolist()]
     but_one = "" if found.nodes.basis == "lagrange" else " but one"
-    remedy = "leave the strip out, or match more points"
+    remedy = "leave the pass out, or match more points"
     if np.isfinite(spacing):
         remedy = f"a spacing of {_rounded_up(spacing)} s is what they support"
         remedy += ", or other times for the nodes" if found.nodes.basis == "lagrange" else ""
     return InputError(
-        f"strip {found.strip!r}, nodes closer than the data supports",
-        f"of {len(found.nodes)} nodes (times from the strip's beginning) {some(names, weak.size)}",
-        f"{found.least} rays or more near each (up to the next node{but_one}, of two lines where two look)",
+        f"pass {found.of_pass!r}, nodes closer than the data supports",
+        f"of {len(found.nodes)} nodes (times in UTC, and from the pass's beginning) {some(names, weak.size)}",
+        f"{found.least} rays or more near each (up to the next node{but_one}, of two images where two look)",
         remedy,
     )
 
 
-def _near(rays: int, lines: int) -> str:
-    return f"{rays} rays near it{', all of one line' if rays > 1 and lines == 1 else ''}"
+def _node(found: Support, node: int) -> str:
+    """A node by its number, its time and what is near it."""
+    time = float(found.nodes.times[node])
+    utc = utc_of_tdb(time + found.nodes.epoch).isoformat(timespec="milliseconds").removesuffix("+00:00")
+    since, rays = time - found.nodes.coverage[0], int(found.rays[node])
+    alone = ", all of one image" if rays > 1 and int(found.lines[node]) == 1 else ""
+    return f"{node + 1} at {utc}, {since:.4g} s ({many(rays, 'ray')} near it{alone})"
 
 
 def _rounded_up(spacing: float) -> str:

@@ -51,7 +51,7 @@ TABLES = (
 )  # fmt: skip
 """Files of results but for figures."""
 FIGURES = (
-    "residuals", "orientation", "strips", "pass", "registration", "map", "connectivity", "height_map",
+    "residuals", "orientation", "passes", "pass", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "unexplained", "vibrations", "spacings",
     "spectrum", "course", "matches", "dem", "costs", "profiles", "shifts", "story", "minima",
 )  # fmt: skip

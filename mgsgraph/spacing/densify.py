@@ -27,7 +27,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
-from mgsgraph.network.support import LEAST, StripRays, require_supported, strip_rays, support_of, useful_rays
+from mgsgraph.network.support import LEAST, PassRays, pass_rays, require_supported, support_of, useful_rays
 from mgsgraph.spacing.choice import require_respaceable, with_nodes
 from mgsgraph.spacing.rays import ray_scatter
 
@@ -151,7 +151,7 @@ def _closer(solution: Solution, level: float, worth: float, least: int) -> tuple
         asking = pattern(solution, k, factor).asking(level, worth, total)
         rays = useful_rays(solution.network, k, solution.rays_used)
 
-        def supported(other: OrientationImages, rays: StripRays = rays) -> Mask:
+        def supported(other: OrientationImages, rays: PassRays = rays) -> Mask:
             return ~support_of(other, rays, least).weak
 
         closer, denied = halved(strip.nodes, asking, supported)
@@ -212,7 +212,7 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Resi
     """
     factor = ray_scatter(solution).factor if factor is None else factor
     network, nodes = solution.network, solution.network.passes[strip].nodes
-    mine = strip_rays(network, strip)
+    mine = pass_rays(network, strip)
     mine = mine.only(solution.rays_used[mine.rays] & np.isfinite(solution.residuals[mine.rays]).all(axis=1))
     images = network.pictures(strip)
     angle = np.array([image.pixel_angle for image in images])[mine.line]

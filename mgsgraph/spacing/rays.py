@@ -24,7 +24,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen_index
 from mgsgraph.network import Network
-from mgsgraph.network.support import strip_rays
+from mgsgraph.network.support import pass_rays
 from mgsgraph.ties import PointKind
 
 _RAYS = 3
@@ -86,7 +86,7 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
     rays = np.sort(shuffled[rng.choice(first, number, replace=False)])
     times, strip = np.empty(rays.size), network.pass_of[network.rays.image[rays]]
     for k in np.unique(strip).tolist():
-        mine = strip_rays(network, k)
+        mine = pass_rays(network, k)
         times[strip == k] = mine.times[np.searchsorted(mine.rays, rays[strip == k])]
     return HeldOut(rays, strip, times)
 

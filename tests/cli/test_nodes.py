@@ -35,7 +35,7 @@ def test_table_sentences_and_files(case: Path, capsys: pytest.CaptureFixture[str
     arguments = ("nodes", case, "--spacings", "3,0.02,1.85", "--hold-out", "0.5", "--out", out)
     assert call(*arguments) == 0
     said = capsys.readouterr().out
-    assert re.search(r"^ +0\.02 +\d+ +refused: strip 'STRIP/000N', nodes closer than the data supports", said, re.M)
+    assert re.search(r"^ +0\.02 +\d+ +refused: pass 'STRIP/000N', nodes closer than the data supports", said, re.M)
     assert re.search(r"^ +(1\.85|3) .* chosen$", said, re.M)
     assert "rays held out" in said
     record = json.loads((out / "nodes.json").read_text(encoding="utf-8"))

@@ -12,7 +12,7 @@ from mgsgraph.figures.passes import _lanes, drawn_strip, pass_sheets
 
 def test_one_pass_has_one_sheet() -> None:
     (sheet,) = pass_sheets(adjusted_rig())
-    assert sheet.name == "strips"
+    assert sheet.name == "passes"
     assert "2 images on one trajectory with 6 orientation images over 7.23 s" in sheet.caption
     texts = [text.get_text().strip() for text in sheet.figure.axes[0].texts]
     assert texts == ["L", "R"]
@@ -24,7 +24,7 @@ def test_one_pass_has_one_sheet() -> None:
 def test_several_passes_are_on_a_sheet_together_first() -> None:
     solution = adjust_network(block().network, SolverSettings())
     sheets = list(pass_sheets(solution, 1))
-    assert [sheet.name for sheet in sheets] == ["strips", "pass"]
+    assert [sheet.name for sheet in sheets] == ["passes", "pass"]
     assert "of 2 passes the first 1 are drawn" in sheets[1].caption
     rows = [text.get_text() for text in sheets[0].figure.axes[0].get_yticklabels()]
     assert rows == ["HRSC/00", "HRSC/01"]

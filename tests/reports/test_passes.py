@@ -248,10 +248,10 @@ def test_the_curve_passes_through_its_nodes(solution: Solution, spline: Solution
 @pytest.mark.usefixtures("light_figures")
 def test_files(solution: Solution, mixed: Solution, tmp_path: Path) -> None:
     names = write_figures(solution, tmp_path / "block")
-    assert "strips.png" in names
+    assert "passes.png" in names
     assert "strips.svg" in names
     assert not any(name.startswith("orientation") for name in names)
-    assert {"strips.png", "orientation.png"} <= set(write_figures(mixed, tmp_path / "mixed"))
+    assert {"passes.png", "orientation.png"} <= set(write_figures(mixed, tmp_path / "mixed"))
 
 
 # --- the archive

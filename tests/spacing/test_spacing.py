@@ -19,8 +19,8 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import JointNodePrior
 from mgsgraph.network.support import (
     LEAST,
+    pass_rays,
     require_supported,
-    strip_rays,
     support,
     supported_spacing,
     useful_rays,
@@ -74,7 +74,7 @@ def test_node_without_rays_is_named(basis: str) -> None:
     net = block().network
     nodes = evenly_spaced(basis, net.passes[0].nodes.epoch, net.passes[0].nodes.coverage, 4.0)  # type: ignore[arg-type]
     net = with_nodes(net, [nodes])
-    mine, reach = strip_rays(net, 0), 1 if basis == "lagrange" else 2
+    mine, reach = pass_rays(net, 0), 1 if basis == "lagrange" else 2
     hidden = np.zeros(net.rays.point.size, dtype=bool)
     hidden[mine.rays[(mine.times >= nodes.times[9 - reach]) & (mine.times <= nodes.times[9 + reach])]] = True
     net = replace(net, rays=replace(net.rays, rejected=hidden))
@@ -85,7 +85,7 @@ def test_node_without_rays_is_named(basis: str) -> None:
 
 def test_rays_of_one_line_are_not_enough_where_two_look() -> None:
     net = block().network
-    mine = strip_rays(net, 0)
+    mine = pass_rays(net, 0)
     middle = (mine.times > net.passes[0].nodes.times[3]) & (mine.times < net.passes[0].nodes.times[6])
     looking = np.unique(mine.line[middle])
     assert looking.size > 1
