@@ -10,6 +10,7 @@ from typing import NamedTuple
 from mgsgraph.aside import made_beside
 from mgsgraph.case.case_file import decode, stated
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
+from mgsgraph.case.draft_rigs import rigs_in_comments
 from mgsgraph.case.draft_tables import Part, draft_tables, in_line, place, quoted, said
 from mgsgraph.case.reading import case_of
 from mgsgraph.control.table import read_tie_points
@@ -90,6 +91,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     name = name or _name(given, out)
     head = _HEAD.format(name=quoted(name)) + _ORIENTATION + _spice(images, kernels, out) + _images(images, out)
     parts, failed = _accepted(head, parts, images, out)
+    rigs = rigs_in_comments(images)
     left_out = [*found.left_out, *refused, *failed, *(f"{path.name}: {why}" for path, why in unknown.items())]
     left_out += [
         f"{path.name}: {kind}; unpack it with NAIF's tobin" for path, kind in kinds.items()
@@ -97,6 +99,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     ]
     measured = any(part.measured for part in parts)
     text = head + "".join(part.text for part in parts) + ("" if measured else _NO_MEASURES)
+    text += rigs.text
     text += "".join(f"\n# Left out: {in_line(line)}" for line in left_out) + ("\n" if left_out else "")
     with fresh_file(out, over=_CASE_FILE) as aside:
         aside.write_text(text, encoding="utf-8")
@@ -110,6 +113,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     told += [f"- {one.name}: {one.note}" for one in images if one.note]
     told += [f"- {one.path.name}: {_STUB}" for one in images if _is_stub(one)]
     told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
+    told += list(rigs.said)
     told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
     told += [f"- Left out: {line}" for line in left_out]
     told += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]

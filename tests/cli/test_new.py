@@ -13,6 +13,7 @@ import numpy as np
 import profiles
 import pytest
 from commands import refused, run
+from rig_files import write_rig
 
 import mgsgraph
 from mgsgraph.case import draft, draft_images
@@ -326,3 +327,23 @@ def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
     assert len(draft_case([*named, folder / "export.json"], tmp_path / "other.toml").text) > 100
     with pytest.raises(InputError, match="a pipe; expected a file"):
         draft_case([*named, folder / "pipe.json"], tmp_path / "third.toml")
+
+
+def test_images_of_one_moment_get_a_pass_in_comments(tmp_path: Path) -> None:
+    """Without comment signs the table is one that the case is read with, the mounting one that is adjusted."""
+    write_rig(tmp_path).unlink()
+    out = tmp_path / "new.toml"
+    made = draft_case([tmp_path], out)
+    assert "passes" not in tomllib.loads(made.text)
+    assert any("L, R: of one moment" in line for line in made.said), made.said
+    begin = made.text.index("# [[passes]]")
+    assert "so one trajectory" in made.text[:begin].splitlines()[-2]
+    table = re.sub("^# ?", "", made.text[begin:], flags=re.MULTILINE)
+    out.write_text(made.text[:begin] + table, encoding="utf-8")
+    case = mgsgraph.read_case(out)
+    assert [case.network.images[j].name for j in case.network.passes[0].images] == ["L", "R"]
+    assert [one.images.tolist() for one in case.network.shared] == [[1]]
+
+
+def test_images_of_other_moments_get_none(case_file: Path, tmp_path: Path) -> None:
+    assert "passes" not in draft_case([case_file.parent], tmp_path / "case.toml").text
