@@ -1,4 +1,4 @@
-"""NAC-L and NAC-R near Hadley rille (`lro_nac_hadley`) by a case with [[passes]] and [[mountings]]: docs/rig_hadley.md."""
+"""NAC-L and NAC-R near Hadley rille (`lro_nac_hadley`) by a case with passes and mountings: docs/rig_hadley.md."""
 
 import re
 from pathlib import Path
