@@ -44,6 +44,8 @@ class MovedImages:
     """(i,) m, sigma of that place, root of the trace of its covariance along the ground."""
     ground_after: Array
     """(i,) m."""
+    nodes: Mask
+    """(i,) True for an orientation image of a pass."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,9 +134,11 @@ class Impact:
         if not np.any(old):
             return said
         k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
+        alone, nodes = (int(np.count_nonzero(old & which)) for which in (~images.nodes, images.nodes))
+        counts = [*([many(alone, "image")] if alone else []), *([many(nodes, "orientation image")] if nodes else [])]
         return [
             *said,
-            f"{many(int(np.count_nonzero(old)), 'image')} reached; most moved is {self.images.names[k]}: "
+            f"{' and '.join(counts)} reached; most moved is {self.images.names[k]}: "
             f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
         ]
 
@@ -251,8 +255,15 @@ def _moved_images(
     table = np.array([_moved_image(before.get(u), after[u]) for u in unknowns]).reshape(len(unknowns), 22)
     moves, in_sigmas, first, second, ground = np.split(table, [6, 7, 13, 19], axis=1)
     new = np.array([unknown not in before for unknown in unknowns], dtype=bool)
-    names = tuple(unknown.name for unknown in unknowns)
-    return MovedImages(names, new, moves, in_sigmas[:, 0], first, second, *ground.T)
+    nodes = np.array([unknown.kind == "node" for unknown in unknowns], dtype=bool)
+    names = tuple(_shown(unknown) for unknown in unknowns)
+    return MovedImages(names, new, moves, in_sigmas[:, 0], first, second, *ground.T, nodes)
+
+
+def _shown(unknown: Unknown) -> str:
+    """Name of an image; of an orientation image its time to the millisecond, and its pass."""
+    of_pass, _, time = unknown.name.rpartition(" at ")
+    return f"{float(time.removesuffix(' s')):.3f} s of {of_pass}" if unknown.kind == "node" else unknown.name
 
 
 def _moved_image(before: Shared | None, after: Shared) -> list[float]:
