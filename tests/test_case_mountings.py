@@ -127,9 +127,17 @@ def test_check_says_who_makes_a_pass_and_how_it_is_mounted(tmp_path: Path) -> No
     assert "Passes\n  one: L, R\n    4 orientation images (lagrange)" in said
     assert "a-priori sigmas: of the terms 1, s, s^2, s^3 of polynomials" in said
     x, y, z = np.degrees(rotation.logarithm(TURN.T[None])[0])
-    assert f"mounted at {x:+.4f}, {y:+.4f}, {z:+.4f} deg about the axes x, y, z of L (from the tables): R" in said
+    assert f"mounted at {x:+.4f}, {y:+.4f}, {z:+.4f} deg (nominal rotation vector, about the axes x" in said
+    apart = np.degrees(np.arccos(TURN[2, 2]))
+    assert f", y, z of L; optical axes {apart:.4f} deg apart): R" in said
     assert "orientation images of pass one" in said
     assert "leave one camera out" not in said
     both = R + "boresight_sigma_mrad = 1\n" + R.replace("R", "L") + "boresight_sigma_mrad = 1\n"
     said = inventory(mgsgraph.read_case(write_rig(tmp_path, PASS + both)))
     assert "boresights of all cameras of one are unknown beside the pass's own attitude: what they have" in said
+
+
+def test_a_name_that_says_boresight_says_it_once(tmp_path: Path) -> None:
+    table = '\n[[mountings]]\nname = "boresight of R"\ncamera = ["R"]\nboresight_sigma_mrad = 1.0\n'
+    (shared,) = mgsgraph.read_case(write_rig(tmp_path, PASS + table)).network.shared
+    assert shared.name == "boresight of R"

@@ -145,6 +145,8 @@ WRONG = {
     "a strip and a pass without": (TWO + '[[strips]]\nname = "s"', "strips, passes: several without images"),
     "unknown image": (PASS.replace('"R"', '"S"'), r"passes\[0\], images: the image 'S'; expected some of the case's"),
     "a high degree": (PASS + "position = { degree = 4 }", r"degree: a polynomial of degree 4; expected 0 to 3.*proce"),
+    "no sigmas": (PASS + "attitude = { sigmas_mrad = [] }", "sigmas_mrad: no sigma; expected a degree of 0 to 3"),
+    "a negative degree": (PASS + "position = { degree = -1 }", "degree: -1; expected a degree of 0 to 3"),
     "many sigmas": (PASS + "position = { sigmas_m = [1, 1, 1, 1, 1] }", "sigmas_m: a polynomial of degree 4; exp"),
     "too few sigmas": (PASS + "attitude = { degree = 2, sigmas_mrad = [1, 2] }", "2 sigmas; expected 3 for degree = 2"),
     "unknown units": (PASS + "attitude = { sigmas_deg = [1] }", "'sigmas_deg'.*sigmas_mrad"),

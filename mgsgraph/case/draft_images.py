@@ -178,7 +178,8 @@ def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[
     """Images called as networks call them, and names of networks for which there is no image.
 
     By the serial number, the product or the file; what is left on both sides, if it is as many and the names hold clock
-    counts or times, in the order of these, which is said in a note.
+    counts or times, in the order of these, which is said in a note. Not where two names
+    hold the same time, as those of NAC-L and NAC-R.
     """
     known, made = {_plain(name): name for name in reversed(names)}, list(images)
     for k, one in enumerate(images):
@@ -187,7 +188,7 @@ def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[
     bare = [k for k, one in enumerate(made) if one.name not in names]
     left = [name for name in names if name not in {one.name for one in made}]
     times = {name: when for name in left if (when := _when(name)) is not None}
-    if bare and len(bare) == len(left) == len(times):
+    if bare and len(bare) == len(left) == len(set(times.values())):  # names of one moment say no order
         for k, name in zip(bare, sorted(left, key=times.__getitem__), strict=True):  # images are in order, too
             note = f"taken for {made[k].path.name} by the order of times: is it? The file calls it {made[k].name}"
             made[k] = made[k]._replace(name=name, note=note)

@@ -143,7 +143,10 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
         degree = len(values) - 1 if values is not None else len(default) - 1
     said = f"{where}, degree" if motion.degree is not None else f"{where}, {key}"
     of = "[orientation]" if motion.degree is None and values is None else said
-    if not 0 <= degree <= HIGHEST:
+    if degree < 0:
+        raise InputError(of, "no sigma" if motion.degree is None else f"{degree}", f"a degree of 0 to {HIGHEST}: one "
+                         "sigma for each of its terms")  # fmt: skip
+    if degree > HIGHEST:
         raise InputError(
             of, f"a polynomial of degree {degree}", f"0 to {HIGHEST} for a pass",
             'a lower degree, or a process, which follows any course: model = "matern-3/2" with nodes',

@@ -195,7 +195,8 @@ def mounting_unknowns(
             ):  # fmt: skip
                 if (value := getattr(entry, key)) is not None:
                     sigmas = three(value, f"{where}, {key}") * unit
-                    name = f"{word} of {entry.called()}{after}"
+                    called = entry.called().removeprefix(f"{word} of ")
+                    name = f"{word} of {called}{after}"
                     with errors_from(where):
                         found.append(SharedUnknown(name, kind, np.array(images), sigmas))
     return tuple(found)

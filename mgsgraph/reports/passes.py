@@ -151,7 +151,9 @@ def _mounting_words(network: Network, one: Pass) -> list[str]:
     lines = [f"mounted as {reference}: {some(first[1], len(first[1]))}"] if len(first[1]) > 1 else []
     for axes, names in others:
         x, y, z = (mounting_angles(axes[None])[0] / DEG).tolist()
-        turned = f"{x:+.4f}, {y:+.4f}, {z:+.4f} deg about the axes x, y, z of {reference} (from the tables)"
+        apart = float(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))) / DEG
+        turned = f"{x:+.4f}, {y:+.4f}, {z:+.4f} deg (nominal rotation vector, about the axes x, y, z of {reference}; "
+        turned += f"optical axes {apart:.4f} deg apart)"
         lines.append(f"mounted at {turned}: {some(names, len(names))}")
     return lines
 

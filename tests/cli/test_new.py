@@ -75,6 +75,18 @@ def test_products_are_known_however_they_are_written() -> None:
     assert not any(one.note for one in named)
 
 
+def test_names_of_one_moment_are_not_guessed() -> None:
+    """NACL and NACR hold one clock count: their order says nothing."""
+    images = tuple(
+        DraftImage(Path(f"{k}.isd"), Kind.SUPPORT_DATA, f"image{k}", frozenset(), image, False)
+        for k, image in enumerate(simulate_pair().images)
+    )
+    names = ["LRO/1/269182000:51104/NACL", "LRO/1/269182000:51104/NACR"]
+    made, missing = named_as(images, names)
+    assert [one.name for one in made] == ["image0", "image1"]
+    assert set(missing) == set(names)
+
+
 def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> None:
     files, out = sorted(case_file.parent.glob("*.isd")), tmp_path / "case.toml"
     assert draft_case(files, out).command == f"mgsgraph check {out}"
