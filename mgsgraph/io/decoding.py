@@ -37,7 +37,8 @@ _KEY = re.compile(r"Object (missing required|contains unknown) field `(.*)`")
 _WORDS = {
     "`float`": "a number", "`int`": "a whole number", "`str`": "a text", "`bool`": "true or false", "`array`": "a list",
     "`object`": "a table", "`float | null`": "a number", "`float | array`": "a number or a list",
-    "`float | array | null`": "a number or a list",
+    "`float | array | null`": "a number or a list", "`array | null`": "a list", "`int | null`": "a whole number",
+    "`str | null`": "a text",
 }  # fmt: skip
 """msgspec's names of types."""
 _NO_VALUE = object()
