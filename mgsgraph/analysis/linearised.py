@@ -15,7 +15,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
-from mgsgraph.network import Network
+from mgsgraph.network import Network, PolynomialPrior
 
 
 def require_covariance(solution: Solution) -> None:
@@ -66,7 +66,8 @@ class PriorRows:
     """What is known of the shared unknowns without any point, as m rows.
 
     Most rows are the a-priori value of one unknown. Those of a strip's orientation images join a node to the one
-    before it and to the trend (`network.passes`); they count as measures of the node. The last are crossovers of laser
+    before it and to the trend (`network.passes`); they count as measures of the node. Those of a `PolynomialPrior` are
+    of coefficients: row about node k and component c of that of s^k. The last are crossovers of laser
     profiles, measured height differences.
     """
 
@@ -96,10 +97,17 @@ def prior_rows(at: Linearised) -> PriorRows:
         share.append(np.einsum("ri,ij,rj->r", rows, covariance, rows))
         columns = np.concatenate([np.arange(*at.layout.columns_of(v).indices(prior.columns)) for v in variables])
         chief = rows[np.arange(about.size), np.argmax(columns == about[:, None], axis=1)]
-        sigma.append(1.0 / np.abs(chief))
+        with np.errstate(divide="ignore"):  # of a polynomial's rows, see below
+            sigma.append(1.0 / np.abs(chief))
     misfit = -(prior.every @ at.orientation)
     misfit[misfit.size - prior.target.size :] += prior.target
     sigmas = np.concatenate(sigma)
+    for one, first in at.network.numbered_passes:
+        if isinstance(one.prior, PolynomialPrior):
+            nodes = np.array([at.layout.variables.first[first + k] for k in range(len(one.nodes))])
+            mine = np.flatnonzero((prior.about >= nodes[0]) & (prior.about < nodes[-1] + 6))
+            term = np.searchsorted(nodes, prior.about[mine], side="right") - 1
+            sigmas[mine] = one.prior.coefficient_sigmas[term, prior.about[mine] - nodes[term]]
     if at.network.crossovers is not None:
         sigmas[sigmas.size - prior.crossovers :] = at.network.crossovers.sigmas
     return PriorRows(prior.about, sigmas, misfit, np.concatenate(share), prior.crossovers)

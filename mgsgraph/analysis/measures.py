@@ -17,6 +17,7 @@ from mgsgraph.adjustment.redundancy import UNCONTROLLED
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import PolynomialPrior
 
 Small = NDArray[np.int8]
 Indices = NDArray[np.int32]
@@ -338,7 +339,9 @@ def _unknown(layout: Layout, variable: int, inside: int) -> tuple[str, str]:
     if variable >= network.first_of_passes[0]:
         one, node = network.of_passes(variable)
         what, component = one.part(node, inside)
-        if node < len(one.nodes):
+        if isinstance(one.prior, PolynomialPrior):
+            what = f"the coefficient of s^{node}"  # what its rows are about; the unknowns are values at nodes
+        elif node < len(one.nodes):
             what += f" ({one.nodes.times[node] - one.nodes.times[0]:.6g} s past the first)"
         return f"{COMPONENTS[component]} of {what} of pass {one.name}", _unit(component)
     if variable < network.first_shared:
