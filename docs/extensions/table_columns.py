@@ -132,8 +132,8 @@ def _without_rows() -> Iterator[tuple[str, Table]]:
 def _relief_without_shots() -> Any:
     """A registration by relief of one profile without shots."""
     none, index, mask = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
-    vectors = np.zeros((0, 3))
-    heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 7)), np.zeros((0, 2)), mask, none, none, none)
+    vectors, pairs = np.zeros((0, 3)), np.zeros((0, 2))
+    heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 9)), pairs, pairs, mask, none, none, none)
     state = ProfileState(vectors, heights, CostSurface("", np.zeros(1), np.zeros((1, 1)), 0, ()))
     profile = ReliefProfile("", PointClass.LASER, index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
     points, image = SimpleNamespace(ids=(), places=vectors), SimpleNamespace(body=MARS)

@@ -61,10 +61,10 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def nodes_of(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
         """Nodes of a pass of these images; `where` names this table."""
         if not self.polynomial:
-            nodes = self.nodes or NodesInput(spacing_s=min(self._spacing(), _longest(pictures)))
-            found = nodes.images(pictures, f"{where}.nodes")
-            self._require_close(found, where)
-            return found
+            stated = self.nodes or NodesInput(spacing_s=min(self._spacing(), _longest(pictures)))
+            nodes = stated.images(pictures, f"{where}.nodes")
+            self._require_close(nodes, where)
+            return nodes
         if self.nodes is not None:
             found = "nodes beside polynomials, which four nodes over the pass carry"
             raise InputError(where, found, "nodes with a process", "take one of the two out")

@@ -257,7 +257,8 @@ def _moved_images(
     new = np.array([unknown not in before for unknown in unknowns], dtype=bool)
     nodes = np.array([unknown.kind == "node" for unknown in unknowns], dtype=bool)
     names = tuple(_shown(unknown) for unknown in unknowns)
-    return MovedImages(names, new, moves, in_sigmas[:, 0], first, second, *ground.T, nodes)
+    shift, was, now = ground.T
+    return MovedImages(names, new, moves, in_sigmas[:, 0], first, second, shift, was, now, nodes)
 
 
 def _shown(unknown: Unknown) -> str:
