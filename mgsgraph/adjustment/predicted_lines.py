@@ -20,6 +20,9 @@ from mgsgraph.kernel.rows import OUT, PREDICTED
 NEAR = 1e-5
 """Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much
 less than a tenth of themselves, so that a row is then right to 1e-6 lines, and its derivatives to 1e-10."""
+NEAR_ENOUGH = 1e-3
+"""The same where places of points alone are asked for: rows are right to 1e-4 lines where the rates of a pose jump, and
+to rounding everywhere else."""
 _UNBENT = 1e-9
 """m, of unknowns of the interior orientation: what they change the slope of a detector line by is then a ten-millionth
 of it."""
@@ -29,16 +32,16 @@ _BEYOND = 0.5
 """Share of an image's lines by which a predicted line may lie before it or after it."""
 
 
-def about_predicted_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
+def about_predicted_lines(layout: Layout, orientation: Array, points: Array, near: float = NEAR) -> Layout:
     """The layout itself where its rays are laid out about the lines predicted by shared unknowns (columns,) and points
-    (n, 3), layout order, and its stereo rows are linear about these; else one where they are. In the measured-line form
-    lines are what they are.
+    (n, 3), layout order, to `near` lines, and its stereo rows are linear about these; else one where they are. In the
+    measured-line form lines are what they are.
     """
-    now = layout if layout.model.line != PREDICTED else _about_lines(layout, orientation, points)
+    now = layout if layout.model.line != PREDICTED else _about_lines(layout, orientation, points, near)
     return now.about_stereo(layout.network_order(points), orientation)
 
 
-def _about_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
+def _about_lines(layout: Layout, orientation: Array, points: Array, near: float) -> Layout:
     """The layout, or one whose rays are laid out about their predicted lines."""
     network, now = layout.network, layout
     size = np.array([image.lines for image in network.images], dtype=np.float64)[network.rays.image]
@@ -48,7 +51,7 @@ def _about_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
         lines = network.rays.places[:, 0] - found
         lines = np.clip(np.where(taken & np.isfinite(lines), lines, now.lines), -_BEYOND * size, (1.0 + _BEYOND) * size)
         bent = np.abs(orientation - now.bent)[now.bending].max(initial=0.0)
-        if np.abs(lines - now.lines).max(initial=0.0) <= NEAR and bent <= _UNBENT:
+        if np.abs(lines - now.lines).max(initial=0.0) <= near and bent <= _UNBENT:
             break
         now = now.about(lines, orientation)
     return now

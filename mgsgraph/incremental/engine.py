@@ -369,9 +369,11 @@ class Engine:
         """
         found = {members: self._renewed(members) for members in made}
         for members, spread in joint.items():
-            moved, changed = self._changed_noticeably(members, spread)
+            moved, changed, every = self._changed_noticeably(members, spread)
             if moved and changed:
-                found |= self._placed([members], joint)
+                found[members] = every or self._placed([members], joint)[members]
+            elif moved and every is not None:
+                found[members] = replace(self._renewed(members), places=every.places)
             elif moved:
                 found[members] = replace(self._renewed(members), places=self._laid_out(members).places(self.value))
         return found
@@ -379,22 +381,29 @@ class Engine:
     def _renewed(self, members: Members) -> Bundle:
         return replace(self._store.bundle(members), reduced=self.systems.get(members))
 
-    def _changed_noticeably(self, members: Members, joint: Array) -> tuple[bool, bool]:
-        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed, by its probes."""
+    def _changed_noticeably(self, members: Members, joint: Array) -> tuple[bool, bool, Bundle | None]:
+        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed, by its probes; and
+        the bundle as it is now where these are all of its points.
+        """
         bundle = self._store.bundle(members)
         if (found := self._probes.get(members)) is None:
             chosen = probes(bundle)
             if chosen.size == 0:
-                return False, False
-            found = chosen, Sweep(part(bundle.network, chosen), self._settings, bundle.places[chosen])
+                return False, False, None
+            whole = chosen.size == len(bundle.network.points)
+            few = bundle.network if whole else part(bundle.network, chosen)
+            sweep = self._laid_out(members) if whole else Sweep(few, self._settings, bundle.places[chosen])
+            found = chosen, sweep
             self._probes.put(members, chosen.size, found)
         chosen, sweep = found
-        now = sweep.placed(self.value, None, joint, self.systems[members].unknowns)
+        system = self.systems[members]
+        now = sweep.placed(self.value, system, joint, system.unknowns)
         sigmas = np.sqrt(np.diagonal(bundle.covariances[chosen], axis1=1, axis2=2))
         with np.errstate(invalid="ignore", divide="ignore"):
             moved = np.abs(now.places - bundle.places[chosen]) / sigmas
             changed = np.abs(now.sigmas / sigmas - 1.0)
-        return bool(np.any(moved > _LIKELY)), bool(np.any(changed > _LIKELY))
+        every = now if chosen.size == len(bundle.network.points) else None
+        return bool(np.any(moved > _LIKELY)), bool(np.any(changed > _LIKELY)), every
 
 
 def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.graph.stereo import heights_at, linear_rows
-from mgsgraph.adjustment.predicted_lines import about_predicted_lines
+from mgsgraph.adjustment.predicted_lines import NEAR, NEAR_ENOUGH, about_predicted_lines
 from mgsgraph.adjustment.rounds import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
@@ -132,6 +132,7 @@ class Sweep:
         Raises PointBehindCamera.
         """
         shared, last = self._vector(values), self._last
+        near = NEAR_ENOUGH if task == COSTS else NEAR
         if last is not None and last.serves(shared, task):
             return last
         found = self._reduced(shared, task)
@@ -141,7 +142,7 @@ class Sweep:
             found = self._reduced(shared, task)
         layout = self._layout.without_steps
         for _ in range(1 if layout.stereo is None else _MOST_ROUNDS):
-            exact = about_predicted_lines(layout, shared, found.points)
+            exact = about_predicted_lines(layout, shared, found.points, near)
             if exact is layout:
                 break
             layout = exact
@@ -272,4 +273,6 @@ class Sweep:
 def probes(bundle: Bundle) -> Index:
     """Some determined points of a bundle, evenly chosen."""
     there = np.flatnonzero(np.isfinite(bundle.places[:, 0]))
+    if there.size <= 2 * _PROBES:  # all of them cost no more than some, which would be looked at once more
+        return there
     return there[np.unique(np.linspace(0, there.size - 1, min(_PROBES, there.size)).astype(np.int64))]
