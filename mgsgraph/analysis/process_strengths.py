@@ -3,109 +3,99 @@
 found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts again, until nothing changes
 print(found.words())
 
-With everything else eliminated the measures say y = x + e of the nodes x of a pass, x being normal with the covariance
-K = sum_i s_i^2 C_i + trend: linear in the variances s_i^2, C_i being the covariance functions' own matrices. Their
-likelihood is that of y, with covariance V = K + cov(e). Nothing of y and e has to be formed: an adjustment with K_0
-gives W_0 = V_0^-1 = P_0 - P_0 S P_0 and u_0 = V_0^-1 y = P_0 x, S being the posterior covariance, x the estimate and
-P_0 = K_0^-1; then with D = K - K_0
+Processes of the same part (position, attitude), kind and frequency have one strength, common to all passes: a pair of
+images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood
+(`strength_likelihood`); Fisher's scoring takes steps in log s.
 
-    W = W_0 (1 + D W_0)^-1,   u = (1 + W_0 D)^-1 u_0,
-    d(log likelihood) / d(s_i^2) = (u' C_i u - tr(W C_i)) / 2,   information F_ik = tr(W C_i W C_k) / 2
+A strength that measures hardly see is not searched for, for it would run away: where the search begins, the expected
+standard deviation of its logarithm has to be less than 1. With `by_axis` it is taken over from the other axes of its
+process (what pitches may as well roll); where none is seen, departures are held at nothing. Both are said.
 
-(Patterson & Thompson 1971; Rasmussen & Williams 2006, eq. 5.9). Steps of Fisher's scoring are taken in log s. Rays that
-scatter more or less than stated would be taken for a process: with `rays` their sigmas are multiplied by the factor of
-Foerstner's estimate, v'v / r over all tie rays, in the same rounds; that is its restricted maximum likelihood as well.
+Rays that scatter more or less than stated would be taken for a process: with `rays` their sigmas are multiplied by the
+factor of Foerstner's estimate, v'v / r over all tie rays, in the same rounds; that is its restricted maximum likelihood
+as well.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
-from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.grouping import group_rows
 from mgsgraph.analysis.helmert import group_redundancy
 from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.pose_combinations import INSEPARABLE, Combination, combinations
+from mgsgraph.analysis.strength_likelihood import Evidence, Member
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
-from mgsgraph.network import Network, Pass, ProcessPrior
-from mgsgraph.network.conditioning import dense_covariance
+from mgsgraph.network import Network, Process, ProcessPrior
 
-INSEPARABLE = 0.95
-"""Correlation beyond which two things are not separable."""
 _MOST = 600
-"""Nodes of a pass: dense matrices of six times as many rows."""
+"""Nodes of a pass: dense matrices of its components."""
 _STEP = math.log(5.0)
 """Largest change of a log strength in one round."""
 _FLOOR = 1e-3
 """Of where the search began: a strength there can't be told from zero."""
-_INNER, _HALVINGS, _AT_REST = 30, 8, 1e-4
-"""Steps of scoring for one adjustment, and halvings of one; log strengths."""
+_SEEN = 1.0
+"""Information on a log strength, where the search begins, for it to be searched for."""
 _AXES = ("X", "Y", "Z", "x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
 class Strength:
-    """Of one process of one pass, as found."""
+    """Of one process, common to passes, as found."""
 
-    of_pass: str
-    """Its name."""
+    passes: tuple[str, ...]
+    """Their names."""
     part: str
     """position or attitude."""
     kind: str
     """Of process."""
-    number: int
-    """Which of the processes of that part."""
+    frequency: float
+    """Hz, of jitter; of others 0."""
     axes: tuple[int, ...]
     """Components (0 .. 5) that it is of."""
-    sigma: float
+    members: tuple[Member, ...]
+    """Processes of passes that have it, along these axes."""
+    sigma: float = 0.0
     """m or rad (per s^1.5 of an integrated Wiener process): of the first of its axes."""
-    error: float
-    """Standard deviation of `sigma`, of the likelihood's information."""
-    zero: bool
+    error: float = 0.0
+    """Standard deviation of `sigma`, of the likelihood's information; 0 where it was not searched for."""
+    zero: bool = False
     """Whether it went to zero: held at a thousandth of where the search began."""
+    seen: float = 0.0
+    """Share of the departures' a-priori variance that measures take away; 0: not observable."""
+    searched: bool = True
+    """Whether it was searched for; else hardly seen."""
+    source: str = ""
+    """Axis from which it was taken over, where it was hardly seen and another one was."""
 
     @property
     def name(self) -> str:
         """In words."""
         axes = "" if len(self.axes) == 3 else f" {_AXES[self.axes[0]]}"
-        return f"{self.part}{axes}, {self.kind}, pass {self.of_pass}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Combination:
-    """What the measures determine of a position and a rotation that they can't tell apart."""
-
-    of_pass: str
-    """Name of the pass."""
-    position: str
-    """Along the track, across it, or radial."""
-    rotation: str
-    """Roll, pitch or yaw."""
-    correlation: float
-    """Median over nodes, of the corrections' errors."""
-    lever: float
-    """m per rad: position + lever times rotation is determined."""
-    sigma: float
-    """m, of that combination; median over nodes."""
-    alone: float
-    """m, of the position alone."""
+        kind = f"{self.kind} of {self.frequency:.4g} Hz" if self.frequency else self.kind
+        of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
+        return f"{self.part}{axes}, {kind}, {of}"
 
     def words(self) -> str:
         """A sentence."""
-        return (
-            f"pass {self.of_pass}: {self.position} and {self.rotation} are not separable (correlation "
-            f"{self.correlation:.3f} at the nodes): determined is {self.position} {self.lever / 1e3:+.4g} km x "
-            f"{self.rotation}, to {self.sigma:.3g} m, {self.position} alone to {self.alone:.3g} m"
-        )
+        unit = "m" if self.part == "position" else "rad"
+        unit += "/s^1.5" if self.kind == "integrated-wiener" else ""
+        hardly = f"{self.name}: hardly seen ({self.seen:.1g} of its variance)"
+        if self.source:
+            return f"{hardly}, taken over from {self.source}: {self.sigma:.4g} {unit}"
+        if not self.searched:
+            return f"{hardly}, held at nothing ({self.sigma:.2g} {unit})"
+        if self.zero:
+            return f"{self.name}: not to be seen (strength below {self.sigma:.2g} {unit})"
+        return f"{self.name}: {self.sigma:.4g} +- {self.error:.2g} {unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +114,8 @@ class EstimatedStrengths:
     """Factor of the sigmas of tie rays, in total; 1 where it wasn't asked for."""
     rays_error: float
     """Its standard deviation; 0 where it wasn't asked for."""
+    evidence: float
+    """Log likelihood of the strengths that were searched for, over that of none of these processes, nats."""
     combinations: tuple[Combination, ...]
     """Positions and rotations that can't be told apart."""
     converged: bool
@@ -143,7 +135,7 @@ class EstimatedStrengths:
 
     def words(self) -> str:
         """A sentence for each strength, for pairs that can't be told apart, and for how it ended."""
-        lines = [_said(one) for one in self.strengths]
+        lines = [one.words() for one in self.strengths]
         if self.rays_error:
             lines.append(f"sigmas of tie rays: times {self.rays:.4g} +- {self.rays_error:.2g}")
         entangled = np.argwhere(np.triu(np.abs(self.correlation) > INSEPARABLE, 1)).tolist()
@@ -153,14 +145,6 @@ class EstimatedStrengths:
         lines += [one.words() for one in self.combinations]
         end = "at rest" if self.converged else "NOT at rest"
         return "\n".join([*lines, f"Strengths {end} after {self.rounds} adjustments."])
-
-
-def _said(one: Strength) -> str:
-    unit = "m" if one.part == "position" else "rad"
-    unit += "/s^1.5" if one.kind == "integrated-wiener" else ""
-    if one.zero:
-        return f"{one.name}: not to be seen (strength below {one.sigma:.2g} {unit})"
-    return f"{one.name}: {one.sigma:.4g} +- {one.error:.2g} {unit}"
 
 
 def estimated_strengths(
@@ -181,7 +165,8 @@ def estimated_strengths(
         Of passes with `ProcessPrior`; the search begins with the sigmas that it has.
     settings : SolverSettings
     by_axis : bool
-        Each axis by itself; otherwise a process has one factor for all three axes.
+        Each axis by itself; otherwise a process has one factor for all three axes. A strength is common to all passes
+        that have the process (part, kind and frequency): the search begins with that of the first.
     rays : bool
         Estimate one factor of the sigmas of tie rays, too.
     most : int
@@ -199,32 +184,43 @@ def estimated_strengths(
     InputError
         Where nothing is to be estimated, or a pass has too many nodes; and what `adjust_network` raises.
     """
-    wanted, total, begin = _wanted(network, by_axis), 1.0, network
+    sought, total, begin = _sought(network, by_axis), 1.0, network
+    network = _with_changes(network, sought, np.zeros(len(sought)))
     left_in = unmarked(network) if settings.reject == 0.0 else None
+    searched, shares = np.zeros(0, dtype=np.int64), np.zeros(0)
     for done in range(most):
         solution = adjust_network(network, settings, name, progress, left_in=left_in)
         factor, spread = _ray_factor(solution) if rays else (1.0, 0.0)
-        steps, covariance = _scored(solution, wanted)
+        every = Evidence.of(solution, [one.members for one in sought])
+        if done == 0:
+            start = every.likelihood(np.zeros(len(sought)))
+            searched, shares = np.flatnonzero(np.diagonal(start.information) > _SEEN), start.shares
+        evidence = every.without(searched)
+        covariance = _covariance(evidence, searched)
+        change, zero = _changes(sought, searched, evidence.maximum(_STEP), _sigmas(network, sought),
+                                _FLOOR * _sigmas(begin, sought))  # fmt: skip
         # a strength that is known to a tenth only need not be at rest to a hundredth
         sizes = tolerance * np.maximum(1.0, 10.0 * np.minimum(np.sqrt(np.diagonal(covariance)), 1.0))
-        now = _sigmas(network, wanted)
-        floor = _FLOOR * _sigmas(begin, wanted)
-        zero = now * np.exp(steps) <= floor
-        change = np.where(zero, np.log(floor / now), np.clip(steps, -_STEP, _STEP))
-        converged = bool(np.all(np.abs(change) <= sizes)) and abs(factor - 1.0) <= tolerance
+        converged = bool(np.all(np.abs(change[searched]) <= sizes)) and abs(factor - 1.0) <= tolerance
+        converged &= done > 0 or searched.size == len(sought)
         if converged or done == most - 1:
             break
-        network = _with_strengths(network, wanted, np.exp(change))
+        network = _with_changes(network, sought, change)
         if rays:
             network, total = _with_rays(network, factor), total * factor
-    errors = now * np.sqrt(np.diagonal(covariance))
+    now, logs = _sigmas(network, sought), np.zeros((len(sought), len(sought)))
+    logs[np.ix_(searched, searched)] = covariance
+    errors = now * np.sqrt(np.diagonal(logs))
     strengths = tuple(
-        replace(one, sigma=float(value), error=float(error), zero=bool(gone))
-        for (one, _), value, error, gone in zip(wanted, now, errors, zero, strict=True)
-    )
-    combined = tuple(one for k in sorted({k for _, k in wanted}) for one in combinations(solution, k))
+        replace(one, sigma=float(now[i]), error=float(errors[i]), zero=bool(zero[i]), seen=float(shares[i]),
+                searched=i in searched, source=_source(sought, searched, i, now))
+        for i, one in enumerate(sought)
+    )  # fmt: skip
+    mine = sorted({member.of_pass for one in sought for member in one.members})
+    combined = tuple(one for k in mine for one in combinations(solution, k))
+    gained = evidence.over_nothing() if searched.size else 0.0
     return EstimatedStrengths(
-        network, solution, strengths, covariance, total, total * spread, combined, converged, done + 1
+        network, solution, strengths, logs, total, total * spread, gained, combined, converged, done + 1
     )
 
 
@@ -235,154 +231,102 @@ def asks_for_strengths(network: Network) -> bool:
     return any(one.estimated for prior in mine for one in (*prior.position, *prior.attitude))
 
 
-def _wanted(network: Network, by_axis: bool) -> list[tuple[Strength, int]]:
-    """What is to be found, and the pass that it is of."""
-    found = list[tuple[Strength, int]]()
+def _sought(network: Network, by_axis: bool) -> list[Strength]:
+    """What is to be found: processes alike in part, kind and frequency, and along the same axes, are one."""
+    found = dict[tuple[str, str, float, int, tuple[int, ...]], list[Member]]()
     for k, one in enumerate(network.passes):
-        if not isinstance(one.prior, ProcessPrior):
-            continue
-        for part, first, processes in (("position", 0, one.prior.position), ("attitude", 3, one.prior.attitude)):
-            for number, process in enumerate(processes):
-                if not process.estimated:
-                    continue
-                axes = [(c,) for c in range(first, first + 3)] if by_axis else [(first, first + 1, first + 2)]
-                found += [(Strength(one.name, part, process.kind, number, own, 0.0, 0.0, False), k) for own in axes]
-        if any(of == k for _, of in found) and len(one.nodes) > _MOST:
+        for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
+            first, alike = 0 if part == "position" else 3, list[tuple[str, float]]()
+            axes = [(c,) for c in range(first, first + 3)] if by_axis else [(first, first + 1, first + 2)]
+            for number, process in enumerate(_processes(network, k, part)):
+                kind = process.kind, process.frequency
+                for own in axes if process.estimated else ():
+                    members = found.setdefault((part, *kind, alike.count(kind), own), [])
+                    members += [Member(k, number, c) for c in own]
+                alike.append(kind)
+        if len(one.nodes) > _MOST and any(m.of_pass == k for members in found.values() for m in members):
             remedy = "state the strengths that a shorter part of the pass gives"
             raise InputError(f"pass {one.name!r}, strengths", f"{len(one.nodes)} nodes", f"{_MOST} at most", remedy)
     if not found:
         raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
-    return found
+    return [
+        Strength(tuple(dict.fromkeys(network.passes[m.of_pass].name for m in members)), part, kind, frequency, axes,
+                 tuple(members))
+        for (part, kind, frequency, _, axes), members in found.items()
+    ]  # fmt: skip
 
 
-def _processes(one: Pass, strength: Strength) -> Array:
-    """(3,) sigmas of the process of a strength."""
-    assert isinstance(one.prior, ProcessPrior)
-    part = one.prior.position if strength.part == "position" else one.prior.attitude
-    return part[strength.number].sigmas
+def _processes(network: Network, number: int, part: str) -> tuple[Process, ...]:
+    """Of a part of a pass."""
+    prior = network.passes[number].prior
+    assert isinstance(prior, ProcessPrior)
+    return prior.position if part == "position" else prior.attitude
 
 
-def _sigmas(network: Network, wanted: list[tuple[Strength, int]]) -> Array:
-    return np.array([_processes(network.passes[k], one)[one.axes[0] % 3] for one, k in wanted])
+def _sigma(network: Network, one: Strength, component: int) -> float:
+    """Of the first pass that has a strength: along an axis."""
+    (first,) = [m for m in one.members if m.component == component and m.of_pass == one.members[0].of_pass]
+    return float(_processes(network, first.of_pass, one.part)[first.number].sigmas[component % 3])
 
 
-def _scored(solution: Solution, wanted: list[tuple[Strength, int]]) -> tuple[Array, Array]:
-    """(p,) how the log strengths should change, and the (p, p) covariance of what is found."""
-    steps, spread = np.zeros(len(wanted)), np.zeros((len(wanted), len(wanted)))
-    for k in sorted({k for _, k in wanted}):
-        mine = [i for i, (_, of) in enumerate(wanted) if of == k]
-        steps[mine], covariance = _of_pass(solution, k, [wanted[i][0] for i in mine])
-        spread[np.ix_(mine, mine)] = covariance
-    return steps, spread
+def _sigmas(network: Network, sought: list[Strength]) -> Array:
+    """(p,) of the first axis of each."""
+    return np.array([_sigma(network, one, one.axes[0]) for one in sought])
 
 
-def _of_pass(solution: Solution, number: int, wanted: list[Strength]) -> tuple[Array, Array]:
-    one = solution.network.passes[number]
-    parts = [_parts(one, strength) for strength in wanted]
-    start, push = _information(solution, number)
-    steps = np.zeros(len(wanted))
-    here = _likelihood(start, push, parts, steps)
-    regular = here.information + np.diag(1e-6 + 1e-9 * np.diagonal(here.information))
-    covariance = np.linalg.solve(regular, np.eye(len(wanted)))
-    for _ in range(_INNER):
-        move = np.clip(np.linalg.solve(here.information + 0.05 * np.eye(len(wanted)), here.score), -1.0, 1.0)
-        for _ in range(_HALVINGS):
-            trial = np.clip(steps + move, -3.0 * _STEP, _STEP)
-            there = _likelihood(start, push, parts, trial)
-            if there.logarithm >= here.logarithm:
-                break
-            move = 0.5 * move  # scoring overshoots where the likelihood bends more than is expected
-        else:
-            break
-        steps, here = trial, there
-        if np.abs(move).max() < _AT_REST:
-            break
-    return steps, np.asarray(covariance)
+def _covariance(evidence: Evidence, searched: Index) -> Array:
+    """(s, s) of the log strengths that are searched for, by the information that is expected."""
+    if not searched.size:
+        return np.zeros((0, 0))
+    information = evidence.likelihood(np.zeros(searched.size)).information
+    regular = information + np.diag(1e-6 + 1e-9 * np.diagonal(information))
+    return np.asarray(np.linalg.solve(regular, np.eye(searched.size)))
 
 
-class _Likelihood(NamedTuple):
-    """Of log strengths."""
-
-    logarithm: float
-    """Of the likelihood, over that of the strengths that the adjustment had."""
-    score: Array
-    """(p,) its derivatives."""
-    information: Array
-    """(p, p) that is expected."""
+def _siblings(sought: list[Strength], searched: Index, i: int) -> list[int]:
+    """Strengths of other axes of the same processes, that are searched for."""
+    mine = {m[:2] for m in sought[i].members}
+    return [
+        k for k in searched.tolist()
+        if k != i and sought[k].part == sought[i].part and {m[:2] for m in sought[k].members} == mine
+    ]  # fmt: skip
 
 
-def _likelihood(start: Array, push: Array, parts: Sequence[list[tuple[int, Array]]], steps: Array) -> _Likelihood:
-    """Where log strengths change by `steps` (p,); `start` and `push` are W_0 and u_0."""
-    from scipy.linalg import lu_factor, lu_solve  # slow to import
-
-    grown, change = np.exp(2.0 * steps), np.zeros_like(start)
-    for growth, part in zip(grown, parts, strict=True):
-        for c, matrix in part:
-            change[c::6, c::6] += (growth - 1.0) * matrix
-    factored = lu_factor(np.eye(push.size) + start @ change)
-    within, pushed = lu_solve(factored, start), lu_solve(factored, push)
-    logarithm = 0.5 * float(push @ change @ pushed - np.sum(np.log(np.abs(np.diagonal(factored[0])))))
-    score, products = np.zeros(len(parts)), list[list[tuple[int, Array]]]()
-    for i, part in enumerate(parts):
-        through = [(c, within[:, c::6] @ (grown[i] * matrix)) for c, matrix in part]
-        squares = sum(grown[i] * pushed[c::6] @ matrix @ pushed[c::6] for c, matrix in part)
-        score[i] = squares - sum(np.trace(product[c::6]) for c, product in through)
-        products.append(through)
-    information = np.array([
-        [2.0 * sum(np.sum(a[d::6] * b[c::6].T) for c, a in left for d, b in right) for right in products]
-        for left in products
-    ])  # fmt: skip
-    return _Likelihood(logarithm, score, information)
+def _source(sought: list[Strength], searched: Index, i: int, now: Array) -> str:
+    """Axis that a strength is taken over from; none where it is searched for, or no other one is."""
+    others = [] if i in searched else _siblings(sought, searched, i)
+    return _AXES[sought[max(others, key=lambda k: now[k])].axes[0]] if others else ""
 
 
-def _parts(one: Pass, strength: Strength) -> list[tuple[int, Array]]:
-    """Of each of a strength's axes the covariance (k, k) of the nodes' coefficients, m^2 or rad^2."""
-    assert isinstance(one.prior, ProcessPrior)
-    part = one.prior.position if strength.part == "position" else one.prior.attitude
-    return [(c, dense_covariance((part[strength.number],), c % 3, one.nodes)) for c in strength.axes]
+def _changes(
+    sought: list[Strength], searched: Index, steps: Array, now: Array, floor: Array
+) -> tuple[Array, Index]:
+    """(p,) change of log strengths, and whether each is at its floor."""
+    change = np.log(floor / now)  # of what nothing is seen
+    change[searched] = np.maximum(np.clip(steps, -_STEP, _STEP), change[searched])
+    zero = np.zeros(now.size, dtype=bool)
+    zero[searched] = now[searched] * np.exp(steps) <= floor[searched]
+    change[zero] = np.log(floor / now)[zero]
+    for i in range(len(sought)):
+        others = [] if i in searched else _siblings(sought, searched, i)
+        if others:
+            change[i] = np.log(max(now[k] * np.exp(change[k]) for k in others) / now[i])
+    return change, zero
 
 
-def _information(solution: Solution, number: int) -> tuple[Array, Array]:
-    """W_0 (6 k, 6 k) and u_0 (6 k,) of a pass's nodes."""
-    one = solution.network.passes[number]
-    first, end = solution.network.first_of_passes[number : number + 2].tolist()
-    size = 6 * len(one.nodes)
-    joint = at_solution(solution).of_estimator().joint.of(range(first, end))[:size, :size]
-    prior = _marginal(one)
-    found = prior - prior @ joint @ prior
-    return 0.5 * (found + found.T), prior @ solution.nodes[number].ravel()
-
-
-def _marginal(one: Pass) -> Array:
-    """(6 k, 6 k) P_0: information of the prior's rows on the nodes, the trend eliminated."""
-    from scipy.linalg import cho_factor, cho_solve  # slow to import
-
-    edges = np.concatenate([[0], np.cumsum(one.widths)])
-    whole = np.zeros((edges[-1], edges[-1]))
-    for unknowns, blocks, _ in one.prior.factors(one.nodes):
-        for v, left in zip(unknowns, blocks, strict=True):
-            for w, right in zip(unknowns, blocks, strict=True):
-                whole[edges[v] : edges[v + 1], edges[w] : edges[w + 1]] += left.T @ right
-    size = 6 * len(one.nodes)
-    across = whole[:size, size:]
-    if not across.shape[1]:
-        return whole
-    return np.asarray(whole[:size, :size] - across @ cho_solve(cho_factor(whole[size:, size:]), across.T))
-
-
-def _with_strengths(network: Network, wanted: list[tuple[Strength, int]], factors: Array) -> Network:
-    """With strengths times factors (p,)."""
+def _with_changes(network: Network, sought: list[Strength], change: Array) -> Network:
+    """With log strengths (p,) changed; those of all passes then are that of the first."""
     passes = list(network.passes)
-    for (one, k), factor in zip(wanted, factors.tolist(), strict=True):
-        prior = passes[k].prior
-        assert isinstance(prior, ProcessPrior)
-        own = np.ones(3)
-        own[[c % 3 for c in one.axes]] = factor
-        part = list(prior.position if one.part == "position" else prior.attitude)
-        part[one.number] = part[one.number].scaled(own)
-        position = one.part == "position"
-        changed = replace(prior, position=tuple(part)) if position else replace(prior, attitude=tuple(part))
-        passes[k] = replace(passes[k], prior=changed)
+    for one, growth in zip(sought, np.exp(change).tolist(), strict=True):
+        for of_pass, number, component in one.members:
+            prior = passes[of_pass].prior
+            assert isinstance(prior, ProcessPrior)
+            part = list(prior.position if one.part == "position" else prior.attitude)
+            sigmas = np.array(part[number].sigmas)
+            sigmas[component % 3] = growth * _sigma(network, one, component)
+            part[number] = replace(part[number], sigmas=sigmas)
+            changed = {one.part: tuple(part)}
+            passes[of_pass] = replace(passes[of_pass], prior=replace(prior, **changed))
     return replace(network, passes=tuple(passes))
 
 
@@ -406,24 +350,3 @@ def _ray_factor(solution: Solution) -> tuple[float, float]:
 def _with_rays(network: Network, factor: float) -> Network:
     of_rays = np.where(_tie_rays(network) == 1, factor, 1.0)
     return replace(network, rays=replace(network.rays, sigmas=network.rays.sigmas * of_rays[:, None]))
-
-
-def combinations(solution: Solution, number: int) -> tuple[Combination, ...]:
-    """Positions and rotations of a pass, along the axes of its flight, that the measures can't tell apart, and what
-    they determine of them.
-    """
-    one = solution.network.passes[number]
-    inner = np.flatnonzero(np.isin(one.nodes.times, one.nodes.inner))
-    first, joint = int(solution.network.first_of_passes[number]), at_solution(solution).of_estimator().joint
-    turns = strip_turns(solution.network, number, one.nodes.inner + one.nodes.epoch, solution.settings.angles)
-    blocks = turns @ np.stack([joint.of([first + k]) for k in inner.tolist()]) @ np.swapaxes(turns, 1, 2)
-    scale = np.sqrt(np.diagonal(blocks, axis1=1, axis2=2))
-    correlation = np.median(blocks / scale[:, :, None] / scale[:, None, :], axis=0)[:3, 3:]
-    found = list[Combination]()
-    for p, r in np.argwhere(np.abs(correlation) > INSEPARABLE).tolist():
-        lever = -np.median(blocks[:, p, 3 + r] / blocks[:, 3 + r, 3 + r])
-        both = blocks[:, p, p] + 2.0 * lever * blocks[:, p, 3 + r] + lever**2 * blocks[:, 3 + r, 3 + r]
-        sigma, alone = float(np.sqrt(np.median(both))), float(np.median(scale[:, p]))
-        names = FLIGHT[p], FLIGHT[3 + r]
-        found.append(Combination(one.name, *names, float(correlation[p, r]), float(lever), sigma, alone))
-    return tuple(found)

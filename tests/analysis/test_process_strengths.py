@@ -9,7 +9,7 @@ from networks import pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis import process_strengths
+from mgsgraph.analysis import pose_combinations
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.errors import InputError
@@ -98,7 +98,7 @@ def test_what_cannot_be_told_apart_is_said() -> None:
         nodes = evenly_spaced("lagrange", image.trajectory.epoch, (start, stop), (stop - start) / 5.0)
         passes.append(Pass(image.name, np.array([j]), nodes, prior))
     solution = adjust_network(replace(net, passes=tuple(passes)), SolverSettings())
-    found = process_strengths.combinations(solution, 1)
+    found = pose_combinations.combinations(solution, 1)
     assert ("along-track position", "pitch") in {(one.position, one.rotation) for one in found}
     for one in found:
         assert one.sigma < 0.35 * one.alone
@@ -125,3 +125,30 @@ def test_each_process_of_a_sum_and_each_axis_has_its_own() -> None:
 def test_nothing_to_estimate_is_said() -> None:
     with pytest.raises(InputError, match="none that is to be estimated"):
         estimated_strengths(network(1, 1.0, estimated=False), SolverSettings())
+
+
+def test_passes_have_their_strengths_in_common() -> None:
+    """Of two strips that begin unlike each other: one strength, and after a round both have it."""
+    net = simulate_hrsc_block(replace(SETTINGS, strips=2), 3).network
+    passes = []
+    for k, one in enumerate(net.passes):
+        assert isinstance(one.prior, NodePrior)
+        slow = Process("gauss-markov", (1.0 + k) * one.prior.sigmas[3:], 30.0, estimated=True)
+        still = Process("gauss-markov", one.prior.sigmas[:3], 30.0)
+        passes.append(replace(one, prior=ProcessPrior((still,), (slow,), one.prior.bias, one.prior.drift)))
+    found = estimated_strengths(replace(net, passes=tuple(passes)), SolverSettings(), rays=False, most=2)
+    (only,) = found.strengths
+    assert only.passes == tuple(one.name for one in net.passes)
+    assert "common to 2 passes" in found.words()
+    priors = [one.prior for one in found.network.passes]
+    first, second = (one.attitude[0].sigmas for one in priors if isinstance(one, ProcessPrior))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_what_is_hardly_seen_is_held_at_nothing() -> None:
+    """Processes a thousand times smaller than what measures can see."""
+    net = network(6, 1e-3)
+    found = estimated_strengths(net, SolverSettings(), rays=False, most=1)
+    assert not any(one.searched for one in found.strengths)
+    assert found.words().count("held at nothing") == 2
+    assert found.evidence == 0.0
