@@ -325,8 +325,11 @@ def _with_changes(network: Network, sought: list[Strength], change: Array) -> Ne
             sigmas = np.array(part[number].sigmas)
             sigmas[component % 3] = growth * _sigma(network, one, component)
             part[number] = replace(part[number], sigmas=sigmas)
-            changed = {one.part: tuple(part)}
-            passes[of_pass] = replace(passes[of_pass], prior=replace(prior, **changed))
+            if one.part == "position":
+                prior = replace(prior, position=tuple(part))
+            else:
+                prior = replace(prior, attitude=tuple(part))
+            passes[of_pass] = replace(passes[of_pass], prior=prior)
     return replace(network, passes=tuple(passes))
 
 

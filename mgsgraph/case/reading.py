@@ -15,6 +15,7 @@ from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.altimetry.shots import read_shots
+from mgsgraph.analysis.process_strengths import asks_for_strengths, estimated_strengths
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
@@ -247,7 +248,13 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
 
 
 def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:
-    """Adjust a case; see `mgsgraph.adjustment.adjust.adjust_network`."""
+    """Adjust a case, strengths of processes that it wants estimated found on the way; see
+    `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.process_strengths.estimated_strengths`.
+    """
+    if asks_for_strengths(case.network):
+        return estimated_strengths(
+            case.network, case.settings, rays=False, name=case.name, progress=progress
+        ).solution
     return adjust_network(case.network, case.settings, case.name, progress)
 
 

@@ -103,6 +103,9 @@ def adjust(
     read = read_case(case, overrides.laser, ties)
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
+    estimating = asks_for_strengths(read.network)
+    if estimating and (relief or two_steps or cluster is not None):
+        raise click.UsageError("estimated strengths of processes go with none of --relief, --two-steps and --cluster")
     if relief:
         ctx.exit(0 if _coregistered(replace(read, settings=settings), out, overrides.figures) else 1)
     connection: AbstractContextManager[Connection | None]
@@ -110,10 +113,8 @@ def adjust(
     if two_steps:
         ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, verbose) else 1)
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
-        if asks_for_strengths(read.network):
-            if cluster is not None:
-                raise click.UsageError("strengths of processes are estimated without --cluster")
-            found = estimated_strengths(read.network, settings, name=read.name, progress=bar)
+        if estimating:
+            found = estimated_strengths(read.network, settings, rays=False, name=read.name, progress=bar)
             solution, words = found.solution, found.words()
         else:
             solution, words = adjust_network(read.network, settings, read.name, bar, workers), ""

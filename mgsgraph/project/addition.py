@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.altimetry.shots import read_shots
+from mgsgraph.analysis.process_strengths import asks_for_strengths
 from mgsgraph.case.assembly import laser_profile, shots_in_images
 from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.groups import in_images, with_sigmas
@@ -216,6 +217,9 @@ def _names(new: Sequence[NewImage]) -> list[str]:
 def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Case]:
     """Images of a case file, and the case; `ties` are taken in place of its own."""
     case, wanted = read_case(path, ties=ties), decode(path)
+    if asks_for_strengths(case.network):
+        found, remedy = "strengths of processes to be estimated", "state the numbers that `mgsgraph adjust` finds"
+        raise InputError(f"{path}, passes", found, "numbers: a project takes them as known", remedy)
     new = []
     for j, (entry, known) in enumerate(zip(wanted.images, known_images(case.network), strict=True)):
         new.append(NewImage(known, _files(entry, path), case.pictures[j] if case.pictures else None))
