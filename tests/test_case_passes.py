@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from rig_files import PASS, later, write_rig
@@ -11,6 +12,7 @@ from rigs import TURN, rig
 
 import mgsgraph
 from mgsgraph.altimetry.time_scales import tdb_of_utc
+from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.network import Pass, ProcessPrior
@@ -238,3 +240,25 @@ def test_nodes_closer_than_the_rays_support_are_named(tmp_path: Path) -> None:
     since = tdb_of_utc([said[2]], "")[0] - nodes.epoch - nodes.coverage[0]
     assert since == pytest.approx(float(said[3]), abs=2e-3)
     assert mgsgraph.adjust(case).converged
+
+
+def test_estimated_strengths_leave_the_sigmas_of_ties(tmp_path: Path) -> None:
+    """A factor for ties would absorb whatever is wrong with them: sigma0 says it, with estimated strengths, too."""
+    table = """
+[passes.attitude]
+model = "matern-3/2"
+sigma_mrad = "estimated"
+correlation_time_s = 1.0
+"""
+    path = write_rig(tmp_path, PASS + table)
+    case = mgsgraph.read_case(path)
+    solution = mgsgraph.adjust(case)
+    np.testing.assert_array_equal(solution.network.rays.sigmas, case.network.rays.sigmas)
+    start, found = (one.passes[0].prior for one in (case.network, solution.network))
+    assert isinstance(start, ProcessPrior)
+    assert isinstance(found, ProcessPrior)
+    assert not np.allclose(start.attitude[0].sigmas, found.attitude[0].sigmas)
+    with pytest.raises(InputError, match="strengths of processes to be estimated"):
+        group(["init", str(tmp_path / "project"), "--case", str(path)], standalone_mode=False)
+    with pytest.raises(click.UsageError, match="estimated strengths"):
+        group(["adjust", str(path), "--two-steps", "--out", str(tmp_path / "out")], standalone_mode=False)
