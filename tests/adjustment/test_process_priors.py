@@ -79,7 +79,7 @@ def assert_the_same(one: Solution, other: Solution, within: dict[str, float]) ->
 
 
 def test_a_gauss_markov_process_gives_todays_strips() -> None:
-    net = simulate_hrsc_block(BlockSettings(strips=2, points=300, length=300e3, terrain=None), 1).network
+    net = simulate_hrsc_block(BlockSettings(strips=2, points=120, length=200e3, terrain=None), 1).network
     after = adjust_network(with_prior(net, as_process(net)), TIGHT)
     within = {"cost": 1e-10, "nodes": 1e-5, "sigmas of nodes": 1e-7, "points": 1e-5, "sigmas of points": 1e-7}
     assert_the_same(after, adjust_network(net, TIGHT), within)
