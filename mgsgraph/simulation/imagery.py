@@ -26,7 +26,8 @@ NOISE = 1.5
 _DARK, _LEVEL = 10.0, 110.0
 """Grey values of a shadow, and how much brighter level soil of mean albedo is."""
 _FAR, _NODE = 32, 4
-"""pixels between rays that are intersected with the ground, and between the finer nodes found from these."""
+"""pixels between rays that are intersected with the ground, and between the finer nodes found from these. Between the
+former the line of sight is linear."""
 _STEPS = 4
 """Newton steps from a ray to a node near it; a pixel takes one more from its nodes."""
 
@@ -37,15 +38,17 @@ def render(
     correction: OrientationCorrection | None,
     sun_direction: Array,
     rng: np.random.Generator,
+    between: int = _FAR,
 ) -> Picture:
     """Picture (lines, samples) of the ground under the Sun; no atmosphere, no cast shadows, no spread of light between
     pixels. Exposed such that level soil has the grey value 120; the same arguments give the same bytes.
 
     `correction` is that of the image's nominal orientation, None where this is true; `sun_direction` (3,) is unit,
-    body-fixed, from the ground to the Sun; `rng` draws the noise. InputError if the Sun is below the horizon of the
-    image's middle, or a corner of the image misses the body.
+    body-fixed, from the ground to the Sun; `rng` draws the noise. Rays every `between` pixels, a multiple of 4, are the
+    image's own, and linear between these: few lines for a camera that vibrates. InputError if the Sun is below the
+    horizon of the image's middle, or a corner of the image misses the body.
     """
-    far, points = _far_nodes(image, terrain, correction)
+    far, points = _far_nodes(image, terrain, correction, between)
     middle = points[points.shape[0] // 2, points.shape[1] // 2]
     height_of_sun = float(sun_direction @ middle) / float(np.linalg.norm(middle))
     if not height_of_sun > 0.0:
@@ -54,9 +57,9 @@ def render(
     picture = np.empty((image.lines, image.samples), dtype=np.uint8)
 
     def expose(block: int, noise: np.random.Generator) -> None:
-        part = picture[block * _FAR : (block + 1) * _FAR]
+        part = picture[block * between : (block + 1) * between]
         sun = local_sun(points[block, points.shape[1] // 2], terrain, sun_direction)
-        east, north = _ground_of_pixels(terrain, [layer[block : block + 2] for layer in far], *part.shape)
+        east, north = _ground_of_pixels(terrain, [layer[block : block + 2] for layer in far], part.shape, between)
         grey = _DARK + gain * np.maximum(_shade(east, north, terrain, sun), np.float32(0.0))
         grey += NOISE * noise.standard_normal(part.shape, dtype=np.float32)
         part[:] = np.rint(np.clip(grey, 0.0, 255.0))
@@ -69,15 +72,15 @@ def render(
 
 
 def _far_nodes(
-    image: PushbroomImage, terrain: SiteTerrain, correction: OrientationCorrection | None
+    image: PushbroomImage, terrain: SiteTerrain, correction: OrientationCorrection | None, between: int
 ) -> tuple[tuple[Array, ...], Array]:
     """Where rays meet the ground: five layers (rows, columns) and the points (rows, columns, 3) in m, body-fixed.
 
     The layers are the coordinates east and north (m) in the terrain's chart, the local height there (m), and how far
     the ray runs east and north per m of height. The first ray belongs to the centre of the first pixel.
     """
-    lines = 0.5 + _FAR * np.arange(-(-image.lines // _FAR) + 1)
-    samples = 0.5 + _FAR * np.arange(-(-image.samples // _FAR) + 1)
+    lines = 0.5 + between * np.arange(-(-image.lines // between) + 1)
+    samples = 0.5 + between * np.arange(-(-image.samples // between) + 1)
     line, sample = (axis.ravel() for axis in np.meshgrid(lines, samples, indexing="ij"))
     origins, directions, _, _ = image.rays(line, sample, correction)
     points = terrain.intersect(origins, directions)
@@ -97,14 +100,16 @@ def _far_nodes(
 
 
 def _ground_of_pixels(
-    terrain: SiteTerrain, far: Sequence[Array], lines: int, samples: int
+    terrain: SiteTerrain, far: Sequence[Array], shape: tuple[int, ...], between: int
 ) -> tuple[_Single, _Single]:
-    """Chart coordinates east and north (lines, samples) in m of the ground that each pixel of a block of 32 lines sees.
+    """Chart coordinates east and north (lines, samples) in m of the ground that each pixel of a block of `between`
+    lines sees.
 
     Found at nodes first; what relief does between them takes one more step at each pixel.
     """
-    of_nodes = _rise(terrain, [refined(layer, _FAR // _NODE) for layer in far], np.zeros(()), _STEPS)
-    sight = [refined(layer, _FAR)[:lines, :samples].astype(np.float32) for layer in far]
+    lines, samples = shape
+    of_nodes = _rise(terrain, [refined(layer, between // _NODE) for layer in far], np.zeros(()), _STEPS)
+    sight = [refined(layer, between)[:lines, :samples].astype(np.float32) for layer in far]
     rise = _rise(terrain, sight, refined(of_nodes, _NODE)[:lines, :samples].astype(np.float32), 1)
     east, north, _, by_east, by_north = sight
     return east + rise * by_east, north + rise * by_north
