@@ -52,8 +52,8 @@ def test_a_page_of_a_result(mola_case: Path, tmp_path: Path) -> None:
     with np.load(result / "solution.npz") as file:
         arrays = dict(file)
     np.savez(result / "solution.npz", **(arrays | {"format": np.array(99)}))  # type: ignore[arg-type]
-    refused(run("report", result, "--out", tmp_path / "p.html"), f"format: 99; expected {FORMAT}; read it with the version",
-            tmp_path, names)  # fmt: skip
+    said = f"format: 99; expected {FORMAT}; read it with the version"
+    refused(run("report", result, "--out", tmp_path / "p.html"), said, tmp_path, names)
 
 
 def test_help_says_what_it_writes() -> None:
