@@ -33,7 +33,7 @@ class Combination:
     """m, of the position alone."""
 
     def words(self) -> str:
-        """A sentence."""
+        """The pair, and the combination that is determined, as one line of a report."""
         return (
             f"pass {self.of_pass}: {self.position} and {self.rotation} are not separable (correlation "
             f"{self.correlation:.3f} at the nodes): determined is {self.position} {self.lever / 1e3:+.4g} km x "

@@ -78,14 +78,14 @@ class Strength:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Part of the pose, kind of process and passes, for reports."""
         axes = "" if len(self.axes) == 3 else f" {_AXES[self.axes[0]]}"
         kind = f"{self.kind} of {self.frequency:.4g} Hz" if self.frequency else self.kind
         of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
         return f"{self.part}{axes}, {kind}, {of}"
 
     def words(self) -> str:
-        """A sentence."""
+        """The strength with its standard deviation, or why there is none, as one line of a report."""
         unit = "m" if self.part == "position" else "rad"
         unit += "/s^1.5" if self.kind == "integrated-wiener" else ""
         hardly = f"{self.name}: hardly seen ({self.seen:.1g} of its variance)"

@@ -27,7 +27,7 @@ _BEGIN = {"m": 1.0, "mrad": 0.01, "mgon": 0.6}
 """In each unit, where the search for an estimated strength begins."""
 _BANDWIDTH = 0.1
 """Of the frequency, of jitter whose bandwidth is not said."""
-_STILL = 1e-4
+_NEGLIGIBLE = 1e-4
 """Of the constant's sigma, departures of what is a line in time beside the process of the other part."""
 _FOLLOWING = 0.01
 """Of the constant term's sigma: that of powers for which neither the pass nor [orientation] says any."""
@@ -238,9 +238,9 @@ def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Arr
     return sigmas[0], sigmas[1] if len(sigmas) > 1 else np.zeros(3)
 
 
-def still(bias: Array) -> tuple[Process, ...]:
+def negligible_departures(bias: Array) -> tuple[Process, ...]:
     """Departures that are next to nothing: of a part that is a line in time, with the sigma (3,) of its constant."""
-    return (Process("white", _STILL * bias),)
+    return (Process("white", _NEGLIGIBLE * bias),)
 
 
 def _require_keys(motion: Motion, allowed: tuple[str, ...], where: str) -> None:

@@ -13,9 +13,9 @@ from mgsgraph.case.motion import (
     Motion,
     PositionInput,
     ProcessInput,
+    negligible_departures,
     polynomial_sigmas,
     processes,
-    still,
     trend_sigmas,
 )
 from mgsgraph.case.nodes import SPACING, NodesInput
@@ -111,7 +111,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         for motion, columns, place in zip(tables, (slice(3), slice(3, 6)), places, strict=True):
             trends.append(trend_sigmas(motion, default.sigmas[:, columns], place))
             line = motion.model == "polynomial"
-            parts.append(still(trends[-1][0]) if line else processes(motion, place))
+            parts.append(negligible_departures(trends[-1][0]) if line else processes(motion, place))
         bias, drift = (np.concatenate(both) for both in zip(*trends, strict=True))
         with errors_from(where):
             return ProcessPrior(parts[0], parts[1], bias, drift)

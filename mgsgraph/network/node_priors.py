@@ -26,6 +26,7 @@ from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network.conditioning import Conditionals, conditionals, variances
 from mgsgraph.network.processes import Process
+from mgsgraph.network.trend import BiasAndDrift
 
 _LONGEST = 1e9
 """s: departures that take longer to forget themselves can't be told from a bias."""
@@ -50,7 +51,7 @@ class LinearFactor(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NodePrior:
+class NodePrior(BiasAndDrift):
     """What is known of a pass's nodes beforehand; every entry (6,), m along X, Y, Z and rad."""
 
     sigmas: Array
@@ -80,25 +81,6 @@ class NodePrior:
             raise InputError("node prior, correlation time", f"{self.correlation_time} s", expected)
         assign(self, sigmas=sigmas, bias=bias, drift=drift)
 
-    @property
-    def trend_sigmas(self) -> Array:
-        """(w,) of the trend's unknowns: the components with a bias, then those with a drift."""
-        return np.concatenate([self.bias[self.bias > 0.0], self.drift[self.drift > 0.0]])
-
-    @property
-    def trend_components(self) -> Index:
-        """(w,) component of each of them."""
-        return np.concatenate([np.flatnonzero(self.bias > 0.0), np.flatnonzero(self.drift > 0.0)])
-
-    @property
-    def trend_names(self) -> tuple[str, ...]:
-        """What each of them is: a bias or a drift."""
-        return ("bias",) * int(np.count_nonzero(self.bias)) + ("drift",) * int(np.count_nonzero(self.drift))
-
-    def trend(self, s: Array) -> Array:
-        """(n, 6, w) what the trend's unknowns do to nodes at s (n,) in [-1, 1]."""
-        return _trend(self, s)
-
     def node_sigmas(self, s: Array) -> Array:
         """(n, 6) a-priori sigma of nodes at s (n,), with the trend's."""
         return np.sqrt(self.sigmas**2 + self.bias**2 + (s[:, None] * self.drift) ** 2)
@@ -109,10 +91,8 @@ class NodePrior:
 
     def scaled(self, nodes: Array, trend: Array) -> "NodePrior":
         """With the sigmas of nodes times factors (6,), those of the trend's unknowns times factors (w,)."""
-        of_bias, of_drift = np.ones(6), np.ones(6)
-        biases = int(np.count_nonzero(self.bias))
-        of_bias[self.bias > 0.0], of_drift[self.drift > 0.0] = trend[:biases], trend[biases:]
-        return NodePrior(self.sigmas * nodes, self.bias * of_bias, self.drift * of_drift, self.correlation_time)
+        bias, drift = self.scaled_trend(trend)
+        return replace(self, sigmas=self.sigmas * nodes, bias=bias, drift=drift)
 
     def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
         """Whitened rows on the nodes and the trend."""
@@ -159,7 +139,7 @@ class JointNodePrior:
 
     @property
     def trend_names(self) -> tuple[str, ...]:
-        """None."""
+        """(0,) no trend, no names."""
         return ()
 
     def node_sigmas(self, s: Array) -> Array:
@@ -239,7 +219,7 @@ class PolynomialPrior:
 
     @property
     def trend_names(self) -> tuple[str, ...]:
-        """None."""
+        """(0,) no trend, no names."""
         return ()
 
     def node_sigmas(self, s: Array) -> Array:
@@ -282,7 +262,7 @@ def require_polynomial_nodes(nodes: OrientationImages) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProcessPrior:
+class ProcessPrior(BiasAndDrift):
     """Departures from bias and drift are Gaussian processes: of position, and of attitude.
 
     An integrated Wiener process is zero and at rest amid the trend's span: bias and drift, which it must have (large
@@ -310,21 +290,6 @@ class ProcessPrior:
                 found = "an integrated Wiener process without bias or drift"
                 raise InputError(f"process prior, {name}", found, "both, large where nothing is known")
 
-    @property
-    def trend_sigmas(self) -> Array:
-        """(w,) of the trend's unknowns: the components with a bias, then those with a drift."""
-        return np.concatenate([self.bias[self.bias > 0.0], self.drift[self.drift > 0.0]])
-
-    @property
-    def trend_components(self) -> Index:
-        """(w,) component of each of them."""
-        return np.concatenate([np.flatnonzero(self.bias > 0.0), np.flatnonzero(self.drift > 0.0)])
-
-    @property
-    def trend_names(self) -> tuple[str, ...]:
-        """What each of them is: a bias or a drift."""
-        return ("bias",) * int(np.count_nonzero(self.bias)) + ("drift",) * int(np.count_nonzero(self.drift))
-
     def node_sigmas(self, s: Array) -> Array:
         """(n, 6) a-priori sigma of values at s (n,), with the trend's, without what integrated Wiener processes add: it
         depends on the time from the middle of the pass (`own_sigmas` has it).
@@ -340,14 +305,13 @@ class ProcessPrior:
 
     def scaled(self, nodes: Array, trend: Array) -> "ProcessPrior":
         """With the strengths of processes times factors (6,), the sigmas of the trend's unknowns times factors (w,)."""
-        of_bias, of_drift, biases = np.ones(6), np.ones(6), int(np.count_nonzero(self.bias))
-        of_bias[self.bias > 0.0], of_drift[self.drift > 0.0] = trend[:biases], trend[biases:]
+        bias, drift = self.scaled_trend(trend)
         return replace(
             self,
             position=tuple(one.scaled(nodes[:3]) for one in self.position),
             attitude=tuple(one.scaled(nodes[3:]) for one in self.attitude),
-            bias=self.bias * of_bias,
-            drift=self.drift * of_drift,
+            bias=bias,
+            drift=drift,
         )
 
     def _parts(self, component: int) -> tuple[Process, ...]:
@@ -382,7 +346,7 @@ class ProcessPrior:
         weights = np.zeros((count, memory, 6))
         for c, one in enumerate(every):
             weights[:, : one.memory, c] = one.weights
-        trend = _trend(self, normalised(nodes))
+        trend = self.trend(normalised(nodes))
         for k in range(count):
             parts, follow = dict[int, Array](), trend[k].copy()
             for j in reversed(range(min(memory, k))):
@@ -396,15 +360,6 @@ class ProcessPrior:
         if self.trend_sigmas.size:
             about = _about(count, np.arange(self.trend_sigmas.size))
             yield LinearFactor((count,), (np.diag(1.0 / self.trend_sigmas),), about)
-
-
-def _trend(prior: "NodePrior | ProcessPrior", s: Array) -> Array:
-    """(n, 6, w) what the trend's unknowns do to nodes at s (n,) in [-1, 1]."""
-    result = np.zeros((s.size, 6, prior.trend_sigmas.size))
-    column = np.arange(prior.trend_sigmas.size)
-    biases = int(np.count_nonzero(prior.bias))
-    result[:, prior.trend_components, column] = np.where(column < biases, 1.0, s[:, None])
-    return result
 
 
 PassPrior = NodePrior | JointNodePrior | PolynomialPrior | ProcessPrior

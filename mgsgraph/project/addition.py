@@ -133,15 +133,12 @@ def read_addition(
             new += found
             if case is None:
                 unmeasured += found
-            elif of_pass or shares:
-                option = "--pass" if of_pass else "--share"
-                expected = "none: a case with measures names its passes and shared unknowns itself"
-                raise InputError(str(wanted.path), f"{option} for its images", expected)
-            if case is not None:
-                brought.append(definitions(case.network))
-                networks.append(with_definitions(store.with_known_grids(case.network), Definitions()))
-            sources += [] if case is None else case.networks
-            notes += [] if case is None else case.notes
+                continue
+            _require_no_options(wanted.path, of_pass, shares)
+            brought.append(definitions(case.network))
+            networks.append(with_definitions(store.with_known_grids(case.network), Definitions()))
+            sources += case.networks
+            notes += case.notes
     sigmas = settings.measures
     every = ImagesByName(store, [one.known for one in new])
     body = next((every[name].image.body for name in every), None)  # of the first image that is known
@@ -261,6 +258,14 @@ def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
             raise InputError(f"{path}, {name}", found, "tie points or laser shots", remedy)
         return images_alone(path)[0], None
     return images_of_case(path)
+
+
+def _require_no_options(path: Path, of_pass: str, shares: Sequence[str]) -> None:
+    """Raise InputError where options say what a case with measures says itself."""
+    if of_pass or shares:
+        option = "--pass" if of_pass else "--share"
+        expected = "none: a case with measures names its passes and shared unknowns itself"
+        raise InputError(str(path), f"{option} for its images", expected)
 
 
 def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
