@@ -1,7 +1,7 @@
 """The result of an adjustment: one frozen record from which every table, figure and later command is made."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -14,12 +14,16 @@ from mgsgraph.adjustment.starts import Minima
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.orientation import OrientationCorrection, corrected, correction_axes
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.corrections import adjusted_image, correction_parts, designs, whole_correction
+from mgsgraph.network.corrections import Design, adjusted_image, correction_parts, design, whole_correction
 from mgsgraph.notebook import card
+
+_TOGETHER = 1024
+"""Images whose orientation is put together at a time: 31 lines of each take some 60 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -220,7 +224,7 @@ class Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationProfile:
-    """Exterior orientation of one image at some of its lines, before and after, with sigmas."""
+    """Exterior orientation of images at some of their lines, before and after, with sigmas; image after image."""
 
     lines: Array
     """(n,) line coordinate."""
@@ -251,27 +255,61 @@ class OrientationProfile:
 
 
 def orientation_profile(solution: Solution, image: int, places: int = 31) -> OrientationProfile:
-    """Exterior orientation of one image at evenly spaced lines from its first to its last (the papers' 31 samples).
+    """Exterior orientation of one image at evenly spaced lines from its first to its last (the papers' 31 samples)."""
+    return orientation_profiles(solution, [image], places)
 
-    Sigmas by the law of error propagation from the joint covariance of the image's coefficients and of what it shares
+
+def orientation_profiles(
+    solution: Solution, images: Sequence[int] | None = None, places: int = 31
+) -> OrientationProfile:
+    """Exterior orientation of images at evenly spaced lines from the first to the last of each.
+
+    Sigmas by the law of error propagation from the joint covariance of each image's coefficients and of what it shares
     with others.
+
+    Parameters
+    ----------
+    solution : Solution
+    images : sequence of int, optional
+        Which; all of them when absent.
+    places : int
+        Lines of each image (the papers' 31 samples).
+
+    Returns
+    -------
+    OrientationProfile
+        One image after another, `places` rows of each.
     """
-    picture = solution.network.images[image]
-    lines = np.linspace(0.0, float(picture.lines), places)
-    correction, moments = solution.correction(image), picture.moments(lines)
-    before, after = picture.pose(lines), picture.pose(lines, correction)
-    covariance = np.stack([
-        _through(solution.joint_covariance, parts)
-        for parts in designs(solution.network, image, correction.angles, lines)
-    ])  # fmt: skip
-    turn = correction.axes(before, moments)
+    chosen = range(len(solution.network.images)) if images is None else images
+    blocks = [_profiles(solution, chosen[k : k + _TOGETHER], places) for k in range(0, len(chosen), _TOGETHER)]
+    if len(blocks) == 1:
+        return blocks[0]
+    names = [one.name for one in fields(OrientationProfile)]
+    return OrientationProfile(*(np.concatenate([getattr(block, name) for block in blocks]) for name in names))
+
+
+def _profiles(solution: Solution, images: Sequence[int], places: int) -> OrientationProfile:
+    """The same of so many images that their matrices find room."""
+    network, angles = solution.network, solution.settings.angles
+    pictures = [network.images[image] for image in images]
+    lines = [np.linspace(0.0, float(one.lines), places) for one in pictures]
+    moments = [one.moments(at) for one, at in zip(pictures, lines, strict=True)]
+    poses = [one.trajectory.pose(at.times) for one, at in zip(pictures, moments, strict=True)]
+    before = Pose(*(
+        np.concatenate([getattr(pose, name) for pose in poses])
+        for name in ("position", "velocity", "matrix", "angular_rate")
+    ))  # fmt: skip
+    every = [design(network, image, angles, at) for image, at in zip(images, moments, strict=True)]
+    correction, covariance = _corrections(solution, every, places)
+    after = corrected(before, correction, np.zeros_like(correction), angles)
+    turn = correction_axes(before, correction, angles)
     about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
     angles_after = rotation.omega_phi_kappa(after.matrix)
     to_angles = np.linalg.solve(rotation.angle_axes(angles_after, camera_to_body=True), turn)
     of_angles = to_angles @ covariance[:, 3:, 3:] @ np.swapaxes(to_angles, 1, 2)
     return OrientationProfile(
-        lines=lines,
-        times=moments.times + moments.epoch,
+        lines=np.concatenate(lines),
+        times=np.concatenate([at.times + at.epoch for at in moments]),
         position_before=before.position,
         position_after=after.position,
         position_sigma=_root(covariance[:, :3, :3]),
@@ -283,10 +321,20 @@ def orientation_profile(solution: Solution, image: int, places: int = 31) -> Ori
     )
 
 
-def _through(joint: JointCovariance, parts: Mapping[int, Array]) -> Array:
-    """(6, 6) covariance of what follows from some variables, each with its matrix (6, width)."""
-    design = np.concatenate(list(parts.values()), axis=1)
-    return np.asarray(design @ joint.of(parts) @ design.T)
+def _corrections(solution: Solution, every: Sequence[Sequence[Design]], places: int) -> tuple[Array, Array]:
+    """Whole corrections (n, 6) of images, m and rad, and their covariances (n, 6, 6); `places` lines of each image."""
+    values, runs = solution.values, [run for designs in every for run in designs]
+    begin = np.repeat(np.arange(len(every)) * places, [len(designs) for designs in every]).tolist()
+    flat, start = solution.joint_covariance.of_each([run.variables for run in runs]), 0
+    correction, covariance = np.zeros((len(every) * places, 6)), np.zeros((len(every) * places, 6, 6))
+    for run, first in zip(runs, begin, strict=True):
+        matrix, at = run.matrix, slice(first + run.lines.start, first + run.lines.stop)
+        width = matrix.shape[2]
+        joint = flat[start : start + width * width].reshape(width, width)
+        start += width * width
+        correction[at] = matrix @ np.concatenate([values[v] for v in run.variables])
+        covariance[at] = matrix @ joint @ np.swapaxes(matrix, 1, 2)
+    return correction, covariance
 
 
 def _root(covariance: Array) -> Array:

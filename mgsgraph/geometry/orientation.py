@@ -129,29 +129,51 @@ class OrientationCorrection:
 
     def apply(self, nominal: Pose, moments: Moments) -> Pose:
         """Corrected pose of nominal poses (rates per line) at n lines."""
-        correction, slope = self.at(moments)
-        position, velocity = nominal.position + correction[:, :3], nominal.velocity + slope[:, :3]
-        if self.angles == "camera":
-            return Pose(position, velocity, *_turned(nominal, correction[:, 3:], slope[:, 3:]))
-        attitude_of, at, rates = self._nominal_angles(nominal)
-        turn, turn_rate = (rotation.components(part[:, 3:]) for part in (correction, slope))
-        matrix, _, rate = attitude_of(at, rates, 0.0, turn, turn_rate)
-        return Pose(position, velocity, rotation.matrices(matrix), rotation.stacked(rate))
-
-    def _nominal_angles(self, nominal: Pose) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
-        """The equation of `factors.pose` that adds to angles, and nominal angles and rates as it takes them."""
-        paper = self.angles == "opk-paper"
-        angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
-        rates = np.linalg.solve(rotation.angle_axes(angles, paper), nominal.angular_rate[:, :, None])[:, :, 0]
-        return opk_paper if paper else opk_peer, rotation.components(angles), tuple(rates.T)
+        return corrected(nominal, *self.at(moments), self.angles)
 
     def axes(self, nominal: Pose, moments: Moments) -> Array:
         """(n, 3, 3): how the camera turns, about its own axes, per rad of each rotation component at n lines."""
-        turn = self.at(moments)[0][:, 3:]
-        if self.angles == "camera":
-            return rotation.right_jacobian(turn)
-        attitude_of, at, rates = self._nominal_angles(nominal)
-        return rotation.matrices(attitude_of(at, rates, 0.0, *[rotation.components(turn)] * 2)[1])
+        return correction_axes(nominal, self.at(moments)[0], self.angles)
+
+
+def corrected(nominal: Pose, correction: Array, slope: Array, angles: Angles) -> Pose:
+    """Corrected poses of nominal ones, of one image or of many.
+
+    Parameters
+    ----------
+    nominal : Pose
+        n nominal poses, rates per line.
+    correction, slope : (n, 6)
+        m and rad, and their derivatives per line.
+    angles : Angles
+        What the rotation part is.
+    """
+    position, velocity = nominal.position + correction[:, :3], nominal.velocity + slope[:, :3]
+    if angles == "camera":
+        return Pose(position, velocity, *_turned(nominal, correction[:, 3:], slope[:, 3:]))
+    attitude_of, at, rates = _nominal_angles(nominal, angles)
+    turn, turn_rate = (rotation.components(part[:, 3:]) for part in (correction, slope))
+    matrix, _, rate = attitude_of(at, rates, 0.0, turn, turn_rate)
+    return Pose(position, velocity, rotation.matrices(matrix), rotation.stacked(rate))
+
+
+def correction_axes(nominal: Pose, correction: Array, angles: Angles) -> Array:
+    """(n, 3, 3): how the camera turns, about its own axes, per rad of each rotation component of corrections (n, 6), m
+    and rad, of n nominal poses.
+    """
+    turn = correction[:, 3:]
+    if angles == "camera":
+        return rotation.right_jacobian(turn)
+    attitude_of, at, rates = _nominal_angles(nominal, angles)
+    return rotation.matrices(attitude_of(at, rates, 0.0, *[rotation.components(turn)] * 2)[1])
+
+
+def _nominal_angles(nominal: Pose, angles: Angles) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
+    """The equation of `factors.pose` that adds to angles, and nominal angles and rates as it takes them."""
+    paper = angles == "opk-paper"
+    nominal_angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
+    rates = np.linalg.solve(rotation.angle_axes(nominal_angles, paper), nominal.angular_rate[:, :, None])[:, :, 0]
+    return opk_paper if paper else opk_peer, rotation.components(nominal_angles), tuple(rates.T)
 
 
 def _turned(nominal: Pose, turn: Array, turn_rate: Array) -> tuple[Array, Array]:

@@ -4,11 +4,13 @@ that it shares do to it.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import Angles, OrientationCorrection, polynomial
+from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.interior import adjusted_interior, adjusted_of
 from mgsgraph.network.network import Network
@@ -64,24 +66,62 @@ def _polynomial_rows(polynomials: dict[int, Array]) -> int:
     return max([6, *(int(part.shape[0]) for part in polynomials.values())])
 
 
+class Design(NamedTuple):
+    """How an image's whole correction at some of its lines follows from the variables that it depends on there."""
+
+    lines: slice
+    """Which of the lines asked for."""
+    variables: tuple[int, ...]
+    """Variables, the same at all of them; of a strip the four nodes around them."""
+    parts: tuple[Array, ...]
+    """Of each variable (n, 6, width), m and rad per unit."""
+
+    @property
+    def matrix(self) -> Array:
+        """(n, 6, widths of all variables together)."""
+        return np.concatenate(self.parts, axis=2)
+
+
+def design(network: Network, image: int, angles: Angles, moments: Moments) -> list[Design]:
+    """How an image's whole correction at some moments follows from the variables it depends on, run by run of moments
+    that depend on the same ones.
+    """
+    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
+    basis, _ = polynomial(moments.u, _polynomial_rows(polynomials) // 6 - 1)
+    variables = tuple(polynomials)
+    parts = tuple(
+        np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for part in polynomials.values()
+    )
+    if strip < 0:
+        return [Design(slice(0, moments.u.size), variables, parts)]
+    start, turn = int(network.first_of_passes[strip]), _to_camera(network, image)
+    first, values, _ = network.passes[strip].nodes.at(moments.times, moments.epoch)
+    edges = [0, *(np.flatnonzero(np.diff(first)) + 1).tolist(), first.size]
+    return [
+        Design(
+            slice(a, b),
+            (*variables, *range(start + int(first[a]), start + int(first[a]) + values.shape[1])),
+            (*(part[a:b] for part in parts), *(weight[:, None, None] * turn for weight in values[a:b].T)),
+        )
+        for a, b in pairwise(edges)
+    ]
+
+
 def designs(network: Network, image: int, angles: Angles, lines: Array) -> list[dict[int, Array]]:
     """How an image's whole correction at lines (n,) follows from the variables it depends on there.
 
     Returns
     -------
     list of dict
-        Of each line: of each variable a matrix (6, width), m and rad per unit; of a strip's nodes the four around it.
+        Of each line: of each variable a matrix (6, width), m and rad per unit; of a strip's nodes those around it that
+        count.
     """
-    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
-    moments = network.images[image].moments(lines)
-    basis, _ = polynomial(moments.u, _polynomial_rows(polynomials) // 6 - 1)
-    whole = {v: np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for v, part in polynomials.items()}
-    found = [{v: part[k] for v, part in whole.items()} for k in range(lines.size)]
-    if strip >= 0:
-        start, turn = int(network.first_of_passes[strip]), _to_camera(network, image)
-        first, values, _ = network.passes[strip].nodes.at(moments.times, moments.epoch)
-        for parts, node, weights in zip(found, (start + first).tolist(), values.tolist(), strict=True):
-            parts |= {node + k: weight * turn for k, weight in enumerate(weights) if weight != 0.0}
+    first, found = int(network.first_of_passes[network.pass_of[image]]), list[dict[int, Array]]()
+    on_strip = network.pass_of[image] >= 0
+    for run in design(network, image, angles, network.images[image].moments(lines)):
+        for k in range(run.lines.stop - run.lines.start):
+            every = zip(run.variables, (part[k] for part in run.parts), strict=True)
+            found.append({v: part for v, part in every if not on_strip or v < first or np.any(part)})
     return found
 
 
