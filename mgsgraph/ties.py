@@ -13,9 +13,11 @@ from mgsgraph.geometry.records import (
     assign,
     frozen,
     frozen_index,
+    of_kind,
     require_covariances,
     require_names,
 )
+from mgsgraph.names import Names, RepeatedNames
 
 
 class PointKind(IntEnum):
@@ -35,8 +37,8 @@ class TiePoints:
 
     source: str
     """File they come from, for messages."""
-    ids: tuple[str, ...]
-    """(n) names, each once."""
+    ids: Names
+    """(n) names, each once; made of any sequence of them."""
     kinds: Index
     """(n,) PointKind."""
     places: Array
@@ -45,18 +47,19 @@ class TiePoints:
     """(n, 3, 3) m^2, body-fixed, of the a-priori places of constrained points; zero elsewhere."""
     measure_point: Index
     """(k,) index of the point measured."""
-    measure_image: tuple[str, ...]
-    """(k) name of the image it was measured in."""
+    measure_image: RepeatedNames
+    """(k) name of the image it was measured in; made of any sequence of them."""
     measures: Array
     """(k, 2) line, sample, first pixel's centre at (0.5, 0.5)."""
     measure_sigmas: Array
     """(k, 2) pixels, line and sample; NaN where the file does not say."""
 
     def __post_init__(self) -> None:
+        assign(self, ids=Names.of(self.ids), measure_image=RepeatedNames.of(self.measure_image))
         n, k = len(self.ids), len(self.measure_image)
         require_names(self.ids, self.source)
         kinds = frozen_index(self.kinds, f"{self.source}, kinds", n, len(PointKind))
-        places, sigmas = np.array(self.places, dtype=np.float64), np.array(self.measure_sigmas, dtype=np.float64)
+        places, sigmas = (of_kind(given, np.float64) for given in (self.places, self.measure_sigmas))
         if places.shape != (n, 3) or sigmas.shape != (k, 2):
             raise InputError(self.source, f"places {places.shape}, sigmas {sigmas.shape}", f"({n}, 3) and ({k}, 2)")
         for i in np.flatnonzero((kinds != PointKind.FREE) & ~np.all(np.isfinite(places), axis=1))[:1]:
@@ -82,14 +85,14 @@ class TiePoints:
         self._require_one_measure_per_image()
 
     def _require_one_measure_per_image(self) -> None:
-        seen: set[tuple[int, str]] = set()
-        for point, image in zip(self.measure_point.tolist(), self.measure_image, strict=True):
-            if (point, image) in seen:
-                raise InputError(
-                    f"{self.source}, point {self.ids[point]}", f"two measures in image {image}", "one per image",
-                    "remove the worse one",
-                )
-            seen.add((point, image))
+        code = self.measure_point * len(self.measure_image.distinct) + self.measure_image.numbers
+        order = np.argsort(code, kind="stable")
+        code = code[order]
+        for k in np.sort(order[1:][code[1:] == code[:-1]])[:1].tolist():
+            raise InputError(
+                f"{self.source}, point {self.ids[int(self.measure_point[k])]}",
+                f"two measures in image {self.measure_image[k]}", "one per image", "remove the worse one",
+            )
 
     def chosen(self, which: Index) -> "TiePoints":
         """Some of the points, by their numbers, with their measures in the order in which they were."""
@@ -98,7 +101,7 @@ class TiePoints:
         left = self.with_measures(new[self.measure_point] >= 0)
         return replace(
             left,
-            ids=tuple(self.ids[i] for i in which.tolist()),
+            ids=self.ids[which],
             kinds=self.kinds[which],
             places=self.places[which],
             covariances=self.covariances[which],
@@ -110,7 +113,7 @@ class TiePoints:
         return replace(
             self,
             measure_point=self.measure_point[which],
-            measure_image=tuple(self.measure_image[k] for k in np.flatnonzero(which).tolist()),
+            measure_image=self.measure_image[which],
             measures=self.measures[which],
             measure_sigmas=self.measure_sigmas[which],
         )

@@ -14,6 +14,7 @@ from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.reduction import design
 from mgsgraph.kernel.rows import OUT, Rows, of_points
 from mgsgraph.kernel.sweep import ROW_NUMBERS
+from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.ties import PointKind
 
@@ -145,7 +146,7 @@ class Linearised:
         Rays of known positions are rows without a point; those of unknown ones intersect in them.
         """
         network, m = self.network, places.shape[0]
-        kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), tuple(f"place {k}" for k in range(m))
+        kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), Names.of(f"place {k}" for k in range(m))
         points = GroundPoints(ids, np.full(m, PointClass.TIE), kinds, places, np.zeros((m, 3, 3)))
         none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
         shifts, surface = network.shifts, network.surface

@@ -21,6 +21,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network import (
     GroundPoints,
     ImageRays,
@@ -103,8 +104,9 @@ class Parts:
     def __init__(self, images: tuple[PushbroomImage, ...]) -> None:
         self.images = images
         self._index = {image.name: j for j, image in enumerate(images)}
-        self.ids: list[str] = []
-        self._sources: dict[str, str] = {}
+        self.count = 0
+        """Points so far."""
+        self._names: list[tuple[str, Names]] = []
         self._points: list[tuple[NDArray[Any], ...]] = []
         self._rays: list[tuple[NDArray[Any], ...]] = []
         self._ranges: list[tuple[NDArray[Any], ...]] = []
@@ -197,7 +199,7 @@ class Parts:
         if len(of_each) < 2:
             return laser_profile(taken, name, wanted, of_each[0][0] if of_each else None)
         for image, mine in of_each:
-            names = [taken.ids[k] for k in mine.tolist()]
+            names = taken.ids[mine]
             times, places, ranges = taken.times[mine], taken.footprints[mine], taken.ranges[mine]
             require_ranges(image, times, places, ranges, taken.source, names)
         return laser_profile(taken, name, wanted, None, ranged=of_each[0][0].name)
@@ -256,7 +258,7 @@ class Parts:
                 "altimetry that crosses the images", "take the table out, or check file and images",
             )  # fmt: skip
         name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], wanted.sigma_m
-        first, n = self._claim(tuple(f"{name}:{one}" for one in taken.ids), cloud.source), len(taken.ids)
+        first, n = self._claim(Names.of(taken.ids).prefixed(f"{name}:"), cloud.source), len(taken.ids)
         covariances = footprint_covariances(taken.points, horizontal, vertical)
         kinds, classes = np.full(n, int(PointKind.CONSTRAINED)), np.full(n, int(PointClass.LASER))
         self._points.append((classes, kinds, taken.points, covariances))
@@ -285,7 +287,7 @@ class Parts:
         wanted: TerrainInput | None = None,
     ) -> Network:
         """All of it as one network; tie points lie on the terrain model, if there is one, as `wanted`."""
-        points = GroundPoints(tuple(self.ids), *(np.concatenate(part) for part in zip(*self._points, strict=True)))
+        points = GroundPoints(self._ids(), *(np.concatenate(part) for part in zip(*self._points, strict=True)))
         if not self._rays:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
         back_projected = np.concatenate(self._back_projected)
@@ -305,7 +307,7 @@ class Parts:
 
     def _profile_shifts(self) -> ProfileShifts:
         names, sigmas, members = zip(*self._shifts, strict=True)
-        profile = np.full(len(self.ids), -1, dtype=np.int64)
+        profile = np.full(self.count, -1, dtype=np.int64)
         for k, mine in enumerate(members):
             profile[mine] = k
         return ProfileShifts(tuple(names), profile, np.array(sigmas))
@@ -336,15 +338,21 @@ class Parts:
             places[np.isfinite(sigmas[members])].mean(axis=0) if wanted.tilt_sigma_mrad else None,
         )  # fmt: skip
 
-    def _claim(self, ids: tuple[str, ...], source: str) -> int:
+    def _claim(self, ids: Names, source: str) -> int:
         """Take the ids in; the index of the first."""
-        for name in ids:
-            if name in self._sources:
-                raise InputError(source, f"the id {name!r}, which {self._sources[name]} has too", "each id once")
-            self._sources[name] = source
-        first = len(self.ids)
-        self.ids += ids
+        first = self.count
+        self._names.append((source, ids))
+        self.count += len(ids)
         return first
+
+    def _ids(self) -> Names:
+        """Ids of all points; InputError where two files have one."""
+        ids = Names.concatenated([names for _, names in self._names])
+        if (again := ids.first_repeated()) is not None:
+            name = ids[again]
+            holders = [source for source, names in self._names if names.find([name])[0] >= 0]
+            raise InputError(holders[-1], f"the id {name!r}, which {holders[0]} has too", "each id once")
+        return ids
 
     def _image(self, name: str, where: str) -> int:
         if name not in self._index:
@@ -358,18 +366,18 @@ class Parts:
         return self._index[name]
 
     def _add_rays(
-        self, first: int, point: Index, names: tuple[str, ...], places: Array, sigmas: Array, source: str
+        self, first: int, point: Index, names: RepeatedNames, places: Array, sigmas: Array, source: str
     ) -> None:
-        image = self._located(self.ids[first:], point, names, places, source)
+        image = self._located(self._names[-1][1], point, names, places, source)
         self._rays.append((point + first, image, places, sigmas))
         self._back_projected.append(np.zeros(image.size, dtype=bool))
 
     def _located(
-        self, ids: Sequence[str], point: Index, names: tuple[str, ...], places: Array, source: str
+        self, ids: Names, point: Index, names: RepeatedNames, places: Array, source: str
     ) -> Index:
         """Indices (k,) of the images in which points were measured; all of them are there, and hold their measures."""
-        where = {name: k for k, name in reversed(list(enumerate(names)))}
-        index = {name: self._image(name, f"{source}, point {ids[int(point[k])]}") for name, k in where.items()}
-        image = np.array([index[name] for name in names], dtype=np.int64)
-        require_inside(self.images, image, places, [ids[i] for i in point.tolist()], source)
+        image = names.over([one.name for one in self.images])
+        for k in np.flatnonzero(image < 0)[:1].tolist():
+            self._image(names[k], f"{source}, point {ids[int(point[k])]}")
+        require_inside(self.images, image, places, ids, point, source)
         return image

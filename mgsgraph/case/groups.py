@@ -1,16 +1,21 @@
 """Several control networks as one set of tie points: a point of several files has the measures of all of them."""
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.common_errors import overlap_variances
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Index
 from mgsgraph.io.files import understood
 from mgsgraph.io.records import read_record
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.output.folders import MATCH
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.wording import many, some
@@ -26,12 +31,12 @@ def with_sigmas(
     Measures of an image within one window (px, its side) have errors in common, by which their sigmas grow. All of them
     are multiplied by the `factor`.
     """
-    default = np.array([of_images.get(name, sigma) for name in points.measure_image], dtype=np.float64)
+    images = points.measure_image
+    default = np.array([*(of_images.get(name, sigma) for name in images.distinct), sigma])[images.numbers]
     sigmas = np.where(np.isnan(points.measure_sigmas), default[:, None], points.measure_sigmas)
     if window > 0.0:
-        names = np.array(points.measure_image)
-        for name in dict.fromkeys(points.measure_image):
-            mine = names == name
+        for number in np.unique(images.numbers).tolist():
+            mine = images.numbers == number
             sigmas[mine] = np.sqrt(overlap_variances(points.measures[mine], sigmas[mine], window))
     return replace(points, measure_sigmas=factor * sigmas)
 
@@ -56,15 +61,15 @@ def in_images(
     Points go with measures in other images where no other measure is left, or a single one of a free point that isn't
     `known` by its id. Raises InputError where nothing is left, which is so where images are called otherwise.
     """
-    held = np.isin(points.measure_image, images)
+    held = points.measure_image.over(images) >= 0
     if held.all():
         return points, ""
-    strange = list(dict.fromkeys(np.array(points.measure_image)[~held].tolist()))
+    strange = points.measure_image[~held].used
     called = some(strange, len(strange))
     before, after = (
         np.bincount(points.measure_point[mine], minlength=len(points.ids)) for mine in (slice(None), held)
     )
-    alone = (points.kinds == PointKind.FREE) & ~np.isin(points.ids, list(known))
+    alone = (points.kinds == PointKind.FREE) & (Names.of(known).find(points.ids) < 0)
     gone = (after < before) & (after < np.where(alone, 2, 1))
     if gone.all():
         found = f"points that are measured in {called}, and none that enough others see"
@@ -90,57 +95,65 @@ def merged(groups: Sequence[TiePoints]) -> TiePoints:
     """
     if len(groups) == 1:
         return groups[0]
-    ids: dict[str, int] = {}
-    places, covariances, kinds, sources = list[Array](), list[Array](), list[int](), list[str]()
-    measured: dict[tuple[int, str], str] = {}
-    member = []
-    for group in groups:
-        index = np.empty(len(group.ids), dtype=np.int64)
-        for i, name in enumerate(group.ids):
-            k = index[i] = ids.setdefault(name, len(ids))
-            if k == len(kinds):
-                places.append(group.places[i])
-                covariances.append(group.covariances[i])
-                kinds.append(int(group.kinds[i]))
-                sources.append(group.source)
-            elif _tells_more(group, i, kinds[k], places[k], covariances[k], sources[k]):
-                places[k], covariances[k], kinds[k] = group.places[i], group.covariances[i], int(group.kinds[i])
-                sources[k] = group.source
-        member.append(index[group.measure_point])
-        _require_new_measures(group, member[-1].tolist(), measured)
+    every = Names.concatenated([group.ids for group in groups])
+    ids = Names.of(pc.unique(every.arrow))
+    number, file_of = ids.find(every), np.repeat(np.arange(len(groups)), [len(group.ids) for group in groups])
+    bounds = np.cumsum([0, *(len(group.ids) for group in groups)])
+    points = [number[a:b] for a, b in itertools.pairwise(bounds.tolist())]
+    source = _best_sources(groups, number, file_of, len(ids))
+    _require_new_measures(groups, points, ids)
+
+    def of_points(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(group, name) for group in groups])[source]
+
     return TiePoints(
         source=", ".join(dict.fromkeys(group.source for group in groups)),
-        ids=tuple(ids),
-        kinds=np.array(kinds, dtype=np.int64),
-        places=np.array(places).reshape(-1, 3),
-        covariances=np.array(covariances).reshape(-1, 3, 3),
-        measure_point=np.concatenate(member),
-        measure_image=tuple(name for group in groups for name in group.measure_image),
+        ids=ids,
+        kinds=of_points("kinds"),
+        places=of_points("places"),
+        covariances=of_points("covariances"),
+        measure_point=np.concatenate([mine[group.measure_point] for mine, group in zip(points, groups, strict=True)]),
+        measure_image=RepeatedNames.concatenated([group.measure_image for group in groups]),
         measures=np.concatenate([group.measures for group in groups]),
         measure_sigmas=np.concatenate([group.measure_sigmas for group in groups]),
     )
 
 
-def _tells_more(group: TiePoints, i: int, kind: int, place: Array, covariance: Array, source: str) -> bool:
-    """Whether a file knows more of a point than an earlier one; InputError where the two contradict each other."""
-    if group.kinds[i] == PointKind.FREE:
-        return kind == PointKind.FREE and bool(np.isnan(place[0]))
-    if kind == PointKind.FREE:
-        return True
-    same = np.all(np.abs(group.places[i] - place) < _SAME_PLACE) and np.allclose(group.covariances[i], covariance)
-    if kind != group.kinds[i] or not same:
-        where = f"{group.source}, point {group.ids[i]}"
-        found = f"{PointKind(group.kinds[i]).name.lower()} at another a-priori place or with another covariance"
-        raise InputError(where, found, f"what {source} says of it", "make it Free in one of the two")
-    return False
+def _best_sources(groups: Sequence[TiePoints], number: Index, file_of: Index, count: int) -> Index:
+    """(count,) which of all files' points, in their order, says most of each point: the first that is not free, or else
+    the first with a place. InputError where two that are not free contradict each other.
+
+    `number` (p,) and `file_of` (p,) are the point and the file of each of them.
+    """
+    kinds, places, covariances = (
+        np.concatenate([getattr(group, name) for group in groups]) for name in ("kinds", "places", "covariances")
+    )
+    rank = np.where(kinds != PointKind.FREE, 0, np.where(np.isnan(places[:, 0]), 2, 1))
+    order = np.lexsort([np.arange(number.size), rank, number])
+    source = order[np.searchsorted(number[order], np.arange(count))]
+    other = np.flatnonzero((rank == 0) & (source[number] != np.arange(number.size)))
+    first = source[number[other]]
+    same = (kinds[other] == kinds[first]) & np.all(np.abs(places[other] - places[first]) < _SAME_PLACE, axis=1)
+    same &= np.all(np.isclose(covariances[other], covariances[first]), axis=(1, 2))
+    for k in np.flatnonzero(~same)[:1].tolist():
+        i, group = int(other[k]), groups[int(file_of[other[k]])]
+        where = f"{group.source}, point {Names.concatenated([one.ids for one in groups])[i]}"
+        found = f"{PointKind(int(kinds[i])).name.lower()} at another a-priori place or with another covariance"
+        source_of_first = groups[int(file_of[first[k]])].source
+        raise InputError(where, found, f"what {source_of_first} says of it", "make it Free in one of the two")
+    return np.asarray(source)
 
 
-def _require_new_measures(group: TiePoints, points: list[int], measured: dict[tuple[int, str], str]) -> None:
-    """Enter the measures of a file; InputError for one that an earlier file holds."""
-    mine = list(zip(points, group.measure_image, strict=True))
-    for k, measure in enumerate(mine):
-        if measure in measured:
-            where = f"{group.source}, point {group.ids[int(group.measure_point[k])]}, image {measure[1]}"
-            found = f"a measure that {measured[measure]} has too"
-            raise InputError(where, found, "each measure in one network", "take it out of one of the two")
-    measured.update(dict.fromkeys(mine, group.source))
+def _require_new_measures(groups: Sequence[TiePoints], points: Sequence[Index], ids: Names) -> None:
+    """Raise InputError for a measure that an earlier file holds; `points` (n,) of each file are numbers among all."""
+    images = RepeatedNames.concatenated([group.measure_image for group in groups])
+    point = np.concatenate([mine[group.measure_point] for mine, group in zip(points, groups, strict=True)])
+    file_of = np.repeat(np.arange(len(groups)), [group.measure_point.size for group in groups])
+    code = point * len(images.distinct) + images.numbers
+    order = np.argsort(code, kind="stable")
+    again = np.flatnonzero(code[order][1:] == code[order][:-1])
+    for k in again[np.argsort(order[again + 1])][:1].tolist():
+        one, other = int(order[k]), int(order[k + 1])
+        where = f"{groups[int(file_of[other])].source}, point {ids[int(point[other])]}, image {images[other]}"
+        found = f"a measure that {groups[int(file_of[one])].source} has too"
+        raise InputError(where, found, "each measure in one network", "take it out of one of the two")

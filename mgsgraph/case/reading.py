@@ -135,7 +135,7 @@ def case_of(
         notes += [left_out] if left_out else []
         parts.add_points(control, PointClass.CONTROL, 1.0)
     profiles = _add_laser(parts, wanted, path) if laser else ()
-    if not parts.ids:
+    if not parts.count:
         raise Unmeasured(str(path), "neither ties nor ground control nor laser", "at least one of them")
     settings = wanted.solver.settings
     held = np.array([image.held for image in wanted.images])

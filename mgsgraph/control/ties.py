@@ -12,6 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import require_lengths
 from mgsgraph.geometry.body import Ellipsoid, distances, is_another, nearness, require_near, surface_radii, target_name
 from mgsgraph.geometry.records import Array
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import ISIS_OFFSET
 
@@ -70,12 +71,12 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
     nan = math.nan
     ties = TiePoints(
         source=network.source or "network",
-        ids=tuple(point.id for point in points),
+        ids=Names.of(point.id for point in points),
         kinds=np.array([_KINDS[point.type] for point in points], dtype=np.int64),
         places=np.array([_place(point) for point in points]),
         covariances=np.array([_covariance(point) for point in points]),
         measure_point=np.repeat(np.arange(len(points), dtype=np.int64), counts),
-        measure_image=tuple(measure.serial_number for measure in measures),
+        measure_image=RepeatedNames.of([measure.serial_number for measure in measures]),
         measures=np.array([(m.line, m.sample) for m in measures], dtype=np.float64).reshape(-1, 2) - ISIS_OFFSET,
         measure_sigmas=np.array(
             [(m.line_sigma or nan, m.sample_sigma or nan) for m in measures], dtype=np.float64

@@ -19,6 +19,7 @@ from mgsgraph.geometry.records import (
     require_covariances,
     require_names,
 )
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import SPEED_OF_LIGHT
 
 _HALF_LIGHT = 0.5 * SPEED_OF_LIGHT
@@ -81,8 +82,8 @@ class LaserProfile:
 
     source: str
     """File they come from, for messages."""
-    ids: tuple[str, ...]
-    """(n) names, each once."""
+    ids: Names
+    """(n) names, each once; made of any sequence of them."""
     times: Array
     """(n,) s TDB past J2000, time of the shot."""
     ranges: Array
@@ -97,12 +98,13 @@ class LaserProfile:
     """(n) names of the images taken from the same place at the same time (their orientation carries the range)."""
     measure_shot: Index
     """(k,) index of the shot measured."""
-    measure_image: tuple[str, ...]
-    """(k) name of the image."""
+    measure_image: RepeatedNames
+    """(k) name of the image; made of any sequence of them."""
     measures: Array
     """(k, 2) line, sample, first pixel's centre at (0.5, 0.5)."""
 
     def __post_init__(self) -> None:
+        assign(self, ids=Names.of(self.ids), measure_image=RepeatedNames.of(self.measure_image))
         n, k = len(self.ids), len(self.measure_image)
         require_names(self.ids, self.source)
         ranges = frozen(self.ranges, f"{self.source}, ranges", (n,))
@@ -194,10 +196,9 @@ class AltimeterShots:
         assign(self, times=times, footprints=footprints, ground=ground, **numbers, **partly)
 
     @property
-    def ids(self) -> tuple[str, ...]:
+    def ids(self) -> Names:
         """(n) names "orbit:frame:shot", each once in a file."""
-        table = np.column_stack([self.orbits, self.frames, self.shots]).tolist()
-        return tuple(f"{orbit}:{frame}:{shot}" for orbit, frame, shot in table)
+        return Names.joined(self.orbits, self.frames, self.shots)
 
     def profile_names(self) -> tuple[str, ...]:
         """(n) of each shot, what its profile is called: the orbit's number, or the minute in which a crossing began."""
@@ -269,7 +270,7 @@ class AltimeterShots:
         covariances = footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma)
         return LaserProfile(
             source=self.source,
-            ids=tuple(f"{name}:{one}" for one in ids) if name else ids,
+            ids=ids.prefixed(f"{name}:") if name else ids,
             times=self.times,
             ranges=self.ranges,
             range_sigmas=np.sqrt(range_sigma**2 + broad),
@@ -277,7 +278,7 @@ class AltimeterShots:
             covariances=covariances + broad[:, None, None] * beams[:, :, None] * beams[:, None],
             simultaneous=((simultaneous,) if simultaneous else (),) * n,
             measure_shot=np.zeros(0, dtype=np.int64),
-            measure_image=(),
+            measure_image=RepeatedNames.of(()),
             measures=np.zeros((0, 2)),
         )
 

@@ -1,12 +1,15 @@
 """What every record does on construction: its arrays are copied to read-only float64 and checked once."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.names import Names
 
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 LONGEST_NAME = 500
 """Characters of a name."""
 Array = NDArray[np.float64]
@@ -17,8 +20,33 @@ Mask = NDArray[np.bool_]
 """An array of truth values."""
 
 
+def is_frozen(value: Any, kind: Any) -> bool:
+    """Whether a value is an array of a kind that nobody can write to, so that a record needs no copy of it."""
+    if not isinstance(value, np.ndarray) or value.dtype != kind:
+        return False
+    while isinstance(value, np.ndarray):
+        if value.flags.writeable:
+            return False
+        value = value.base
+    return value is None or isinstance(value, bytes)
+
+
+def of_kind(value: Any, kind: type[_Scalar]) -> NDArray[_Scalar]:
+    """An array of a kind: the value itself where nobody can write to it, else a copy."""
+    found: NDArray[_Scalar] = value if is_frozen(value, kind) else np.array(value, dtype=kind)
+    return found
+
+
+def repeated(value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Read-only array of a shape that holds one value again and again, in the memory of one."""
+    one = np.array(value, dtype=np.float64)
+    one.flags.writeable = False
+    return np.broadcast_to(one, shape)
+
+
 def frozen(value: ArrayLike, where: str, shape: tuple[int | None, ...]) -> Array:
-    """Copy to a read-only float64 array after checking its shape and that all of it is finite.
+    """Copy to a read-only float64 array after checking its shape and that all of it is finite; what nobody can write to
+    is not copied.
 
     Parameters
     ----------
@@ -35,27 +63,33 @@ def frozen(value: ArrayLike, where: str, shape: tuple[int | None, ...]) -> Array
         If the shape differs or a value is NaN or infinite.
     """
     try:
-        array = np.array(value, dtype=np.float64)
+        array = of_kind(value, np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(where, f"no array of numbers ({error})", "numbers in even rows") from None
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
         want = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
         raise InputError(where, f"an array of shape {array.shape}", f"shape {want}")
-    bad = np.argwhere(~np.isfinite(array))
-    if bad.size:
-        place = ", ".join(str(k) for k in bad[0])
-        raise InputError(where, f"{array[tuple(bad[0])]} at [{place}]", "finite numbers")
+    if not np.isfinite(array).all():
+        bad = np.argwhere(~np.isfinite(array))[0]
+        place = ", ".join(str(k) for k in bad)
+        raise InputError(where, f"{array[tuple(bad)]} at [{place}]", "finite numbers")
     array.flags.writeable = False
     return array
 
 
 def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
-    """Copy to a read-only int64 array of `size` indices in 0 .. upper - 1; raises InputError otherwise."""
-    given = np.asarray(value).reshape(-1)
-    numbers = given.size == 0 or given.dtype.kind in "iuf"
-    if not (numbers and np.all(np.abs(given) < 2.0**53) and np.all(given % 1 == 0)):
-        raise InputError(where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
-    array = given.astype(np.int64)
+    """Copy to a read-only int64 array of `size` indices in 0 .. upper - 1; raises InputError otherwise. What nobody can
+    write to is not copied.
+    """
+    given = np.asarray(value)
+    if not (is_frozen(given, np.int64) and given.ndim == 1):
+        given = given.reshape(-1)
+        numbers = given.size == 0 or given.dtype.kind in "iuf"
+        whole = given.dtype.kind == "i" or (numbers and np.all(np.abs(given) < 2.0**53) and np.all(given % 1 == 0))
+        if not whole:
+            raise InputError(where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
+        given = given.astype(np.int64)
+    array = given
     if array.shape != (size,):
         raise InputError(where, f"{array.size} indices", f"{size}")
     if array.size and (array.min() < 0 or array.max() >= upper):
@@ -66,7 +100,7 @@ def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
 
 def frozen_mask(value: ArrayLike | None, where: str, size: int) -> Mask:
     """Read-only marks (size,), none set when absent; `where` names them in errors."""
-    mask = np.zeros(size, dtype=np.bool_) if value is None else np.array(value, dtype=np.bool_)
+    mask: Mask = np.zeros(size, dtype=np.bool_) if value is None else of_kind(value, np.bool_)
     if mask.shape != (size,):
         raise InputError(where, f"shape {mask.shape}", f"one for each of {size}")
     mask.flags.writeable = False
@@ -79,24 +113,25 @@ def assign(record: Any, **fields: Any) -> None:
         object.__setattr__(record, name, value)
 
 
-def require_names(ids: tuple[str, ...], source: str) -> None:
+def require_names(ids: Sequence[str], source: str) -> None:
     """Raise InputError when a name occurs twice, is overlong, or holds control characters, which would reach a terminal
     and tables.
     """
-    if not "".join(ids).isprintable() or max(map(len, ids), default=0) > LONGEST_NAME:
-        found = next(name for name in ids if not name.isprintable() or len(name) > LONGEST_NAME)
-        expected = f"at most {LONGEST_NAME} characters that can be printed"
-        raise InputError(source, f"the name {found[:60]!r}", expected, "rename it")
-    seen: set[str] = set()
-    for name in ids:
-        if name in seen:
-            raise InputError(source, f"the id {name!r} twice", "each id once", "rename or remove one of the two")
-        seen.add(name)
+    names = Names.of(ids)
+    if not names.text.isprintable() or np.diff(names.offsets).max(initial=0) > LONGEST_NAME:
+        for name in names:
+            if not name.isprintable() or len(name) > LONGEST_NAME:
+                expected = f"at most {LONGEST_NAME} characters that can be printed"
+                raise InputError(source, f"the name {name[:60]!r}", expected, "rename it")
+    if (again := names.first_repeated()) is not None:
+        raise InputError(source, f"the id {names[again]!r} twice", "each id once", "rename or remove one of the two")
 
 
-def require_covariances(covariances: Array, needed: Mask, ids: tuple[str, ...], source: str) -> None:
+def require_covariances(covariances: Array, needed: Mask, ids: Sequence[str], source: str) -> None:
     """Raise InputError unless covariances (n, 3, 3) are symmetric and positive definite where `needed` (n,)."""
     chosen = np.flatnonzero(needed)
+    if not chosen.size:
+        return
     matrices = covariances[chosen]
     scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
     lopsided = np.abs(matrices - np.swapaxes(matrices, 1, 2)).max(axis=(1, 2), initial=0.0) > 1e-9 * scale

@@ -20,6 +20,7 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetoc
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.decoding import Name, Number, validated
 from mgsgraph.io.files import head_of, name_of, read_json
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _FROM_TRIANGLE = np.array([[3, 1, 4], [1, 0, 2], [4, 2, 5]])
@@ -97,7 +98,7 @@ def read_lidar(path: Path) -> LaserProfile:
     measures = [measure for shot in shots for measure in shot.measures]
     return LaserProfile(
         source=str(path),
-        ids=tuple(shot.id for shot in shots),
+        ids=Names.of(shot.id for shot in shots),
         times=np.array([shot.time for shot in shots]),
         ranges=np.array([shot.range * KM for shot in shots]),
         range_sigmas=np.array([shot.sigma_range for shot in shots]),
@@ -105,7 +106,7 @@ def read_lidar(path: Path) -> LaserProfile:
         covariances=jacobian @ triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
         simultaneous=tuple(tuple(shot.simultaneous_images) for shot in shots),
         measure_shot=np.repeat(np.arange(len(shots)), [len(shot.measures) for shot in shots]),
-        measure_image=tuple(measure.serial_number for measure in measures),
+        measure_image=RepeatedNames.of([measure.serial_number for measure in measures]),
         measures=np.array([(one.line, one.sample) for one in measures]).reshape(-1, 2) - ISIS_OFFSET,
     )
 

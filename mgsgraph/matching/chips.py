@@ -119,14 +119,12 @@ def chip_frames(images: Sequence[PushbroomImage], ties: TiePoints) -> ChipFrames
 
 def _images_of(images: Sequence[PushbroomImage], ties: TiePoints) -> Index:
     """(k,) number of each measure's image; all of them are there, and hold their measures."""
-    numbers = {image.name: j for j, image in enumerate(images)}
-    for name, point in zip(ties.measure_image, ties.measure_point.tolist(), strict=True):
-        if name not in numbers:
-            where = f"{ties.source}, point {ties.ids[point]}"
-            known = ", ".join(list(numbers)[:4])
-            raise InputError(where, f"the image {name!r}", f"one of the case's images ({known})")
-    image = np.array([numbers[name] for name in ties.measure_image], dtype=np.int64)
-    require_inside(images, image, ties.measures, [ties.ids[i] for i in ties.measure_point.tolist()], ties.source)
+    names = [image.name for image in images]
+    image = ties.measure_image.over(names)
+    for k in np.flatnonzero(image < 0)[:1].tolist():
+        where, found = f"{ties.source}, point {ties.ids[int(ties.measure_point[k])]}", ties.measure_image[k]
+        raise InputError(where, f"the image {found!r}", f"one of the case's images ({', '.join(names[:4])})")
+    require_inside(images, image, ties.measures, ties.ids, ties.measure_point, ties.source)
     return image
 
 

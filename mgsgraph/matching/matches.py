@@ -9,6 +9,7 @@ import numpy as np
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.matching.coarse import Agreement
 from mgsgraph.matching.measuring import Measured
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.ties import PointKind, TiePoints
 
 SOURCE = "matches"
@@ -79,10 +80,10 @@ class Matches:
         return f"Matches({len(self.ties.ids)} points in {filled} of {whole} cells)"
 
 
-def _ids(names: tuple[str, ...], pixels: Array, count: int) -> tuple[str, ...]:
+def _ids(names: tuple[str, ...], pixels: Array, count: int) -> Names:
     """Names of points that those of another run, which may stand in the same case, don't have."""
     run = zlib.crc32("\n".join(names).encode() + pixels.tobytes())
-    return tuple(f"M{run:08x}_{i + 1:06d}" for i in range(count))
+    return Names.of(f"M{run:08x}_{i + 1:06d}" for i in range(count))
 
 
 def matches_of(
@@ -117,7 +118,7 @@ def matches_of(
         places=np.full((n, 3), np.nan),
         covariances=np.zeros((n, 3, 3)),
         measure_point=point[rows],
-        measure_image=tuple(names[j] for j in picture[rows].tolist()),
+        measure_image=RepeatedNames(tuple(names), picture[rows]),
         measures=pixels[rows],
         measure_sigmas=np.sqrt(np.diagonal(variances, axis1=1, axis2=2))[rows],
     )

@@ -8,6 +8,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile, exchanged_units, require_lengths
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import RepeatedNames
 from mgsgraph.network.network import Network
 from mgsgraph.network.parts import KnownImage, image_columns, joined
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, Ranges
@@ -44,7 +45,7 @@ def observed(
     parts = [
         _of_ties(images, one, tie_sigma) if isinstance(one, TiePoints) else _of_shots(images, one, shot_sigma)
         for one in observations
-        if one.measure_image or (isinstance(one, LaserProfile) and any(one.simultaneous))
+        if len(one.measure_image) or (isinstance(one, LaserProfile) and any(one.simultaneous))
     ]
     return joined(parts) if parts else None
 
@@ -62,7 +63,9 @@ def _of_ties(images: Mapping[str, KnownImage], ties: TiePoints, sigma: float) ->
 
 def _of_shots(images: Mapping[str, KnownImage], profile: LaserProfile, sigma: float) -> Network:
     pairs = [(i, name) for i, simultaneous in enumerate(profile.simultaneous) for name in simultaneous]
-    names, image = _numbered(images, (*profile.measure_image, *(name for _, name in pairs)), profile.source)
+    carrying = RepeatedNames.of([name for _, name in pairs])
+    named = RepeatedNames.concatenated([profile.measure_image, carrying])
+    names, image = _numbered(images, named, profile.source)
     k, n = len(profile.measure_image), len(profile.ids)
     shot = np.array([i for i, _ in pairs], dtype=np.int64)
     classes, kinds = np.full(n, int(PointClass.LASER)), np.full(n, int(PointKind.CONSTRAINED))
@@ -74,27 +77,27 @@ def _of_shots(images: Mapping[str, KnownImage], profile: LaserProfile, sigma: fl
     return _network([images[name] for name in names], points, rays, ranges, profile.source)
 
 
-def _numbered(images: Mapping[str, KnownImage], named: Sequence[str], source: str) -> tuple[list[str], Index]:
+def _numbered(images: Mapping[str, KnownImage], named: RepeatedNames, source: str) -> tuple[list[str], Index]:
     """Images named, each once, and the number of each measure's."""
-    number = {name: j for j, name in enumerate(dict.fromkeys(named))}
-    for name in number:
+    used = named.used
+    for name in used:
         if name not in images:
             known = ", ".join(list(images)[:4])
             found, expected = f"measures in the image {name!r}", f"known images ({known})"
             raise InputError(source, found, expected, "add the image first")
-    return list(number), np.array([number[name] for name in named], dtype=np.int64)
+    return list(used), named.over(used)
 
 
 def _network(
     known: list[KnownImage], points: GroundPoints, rays: ImageRays, ranges: Ranges, source: str
 ) -> Network:
     columns = image_columns(known)
-    require_inside(columns[0], rays.image, rays.places, [points.ids[i] for i in rays.point.tolist()], source)
+    require_inside(columns[0], rays.image, rays.places, points.ids, rays.point, source)
     return Network(*columns, points, rays, ranges)
 
 
 def require_inside(
-    images: Sequence[PushbroomImage], image: Index, places: Array, names: Sequence[str], source: str
+    images: Sequence[PushbroomImage], image: Index, places: Array, names: Sequence[str], point: Index, source: str
 ) -> None:
     """Raise InputError unless all measures lie on their images.
 
@@ -106,14 +109,16 @@ def require_inside(
     places : (k, 2)
         line, sample.
     names : sequence of str
-        Of the measures' points.
+        Of the points.
+    point : (k,)
+        Number of each measure's point.
     source : str
         What to call the measures in errors.
     """
     size = np.array([(one.lines, one.samples) for one in images], dtype=np.float64)[image]
     for k in np.flatnonzero(np.any((places < 0.0) | (places > size), axis=1))[:1]:
         raise InputError(
-            f"{source}, point {names[k]}, image {images[image[k]].name}",
+            f"{source}, point {names[int(point[k])]}, image {images[image[k]].name}",
             f"line {places[k, 0] + 0.5:g}, sample {places[k, 1] + 0.5:g} (counted from 1)",
             f"a place inside {size[k, 0]:g} lines x {size[k, 1]:g} samples",
         )
@@ -149,7 +154,7 @@ def require_ranges_of(profile: LaserProfile, shots: Index, along: Sequence[Pushb
         worst = int(np.argmax(np.maximum(start - past, past - stop)))
         where = f"{profile.source}, laser shot {profile.ids[int(mine[worst])]}, image {image.name}"
         image.trajectory.require(past[[worst]], where)
-        require_ranges(image, times, ground, ranges, profile.source, [profile.ids[i] for i in mine.tolist()])
+        require_ranges(image, times, ground, ranges, profile.source, profile.ids[mine])
 
 
 def require_ranges(

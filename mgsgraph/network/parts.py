@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
@@ -12,6 +13,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Index, Mask
+from mgsgraph.names import Names
 from mgsgraph.network.definitions import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
@@ -109,7 +111,7 @@ def require_separable(network: Network) -> None:
 def alone(known: KnownImage) -> Network:
     """A network of one image without any point."""
     nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    points = GroundPoints((), nothing, nothing, none, np.zeros((0, 3, 3)))
+    points = GroundPoints(Names.of(()), nothing, nothing, none, np.zeros((0, 3, 3)))
     rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
     return Network(*image_columns([known]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
 
@@ -133,7 +135,7 @@ def part(network: Network, points: Index) -> Network:
         tuple(network.priors[j] for j in images),
         network.held[images],
         GroundPoints(
-            tuple(own.ids[i] for i in points.tolist()),
+            own.ids[points],
             own.classes[points],
             own.kinds[points],
             own.places[points],
@@ -299,22 +301,19 @@ def _columns(rows: Iterable[tuple[NDArray[Any], ...]]) -> list[NDArray[Any]]:
 
 def _joined_points(networks: Sequence[Network]) -> tuple[list[Index], GroundPoints]:
     """Place of each network's points among all, and all points, each once."""
-    number = dict[str, int]()
-    for net in networks:
-        for name in net.points.ids:
-            number.setdefault(name, len(number))
-    place_of = [np.array([number[name] for name in net.points.ids], dtype=np.int64) for net in networks]
-    where = np.concatenate(place_of)
+    every = Names.concatenated([net.points.ids for net in networks])
+    ids = Names.of(pc.unique(every.arrow))
+    where = ids.find(every)
+    place_of = np.split(where, np.cumsum([len(net.points) for net in networks])[:-1])
     classes, kinds, places, covariances = _columns(
         (net.points.classes, net.points.kinds, net.points.places, net.points.covariances) for net in networks
     )
-    best = np.full(len(number), int(PointKind.FREE))
+    best = np.full(len(ids), int(PointKind.FREE))
     np.maximum.at(best, where, kinds)
     # of the parts that know the point best, the last; the others must not contradict it
-    source = np.full(len(number), -1)
+    source = np.full(len(ids), -1)
     mine = np.flatnonzero(kinds == best[where])
     source[where[mine]] = mine
-    ids = tuple(number)
     for k in np.flatnonzero(classes != classes[source[where]])[:1]:
         found = "of two classes (tie, laser shot, ground control)"
         raise InputError(f"point {ids[where[k]]}", found, "one", "give one of them another name")
@@ -330,7 +329,7 @@ def _joined_rays(
     networks: Sequence[Network],
     place_of: list[Index],
     image_of: list[Index],
-    ids: tuple[str, ...],
+    ids: Names,
     images: tuple[str, ...],
 ) -> ImageRays:
     point, image, places, sigmas, projected, rejected = _columns(
@@ -347,7 +346,7 @@ def _joined_rays(
     return ImageRays(point, image, places, sigmas, projected, rejected)
 
 
-def _require_single_ranges(ranges: Ranges, ids: tuple[str, ...], images: tuple[str, ...]) -> None:
+def _require_single_ranges(ranges: Ranges, ids: Names, images: tuple[str, ...]) -> None:
     order = np.lexsort((ranges.values, ranges.times, ranges.image, ranges.point))
     keys = np.column_stack([ranges.point, ranges.image, ranges.times, ranges.values])[order]
     for k in np.flatnonzero(np.all(keys[1:] == keys[:-1], axis=1))[:1].tolist():

@@ -17,6 +17,7 @@ from mgsgraph.geometry.altimetry import SPOT_WIDTHS, footprint_covariances
 from mgsgraph.geometry.common_errors import common_variances
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import PostLattice
+from mgsgraph.names import Names
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import GroundPoints, PointClass, ProfileShifts
 from mgsgraph.network.shared import SharedUnknown
@@ -49,7 +50,7 @@ class TerrainModel:
 class Posts(NamedTuple):
     """Posts of one terrain model, or means of some of them."""
 
-    ids: tuple[str, ...]
+    ids: Names
     """(n) names: that of the model, row and column."""
     points: Array
     """(n, 3) m, body-fixed."""
@@ -60,8 +61,7 @@ class Posts(NamedTuple):
 
     def chosen(self, which: Index) -> "Posts":
         """Some of them."""
-        ids = tuple(self.ids[i] for i in which.tolist())
-        return Posts(ids, self.points[which], self.sigmas[which], self.footprint)
+        return Posts(self.ids[which], self.points[which], self.sigmas[which], self.footprint)
 
 
 def posts_of(model: TerrainModel, least: float) -> Posts:
@@ -98,7 +98,7 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
     spread, points = lattice.vertical_sigma**2 / count, lattice.located(row, column, mean(lattice.values))
     if lattice.gaps is not None:
         spread += common_variances(np.nan_to_num(points), *(mean(one) for one in lattice.gaps))
-    names = tuple(f"{model.name}:{i}:{j}" for i, j in (first + 1).tolist())
+    names = Names.joined(*(first + 1).T).prefixed(f"{model.name}:")
     posts = Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
     return posts.chosen(np.flatnonzero(np.all(np.isfinite(points), axis=1)))
 
@@ -128,7 +128,7 @@ def with_posts(network: Network, models: Sequence[tuple[TerrainModel, Posts]]) -
     for model, posts in models:
         n, first = len(posts.ids), len(shifts.names)
         points = GroundPoints(
-            points.ids + posts.ids,
+            Names.concatenated([points.ids, posts.ids]),
             np.append(points.classes, np.full(n, PointClass.POST)),
             np.append(points.kinds, np.full(n, PointKind.CONSTRAINED)),
             np.concatenate([points.places, posts.points]),

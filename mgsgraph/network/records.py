@@ -15,10 +15,12 @@ from mgsgraph.geometry.records import (
     assign,
     frozen,
     frozen_index,
+    of_kind,
     require_covariances,
     require_names,
 )
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.names import Names
 from mgsgraph.ties import PointKind
 
 
@@ -44,8 +46,8 @@ class PointClass(IntEnum):
 class GroundPoints:
     """All ground points of a network."""
 
-    ids: tuple[str, ...]
-    """(n) names, each once."""
+    ids: Names
+    """(n) names, each once; made of any sequence of them."""
     classes: Index
     """(n,) PointClass."""
     kinds: Index
@@ -56,10 +58,11 @@ class GroundPoints:
     """(n, 3, 3) m^2, of the a-priori places of constrained points; zero elsewhere."""
 
     def __post_init__(self) -> None:
+        assign(self, ids=Names.of(self.ids))
         n = len(self.ids)
         require_names(self.ids, "ground points")
         kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
-        places = np.array(self.places, dtype=np.float64)
+        places = of_kind(self.places, np.float64)
         if places.shape != (n, 3):
             raise InputError("ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
         for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:

@@ -13,6 +13,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.trajectories import extended, with_expected
+from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
@@ -148,7 +149,7 @@ def _new_ties(
         images, places = [name for one in found for name in one[1]], np.concatenate([one[2] for one in found])
     n = points.shape[0]
     ground = GroundPoints(
-        tuple(f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(grid.shape[0])),
+        Names.of(f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(len(grid))),
         np.full(n, int(PointClass.TIE)), np.full(n, int(PointKind.FREE)), points, np.zeros((n, 3, 3)),
     )  # fmt: skip
     rays = point, images, places, _sigmas(images, view, ties)
@@ -192,7 +193,7 @@ def _existing_ties(
         return None
     old, n = members[some], some.size
     points = GroundPoints(
-        tuple(network.points.ids[i] for i in old.tolist()), network.points.classes[old],
+        network.points.ids[old], network.points.classes[old],
         np.full(n, int(PointKind.FREE)), state.places[old], np.zeros((n, 3, 3)),
     )  # fmt: skip
     names = [view.image.name] * n
@@ -213,7 +214,7 @@ def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> 
         raise InputError(f"candidate {name}", "a profile of the network", "a new profile", "give it another name")
     if n == 0:
         return Candidate(name, "profile", None, "no shot falls in an image of the network")
-    ids = tuple(f"{name}:{i + 1}" for i in range(n))
+    ids = Names.of(f"{name}:{i + 1}" for i in range(n))
     _require_new(coverage, ids, name)
     points = GroundPoints(
         ids, np.full(n, int(PointClass.LASER)), np.full(n, int(PointKind.CONSTRAINED)), shots.footprints,
@@ -260,7 +261,7 @@ def planned_control(
     if not seen:
         return Candidate(name, "control point", None, "no image of the network shows it")
     points = GroundPoints(
-        (name,), np.array([int(PointClass.CONTROL)]), np.array([int(PointKind.CONSTRAINED)]), place[None],
+        Names.of([name]), np.array([int(PointClass.CONTROL)]), np.array([int(PointKind.CONSTRAINED)]), place[None],
         covariance[None],
     )  # fmt: skip
     addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
 
 _CHUNK = 20_000
@@ -146,11 +147,11 @@ def points_of(connection: sqlite3.Connection, run: Run | None, adjusted: bool = 
         )  # fmt: skip
     if not parts:
         nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-        blank = GroundPoints((), nothing, nothing, none, np.zeros((0, 3, 3)))
+        blank = GroundPoints(Names.of(()), nothing, nothing, none, np.zeros((0, 3, 3)))
         return StoredPoints(nothing, blank, nothing, np.zeros(0), none, np.zeros((0, 3, 3)))
     number_, class_, kind_, profile_, surface, *others = (np.concatenate(column) for column in zip(*parts, strict=True))
     half = len(others) // 2
-    points = GroundPoints(tuple(names), class_, kind_, others[0], others[half])
+    points = GroundPoints(Names.of(names), class_, kind_, others[0], others[half])
     return StoredPoints(number_, points, profile_, surface, others[half - 1], others[-1])
 
 

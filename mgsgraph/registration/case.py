@@ -145,8 +145,8 @@ def _sharing(found: Registration) -> list[tuple[int, int]]:
 
 
 def _common_ties(ties: TiePoints, first: PushbroomImage, second: PushbroomImage) -> int:
-    names = np.array(ties.measure_image)
-    return int(np.intersect1d(*(ties.measure_point[names == image.name] for image in (first, second))).size)
+    number = ties.measure_image.over([first.name, second.name])
+    return int(np.intersect1d(*(ties.measure_point[number == k] for k in range(2))).size)
 
 
 def _not_compared(profiles: tuple[ProfileRegistration, ...], ties: TiePoints | None) -> tuple[str, ...]:

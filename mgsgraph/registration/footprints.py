@@ -333,8 +333,8 @@ def on_ground(
 
 def _common_measures(pair: tuple[PushbroomImage, PushbroomImage], ties: TiePoints) -> tuple[Array, Array]:
     """Places (k, 2) in the first and in the second image of the ties measured in both."""
-    names = np.array(ties.measure_image)
-    one, two = (np.flatnonzero(names == image.name) for image in pair)
+    number = ties.measure_image.over([image.name for image in pair])
+    one, two = (np.flatnonzero(number == k) for k in range(2))
     _, i, j = np.intersect1d(ties.measure_point[one], ties.measure_point[two], return_indices=True)
     if i.size < 3:
         raise InputError(

@@ -16,10 +16,11 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.io.files import opened, understood
 from mgsgraph.reports.archive_arrays import Arrays, from_arrays, read_members, record_of, to_arrays
 
-FORMAT = 3
+FORMAT = 4
 """Version of the layout, raised whenever an older reader would misread it: 2 holds the joint covariance by blocks,
-3 has passes for strips."""
-_READ = (2, FORMAT)
+3 has passes for strips,
+4 ids in columns."""
+_READ = (2, 3, FORMAT)
 ARCHIVE = "solution.npz"
 """Name of the file in a result folder."""
 _LARGEST = 1 << 40

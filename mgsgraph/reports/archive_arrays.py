@@ -29,6 +29,7 @@ from mgsgraph.geometry.records import assign
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.files import json_object, understood
+from mgsgraph.names import Names
 from mgsgraph.network import JointNodePrior, NodePrior, PolynomialPrior, ProcessPrior
 
 Arrays = dict[str, NDArray[Any]]
@@ -174,6 +175,8 @@ def _at(where: str, name: str) -> str:
 def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
     """The value of type `kind` (as the records' fields declare it) that was taken apart to the JSON `value`."""
     origin, options = get_origin(kind), get_args(kind)
+    if kind is Names and not (isinstance(value, dict) and "offsets" in value):  # as before format 4
+        return Names.of(from_arrays(value, tuple[str, ...], where, arrays))
     if origin in (Union, types.UnionType):
         if value is None and type(None) in options:
             return None

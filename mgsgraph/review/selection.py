@@ -203,7 +203,7 @@ def review_matches(
         Without points, for an id that isn't there, for a measure outside its image, when the solution is that of other
         measures.
     """
-    if not ties.ids:
+    if not len(ties.ids):
         raise InputError(ties.source, "no tie point", "at least one")
     wanted = _by_name(ties, points) if points else np.arange(len(ties.ids))
     frames = chip_frames(images, ties)

@@ -24,6 +24,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrio
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
 from mgsgraph.simulation.camera import interior_orientation, line_image, one_rate
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
@@ -311,7 +312,7 @@ def _network(
         priors=(OrientationPrior(prior.node_sigmas(np.zeros(1))),) * 2,  # of no effect: passes have their own
         held=np.zeros(2, dtype=bool),
         points=GroundPoints(
-            ids=tuple(f"TIE{i + 1:05d}" for i in range(points)),
+            ids=Names.of(f"TIE{i + 1:05d}" for i in range(points)),
             classes=np.full(points, int(PointClass.TIE)),
             kinds=np.full(points, int(PointKind.FREE)),
             places=np.full((points, 3), np.nan),

@@ -19,6 +19,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrio
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
 from mgsgraph.geometry.track_gaps import track_gaps
+from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_terrain
@@ -341,7 +342,7 @@ def _network(
         priors=(own,) * len(images),
         held=np.zeros(len(images), dtype=bool),
         points=GroundPoints(
-            ids=tuple(f"P{i:07d}" for i in range(points)),
+            ids=Names.of(f"P{i:07d}" for i in range(points)),
             classes=np.full(points, int(PointClass.TIE)),
             kinds=np.full(points, int(PointKind.FREE)),
             places=np.full((points, 3), np.nan),

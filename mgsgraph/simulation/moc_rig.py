@@ -19,6 +19,7 @@ from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
+from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors, displaced_footprints
@@ -230,7 +231,7 @@ def _given(places: Array, kinds: Array, settings: MocSettings, rng: np.random.Ge
     errors = sigmas * rng.standard_normal(places.shape)
     classes = np.array([PointClass.TIE, PointClass.CONTROL, PointClass.LASER], dtype=np.int64)[kinds]
     return GroundPoints(
-        tuple(f"{'TCS'[kind]}{i:04d}" for i, kind in enumerate(kinds.tolist())),
+        Names.of(f"{'TCS'[kind]}{i:04d}" for i, kind in enumerate(kinds.tolist())),
         classes,
         np.full(len(kinds), int(PointKind.CONSTRAINED)),
         places + np.einsum("nk,nkj->nj", errors, frames),

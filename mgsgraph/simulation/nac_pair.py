@@ -20,6 +20,7 @@ from mgsgraph.geometry.distortion import LrocNacDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import interior_orientation
@@ -257,7 +258,7 @@ def _given(
     covariances = np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames)
     names = [f"T{i:04d}" for i in range(n)] + [f"S{i:04d}" for i in range(m)]
     points = GroundPoints(
-        tuple(names), classes,
+        Names.of(names), classes,
         np.where(known, int(PointKind.CONSTRAINED), int(PointKind.FREE)),
         np.where(known[:, None], places, np.nan), np.where(known[:, None, None], covariances, 0.0),
     )  # fmt: skip

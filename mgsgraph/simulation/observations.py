@@ -10,6 +10,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.simulation.ground import rays_to_sines
 from mgsgraph.ties import PointKind, TiePoints
 
@@ -110,12 +111,12 @@ def free_points(
     n, k = len(ids), len(images)
     return TiePoints(
         source=source,
-        ids=ids,
+        ids=Names.of(ids),
         kinds=np.full(n, PointKind.FREE, dtype=np.int64),
         places=np.full((n, 3), np.nan),
         covariances=np.zeros((n, 3, 3)),
         measure_point=point,
-        measure_image=images,
+        measure_image=RepeatedNames.of(images),
         measures=measures,
         measure_sigmas=np.broadcast_to(sigma, (k, 2)),
     )
@@ -204,7 +205,7 @@ def profile(
     n = len(ids)
     return LaserProfile(
         source=source,
-        ids=ids,
+        ids=Names.of(ids),
         times=given.times,
         ranges=given.ranges,
         range_sigmas=np.full(n, noise.range),
@@ -212,6 +213,6 @@ def profile(
         covariances=np.broadcast_to(noise.ground**2 * np.eye(3), (n, 3, 3)),
         simultaneous=simultaneous,
         measure_shot=shot,
-        measure_image=images,
+        measure_image=RepeatedNames.of(images),
         measures=measures,
     )

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.simulation.ground import on_sines
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings, Shots, Visible, free_points, profile, shots_along
 from mgsgraph.simulation.orbit import orbit_axes
@@ -225,25 +227,22 @@ def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
 
 def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
     """Tie points of several steps as one: points in the order in which they come up, measures by point."""
-    number = dict[str, int]()
-    for part in parts:
-        for name in part.ids:
-            number.setdefault(name, len(number))
-    of_part = [np.array([number[name] for name in part.ids], dtype=np.int64) for part in parts]
+    every = Names.concatenated([part.ids for part in parts])
+    ids = Names.of(pc.unique(every.arrow))
+    of_part = [ids.find(part.ids) for part in parts]
     point = np.concatenate([own[part.measure_point] for own, part in zip(of_part, parts, strict=True)])
     order = np.argsort(point, kind="stable")
-    names = [name for part in parts for name in part.measure_image]
-    first = np.full(len(number), -1)
+    first = np.full(len(ids), -1)
     rows = np.concatenate(of_part)
     first[rows[::-1]] = np.arange(rows.size)[::-1]
     return TiePoints(
         source=parts[0].source,
-        ids=tuple(number),
+        ids=ids,
         kinds=np.concatenate([part.kinds for part in parts])[first],
         places=np.concatenate([part.places for part in parts])[first],
         covariances=np.concatenate([part.covariances for part in parts])[first],
         measure_point=point[order],
-        measure_image=tuple(names[k] for k in order.tolist()),
+        measure_image=RepeatedNames.concatenated([part.measure_image for part in parts])[order],
         measures=np.concatenate([part.measures for part in parts])[order],
         measure_sigmas=np.concatenate([part.measure_sigmas for part in parts])[order],
     )
@@ -273,7 +272,7 @@ def _with_measures(
     measures = sorted(measures, key=lambda measure: measure[0])
     return replace(
         part,
-        ids=tuple(part.ids[i] for i in which.tolist()),
+        ids=part.ids[which],
         times=part.times[which],
         ranges=part.ranges[which],
         range_sigmas=part.range_sigmas[which],
@@ -281,6 +280,6 @@ def _with_measures(
         covariances=part.covariances[which],
         simultaneous=tuple(part.simultaneous[i] for i in which.tolist()),
         measure_shot=np.array([measure[0] for measure in measures], dtype=np.int64),
-        measure_image=tuple(measure[1] for measure in measures),
+        measure_image=RepeatedNames.of([measure[1] for measure in measures]),
         measures=np.array([parts[step].measures[row] for _, _, step, row in measures]).reshape(-1, 2),
     )

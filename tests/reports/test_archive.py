@@ -1,6 +1,7 @@
 """The archive gives the same solution back bit for bit, and says in one line what is wrong with any other file."""
 
 import io
+import itertools
 import json
 import math
 import tracemalloc
@@ -27,7 +28,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import ImageRays
-from mgsgraph.reports.archive import read_solution, write_archive
+from mgsgraph.reports.archive import FORMAT, read_solution, write_archive
 from mgsgraph.reports.archive_arrays import pack, unpack
 from mgsgraph.reports.results import solution_json
 from mgsgraph.simulation.files import write_pair
@@ -187,7 +188,9 @@ def test_arrays_are_read_only(archive: Path) -> None:
 def test_plain_numpy_reads_it_without_pickle(solution: Solution, archive: Path) -> None:
     with np.load(archive, allow_pickle=False) as arrays:
         assert not any(arrays[name].dtype.hasobject for name in arrays.files)
-        assert arrays["network.points.ids"].tolist() == list(solution.network.points.ids)
+        ends, text = arrays["network.points.ids.offsets"].tolist(), arrays["network.points.ids.data"].tobytes()
+        ids = [text[a:b].decode() for a, b in itertools.pairwise(ends)]
+        assert ids == list(solution.network.points.ids)
         np.testing.assert_array_equal(arrays["places"], solution.places)
         np.testing.assert_array_equal(arrays["joint_covariance.blocks"], solution.joint_covariance.blocks)
 
@@ -288,13 +291,16 @@ def test_checksums_are_looked_at_first(archive: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("version", "remedy"),
-    [(0, "adjust the case again"), (1, "adjust the case again"), (4, "or a newer one"), (99, "or a newer one")],
+    [
+        (0, "adjust the case again"), (1, "adjust the case again"), (FORMAT + 1, "or a newer one"),
+        (99, "or a newer one"),
+    ],
 )
 def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int, remedy: str) -> None:
     def other(parts: dict[str, Any]) -> None:
         parts.update(format=np.array(version), record=np.zeros(0, dtype=np.uint8))
 
-    message = assert_refused(edited(archive, tmp_path / "x.npz", other), f"format: {version}; expected 3")
+    message = assert_refused(edited(archive, tmp_path / "x.npz", other), f"format: {version}; expected {FORMAT}")
     assert "version of mgsgraph that wrote it" in message
     assert remedy in message
 
@@ -312,7 +318,8 @@ def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int, 
         ("joint_covariance.square_root.members", np.array([0, 0]), "square root"),
         ("joint_covariance.square_root.width", np.array([12, 24]), "square root"),
         ("coefficients.0", np.zeros((2, 6)), "coefficients: shapes"),
-        ("network.points.ids", np.array(["a"] * 28), "the id 'a' twice"),
+        ("network.points.ids.data", np.full(140, ord("a"), dtype=np.uint8), "names: places"),
+        ("network.points.ids.offsets", np.arange(28), "names: places"),
         ("network.rays.point", np.full(56, 28), r"rays, points: index 28 .. 28; expected 0 .. 27"),
         ("network.images.0.trajectory.camera.quaternions", np.zeros((5, 4)), "attitude table"),
     ],

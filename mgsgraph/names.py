@@ -1,0 +1,273 @@
+"""Names in columns: ids of points, names of the images of their measures, without a Python object for each.
+
+`Names` are the ids, most of which differ, as one text and the places where each begins; `RepeatedNames` come often, as
+the numbers of a few distinct ones. Both are sequences of str, and Arrow arrays without a copy.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from operator import index
+from typing import Any, Union, overload
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+
+Chosen = Union[slice, "NDArray[np.int64]", "NDArray[np.bool_]"]
+"""Which names: a slice, numbers (m,) or marks (n,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Names(Sequence[str]):
+    """Names, a text each, in columns."""
+
+    data: NDArray[np.uint8]
+    """(b,) UTF-8 of all names, one after another."""
+    offsets: NDArray[np.int64]
+    """(n + 1,) place in `data` where each name begins, and where the last one ends."""
+
+    def __post_init__(self) -> None:
+        ends = self.offsets
+        if not (ends.size and ends[0] == 0 and ends[-1] == self.data.size and np.all(ends[1:] >= ends[:-1])):
+            raise InputError("names", "places that don't follow each other", "begin of each name and end of the last")
+        self.data.flags.writeable = ends.flags.writeable = False
+
+    @classmethod
+    def of(cls, names: "Iterable[str] | pa.Array | pa.ChunkedArray") -> "Names":
+        """Names from any texts, or from an Arrow array of them; what are Names already stays as it is.
+
+        Raises
+        ------
+        TypeError
+            For what are no texts.
+        InputError
+            For half a character, which no text has.
+        """
+        if isinstance(names, Names):
+            return names
+        if isinstance(names, RepeatedNames):
+            names = names.arrow.cast(pa.large_string())
+        if isinstance(names, pa.ChunkedArray):
+            names = names.combine_chunks()
+        if not isinstance(names, pa.Array):
+            names = _encoded(names if isinstance(names, list | tuple) else list(names))
+        if names.null_count:
+            raise TypeError("a name that is none")
+        return cls._from_arrow(names.cast(pa.large_string()))
+
+    @classmethod
+    def _from_arrow(cls, array: pa.Array) -> "Names":
+        """Of large strings."""
+        _, begins, texts = array.buffers()
+        n = len(array)
+        if n == 0 or begins is None:
+            return cls(np.zeros(0, dtype=np.uint8), np.zeros(n + 1, dtype=np.int64))
+        offsets = np.frombuffer(begins, np.int64)[array.offset : array.offset + n + 1]
+        data = np.zeros(0, dtype=np.uint8) if texts is None else np.frombuffer(texts, np.uint8)
+        return cls(data[offsets[0] : offsets[-1]], offsets - offsets[0] if offsets[0] else offsets)
+
+    @staticmethod
+    def concatenated(parts: "Sequence[Names]") -> "Names":
+        """The names of several, one after another."""
+        if len(parts) == 1:
+            return parts[0]
+        sizes = np.concatenate([np.zeros(1, dtype=np.int64), *(np.diff(part.offsets) for part in parts)])
+        nothing = np.zeros(0, dtype=np.uint8)
+        return Names(np.concatenate([nothing, *(part.data for part in parts)]), np.cumsum(sizes))
+
+    @staticmethod
+    def joined(*columns: "NDArray[np.int64] | pa.Array", mark: str = ":") -> "Names":
+        """Names made of numbers or texts side by side, (n,) each, with a mark between them."""
+        parts = (pa.array(one).cast(pa.large_string()) for one in columns)
+        return Names.of(pc.binary_join_element_wise(*parts, pa.scalar(mark, pa.large_string())))
+
+    def prefixed(self, text: str) -> "Names":
+        """Each with a text before it."""
+        before, between = (pa.scalar(one, pa.large_string()) for one in (text, ""))
+        return Names.of(pc.binary_join_element_wise(before, self.arrow, between))
+
+    @property
+    def arrow(self) -> pa.Array:
+        """Arrow array of large strings, on the same memory."""
+        buffers = [None, pa.py_buffer(self.offsets), pa.py_buffer(self.data)]
+        return pa.Array.from_buffers(pa.large_string(), len(self), buffers)
+
+    @property
+    def text(self) -> str:
+        """All names, one after another, with nothing between them."""
+        return self.data.tobytes().decode()
+
+    def __len__(self) -> int:
+        return self.offsets.size - 1
+
+    @overload
+    def __getitem__(self, which: "int | np.integer[Any]") -> str: ...
+    @overload
+    def __getitem__(self, which: Chosen) -> "Names": ...
+    def __getitem__(self, which: Any) -> Any:
+        if isinstance(which, slice):
+            which = np.arange(len(self))[which]
+        if isinstance(which, np.ndarray) and which.ndim:
+            chosen = np.flatnonzero(which) if which.dtype == bool else which.astype(np.int64, copy=False)
+            if chosen.size and chosen.min() < 0:
+                chosen = np.where(chosen < 0, chosen + len(self), chosen)
+            return Names._from_arrow(self.arrow.take(pa.array(chosen)))
+        number = index(which)
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"name {number} of {len(self)}")
+        number %= len(self)
+        return self.data[self.offsets[number] : self.offsets[number + 1]].tobytes().decode()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.tolist())
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in set(self.tolist())
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Names):
+            return np.array_equal(self.offsets, other.offsets) and np.array_equal(self.data, other.data)
+        if isinstance(other, Sequence) and not isinstance(other, str):
+            return len(self) == len(other) and self.tolist() == list(other)
+        return NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __add__(self, others: "Sequence[str]") -> "Names":
+        return Names.concatenated([self, Names.of(others)])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.tolist(), dtype=str if dtype is None else dtype)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(map(repr, self[:3]))
+        return f"Names({len(self)}: {shown}{', ...' if len(self) > 3 else ''})"
+
+    def tolist(self) -> list[str]:
+        """(n,) Python texts."""
+        ends = self.offsets.tolist()
+        text = self.text
+        if len(text) == self.data.size:  # ASCII alone: a byte is a character
+            return [text[a:b] for a, b in itertools.pairwise(ends)]
+        data = self.data.tobytes()
+        return [data[a:b].decode() for a, b in itertools.pairwise(ends)]
+
+    def find(self, others: "Names | Sequence[str]") -> NDArray[np.int64]:
+        """(m,) number of each of other names among these, -1 for one that is not here."""
+        return _numbers_among(Names.of(others).arrow, self.arrow)
+
+    def first_repeated(self) -> int | None:
+        """Number of the first name that stands before it already; None where each is there once."""
+        if len(pc.unique(self.arrow)) == len(self):
+            return None
+        first = dict[str, int]()
+        return next(k for k, name in enumerate(self.tolist()) if first.setdefault(name, k) != k)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class RepeatedNames(Sequence[str]):
+    """Names of which few differ, as those of the images that points are measured in."""
+
+    distinct: tuple[str, ...]
+    """Each of them once; some may not be used."""
+    numbers: NDArray[np.int64]
+    """(k,) number of each name among these."""
+
+    def __post_init__(self) -> None:
+        if self.numbers.size and not 0 <= self.numbers.min() <= self.numbers.max() < len(self.distinct):
+            raise InputError("names", f"numbers up to {self.numbers.max()}", f"0 .. {len(self.distinct) - 1}")
+        if len(set(self.distinct)) < len(self.distinct):
+            raise InputError("names", "a distinct name twice", "each once")
+        self.numbers.flags.writeable = False
+
+    @classmethod
+    def of(cls, names: "Iterable[str] | pa.Array | pa.ChunkedArray") -> "RepeatedNames":
+        """Names from any texts, or from an Arrow array of them, numbered as they come."""
+        if isinstance(names, RepeatedNames):
+            return names
+        if isinstance(names, pa.ChunkedArray):
+            names = names.combine_chunks()
+        array = names if isinstance(names, pa.Array) else Names.of(names).arrow
+        coded = array if pa.types.is_dictionary(array.type) else array.dictionary_encode()
+        return cls(tuple(coded.dictionary.to_pylist()), np.asarray(coded.indices).astype(np.int64))
+
+    @staticmethod
+    def concatenated(parts: "Sequence[RepeatedNames]") -> "RepeatedNames":
+        """The names of several, one after another."""
+        if len(parts) == 1:
+            return parts[0]
+        distinct = tuple(dict.fromkeys(name for part in parts for name in part.distinct))
+        nothing = np.zeros(0, dtype=np.int64)
+        return RepeatedNames(distinct, np.concatenate([nothing, *(part.over(distinct) for part in parts)]))
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """Distinct names that occur, in the order of their first."""
+        used, first = np.unique(self.numbers, return_index=True)
+        return tuple(self.distinct[k] for k in used[np.argsort(first)].tolist())
+
+    @property
+    def arrow(self) -> pa.Array:
+        """Arrow's dictionary array."""
+        return pa.DictionaryArray.from_arrays(pa.array(self.numbers), pa.array(self.distinct, pa.large_string()))
+
+    def over(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """(k,) number of each name among others, each of which is there once; -1 for one that is not there."""
+        number = {name: k for k, name in enumerate(names)}
+        return np.array([*(number.get(name, -1) for name in self.distinct), -1], dtype=np.int64)[self.numbers]
+
+    def __len__(self) -> int:
+        return self.numbers.size
+
+    @overload
+    def __getitem__(self, which: "int | np.integer[Any]") -> str: ...
+    @overload
+    def __getitem__(self, which: Chosen) -> "RepeatedNames": ...
+    def __getitem__(self, which: Any) -> Any:
+        if isinstance(which, slice) or (isinstance(which, np.ndarray) and which.ndim):
+            return RepeatedNames(self.distinct, self.numbers[which])
+        return self.distinct[self.numbers[which]]
+
+    def __iter__(self) -> Iterator[str]:
+        return map(self.distinct.__getitem__, self.numbers.tolist())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.distinct and bool(np.any(self.numbers == self.distinct.index(str(name))))
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Sequence) and not isinstance(other, str):
+            return len(self) == len(other) and self.tolist() == list(other)
+        return NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __add__(self, others: "Sequence[str]") -> "RepeatedNames":
+        return RepeatedNames.concatenated([self, RepeatedNames.of(others)])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        names = np.array(self.distinct or ("",), dtype=str if dtype is None else dtype)
+        return names[self.numbers]
+
+    def __repr__(self) -> str:
+        return f"RepeatedNames({len(self)} of {len(self.distinct)} distinct ones)"
+
+    def tolist(self) -> list[str]:
+        """(k,) Python texts."""
+        return list(self)
+
+
+def _encoded(names: Sequence[str]) -> pa.Array:
+    try:
+        return pa.array(names, type=pa.large_string())
+    except UnicodeEncodeError as error:
+        found = f"the name {str(error.object)[:60]!r}"
+        raise InputError("names", found, "characters that can be printed", "rename it") from None
+
+
+def _numbers_among(wanted: pa.Array, known: pa.Array) -> NDArray[np.int64]:
+    found = pc.index_in(wanted, value_set=known)
+    return np.asarray(found.fill_null(-1)).astype(np.int64)
