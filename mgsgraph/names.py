@@ -37,8 +37,9 @@ class Names(Sequence[str]):
         self.data.flags.writeable = ends.flags.writeable = False
 
     @classmethod
-    def of(cls, names: "Iterable[str] | pa.Array | pa.ChunkedArray") -> "Names":
-        """Names from any texts, or from an Arrow array of them; what are Names already stays as it is.
+    def of(cls, names: "Iterable[str] | pa.Array | pa.ChunkedArray", source: str = "names") -> "Names":
+        """Names from any texts, or from an Arrow array of them, which a `source` in messages has;
+        what are Names already stays as it is.
 
         Raises
         ------
@@ -54,7 +55,7 @@ class Names(Sequence[str]):
         if isinstance(names, pa.ChunkedArray):
             names = names.combine_chunks()
         if not isinstance(names, pa.Array):
-            names = _encoded(names if isinstance(names, list | tuple) else list(names))
+            names = _encoded(names if isinstance(names, list | tuple) else list(names), source)
         if names.null_count:
             raise TypeError("a name that is none")
         return cls._from_arrow(names.cast(pa.large_string()))
@@ -260,12 +261,12 @@ class RepeatedNames(Sequence[str]):
         return list(self)
 
 
-def _encoded(names: Sequence[str]) -> pa.Array:
+def _encoded(names: Sequence[str], source: str) -> pa.Array:
     try:
         return pa.array(names, type=pa.large_string())
     except UnicodeEncodeError as error:
         found = f"the name {str(error.object)[:60]!r}"
-        raise InputError("names", found, "characters that can be printed", "rename it") from None
+        raise InputError(source, found, "characters that can be printed", "rename it") from None
 
 
 def _numbers_among(wanted: pa.Array, known: pa.Array) -> NDArray[np.int64]:

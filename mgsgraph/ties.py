@@ -55,7 +55,7 @@ class TiePoints:
     """(k, 2) pixels, line and sample; NaN where the file does not say."""
 
     def __post_init__(self) -> None:
-        assign(self, ids=Names.of(self.ids), measure_image=RepeatedNames.of(self.measure_image))
+        assign(self, ids=Names.of(self.ids, self.source), measure_image=RepeatedNames.of(self.measure_image))
         n, k = len(self.ids), len(self.measure_image)
         require_names(self.ids, self.source)
         kinds = frozen_index(self.kinds, f"{self.source}, kinds", n, len(PointKind))

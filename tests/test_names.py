@@ -25,7 +25,7 @@ def test_they_are_the_texts_that_they_were_made_of(texts: list[str], data: st.Da
         assert names[1:] == texts[1:]
         assert [names[k] for k in range(len(texts))] == texts
         assert np.array(names).tolist() == np.array(texts, dtype=str).tolist()  # which drops closing NULs
-        assert names + ["x"] == [*texts, "x"]
+        assert names.__add__(["x"]) == [*texts, "x"]
         assert ("é" in names) == ("é" in texts)
         assert names.arrow.to_pylist() == texts
 

@@ -104,7 +104,7 @@ class LaserProfile:
     """(k, 2) line, sample, first pixel's centre at (0.5, 0.5)."""
 
     def __post_init__(self) -> None:
-        assign(self, ids=Names.of(self.ids), measure_image=RepeatedNames.of(self.measure_image))
+        assign(self, ids=Names.of(self.ids, self.source), measure_image=RepeatedNames.of(self.measure_image))
         n, k = len(self.ids), len(self.measure_image)
         require_names(self.ids, self.source)
         ranges = frozen(self.ranges, f"{self.source}, ranges", (n,))

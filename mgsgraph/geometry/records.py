@@ -117,7 +117,7 @@ def require_names(ids: Sequence[str], source: str) -> None:
     """Raise InputError when a name occurs twice, is overlong, or holds control characters, which would reach a terminal
     and tables.
     """
-    names = Names.of(ids)
+    names = Names.of(ids, source)
     if not names.text.isprintable() or np.diff(names.offsets).max(initial=0) > LONGEST_NAME:
         for name in names:
             if not name.isprintable() or len(name) > LONGEST_NAME:

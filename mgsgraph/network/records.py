@@ -58,7 +58,7 @@ class GroundPoints:
     """(n, 3, 3) m^2, of the a-priori places of constrained points; zero elsewhere."""
 
     def __post_init__(self) -> None:
-        assign(self, ids=Names.of(self.ids))
+        assign(self, ids=Names.of(self.ids, "ground points"))
         n = len(self.ids)
         require_names(self.ids, "ground points")
         kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
