@@ -43,7 +43,7 @@ STOREYS = [
     ),
     ("mgsgraph.ties",),
     ("mgsgraph.geometry", "mgsgraph.kernel"),
-    ("mgsgraph.factors",),
+    ("mgsgraph.factors", "mgsgraph.names"),
     (
         "mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook", "mgsgraph.wording", "mgsgraph.compiled",
         "mgsgraph.apart", "mgsgraph.aside", "mgsgraph.stages",

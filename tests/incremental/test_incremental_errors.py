@@ -134,7 +134,7 @@ def test_after_all_that_was_refused_it_goes_on() -> None:
 
 def stored(adjustment: IncrementalAdjustment) -> set[tuple[str, ...]]:
     """Which points lie together in the store."""
-    return {adjustment.store.bundle(members).network.points.ids for members in adjustment.store.members()}
+    return {tuple(adjustment.store.bundle(members).network.points.ids) for members in adjustment.store.members()}
 
 
 def test_values_that_moved_unnoticed_are_back_as_well() -> None:
