@@ -2,8 +2,11 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
@@ -28,8 +31,15 @@ from mgsgraph.notebook import card
 from mgsgraph.ties import PointKind
 from mgsgraph.wording import some
 
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _kept(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """An array that a record gives to many."""
+    values.flags.writeable = False
+    return values
+
+
+@dataclass(frozen=True, eq=False)
 class Network:
     """Images, ground points, rays and ranges with their sigmas; the whole input of an adjustment."""
 
@@ -254,13 +264,13 @@ class Network:
         profiles = self.shifts.terms if self.shifts else ()
         return (*profiles, self.surface.terms) if self.surface is not None and self.surface.terms else profiles
 
-    @property
+    @cached_property
     def pass_of(self) -> Index:
         """(images,) strip of each image; -1 for one on its own."""
         owner = np.full(len(self.images), -1, dtype=np.int64)
         for k, strip in enumerate(self.passes):
             owner[strip.images] = k
-        return owner
+        return _kept(owner)
 
     def pictures(self, strip: int) -> list[PushbroomImage]:
         """Images of a strip."""
@@ -271,21 +281,22 @@ class Network:
         owner = int(self.pass_of[image])
         return None if owner < 0 else self.passes[owner].axes_of(image)
 
-    @property
+    @cached_property
     def with_polynomial(self) -> Mask:
         """(images,) True for an image with orientation coefficients of its own: neither held nor of a strip."""
-        return np.asarray(~self.held & (self.pass_of < 0))
+        return _kept(~self.held & (self.pass_of < 0))
 
     @property
     def first_shared(self) -> int:
         """Number of variables before those of `shared`: images, then shifts."""
         return len(self.images) + len(self.shift_names)
 
-    @property
+    @cached_property
     def first_of_passes(self) -> Index:
         """(strips + 1,) first variable of each strip, its first node; then the number of all variables."""
         counts = [strip.widths.size for strip in self.passes]
-        return self.first_shared + len(self.shared) + np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        before = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        return _kept(self.first_shared + len(self.shared) + before)
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:
@@ -320,15 +331,15 @@ class Network:
         """Whether the terrain model has an unknown horizontal shift."""
         return self.surface is not None and self.surface.shift_sigma > 0.0
 
-    @property
+    @cached_property
     def ray_counts(self) -> Index:
         """(n,) number of rays of each point."""
-        return np.bincount(self.rays.point, minlength=len(self.points))
+        return _kept(np.bincount(self.rays.point, minlength=len(self.points)))
 
-    @property
+    @cached_property
     def undetermined(self) -> Mask:
         """(n,) True for free points with fewer than two rays; they stay out, with a range or without."""
-        return np.asarray((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
+        return _kept((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
 
     @property
     def classes(self) -> list[PointClass]:
