@@ -11,6 +11,7 @@ from mgsgraph.geometry.records import (
     Index,
     Mask,
     assign,
+    chosen_rows,
     frozen,
     frozen_index,
     of_kind,
@@ -104,7 +105,7 @@ class TiePoints:
             ids=self.ids[which],
             kinds=self.kinds[which],
             places=self.places[which],
-            covariances=self.covariances[which],
+            covariances=chosen_rows(self.covariances, which),
             measure_point=new[left.measure_point],
         )
 

@@ -19,7 +19,7 @@ from mgsgraph.geometry.altimetry import (
 )
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, concatenated
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network import (
@@ -287,11 +287,11 @@ class Parts:
         wanted: TerrainInput | None = None,
     ) -> Network:
         """All of it as one network; tie points lie on the terrain model, if there is one, as `wanted`."""
-        points = GroundPoints(self._ids(), *(np.concatenate(part) for part in zip(*self._points, strict=True)))
+        points = GroundPoints(self._ids(), *(concatenated(part) for part in zip(*self._points, strict=True)))
         if not self._rays:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
         back_projected = np.concatenate(self._back_projected)
-        point, image, places, sigmas = (np.concatenate(part) for part in zip(*self._rays, strict=True))
+        point, image, places, sigmas = (concatenated(part) for part in zip(*self._rays, strict=True))
         rays = ImageRays(point, image, places, sigmas, back_projected)
         empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
         ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))

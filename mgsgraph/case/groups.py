@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.common_errors import overlap_variances
-from mgsgraph.geometry.records import Index
+from mgsgraph.geometry.records import Index, chosen_rows, concatenated
 from mgsgraph.io.files import understood
 from mgsgraph.io.records import read_record
 from mgsgraph.names import Names, RepeatedNames
@@ -104,7 +104,7 @@ def merged(groups: Sequence[TiePoints]) -> TiePoints:
     _require_new_measures(groups, points, ids)
 
     def of_points(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(group, name) for group in groups])[source]
+        return chosen_rows(concatenated([getattr(group, name) for group in groups]), source)
 
     return TiePoints(
         source=", ".join(dict.fromkeys(group.source for group in groups)),
@@ -126,7 +126,7 @@ def _best_sources(groups: Sequence[TiePoints], number: Index, file_of: Index, co
     `number` (p,) and `file_of` (p,) are the point and the file of each of them.
     """
     kinds, places, covariances = (
-        np.concatenate([getattr(group, name) for group in groups]) for name in ("kinds", "places", "covariances")
+        concatenated([getattr(group, name) for group in groups]) for name in ("kinds", "places", "covariances")
     )
     rank = np.where(kinds != PointKind.FREE, 0, np.where(np.isnan(places[:, 0]), 2, 1))
     order = np.lexsort([np.arange(number.size), rank, number])

@@ -44,6 +44,28 @@ def repeated(value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return np.broadcast_to(one, shape)
 
 
+def repeats(values: NDArray[Any]) -> bool:
+    """Whether an array holds one value again and again, in the memory of one (`repeated`)."""
+    return values.size > 1 and not any(values.strides)
+
+
+def chosen_rows(values: NDArray[_Scalar], rows: Index | Mask) -> NDArray[_Scalar]:
+    """Some rows of an array (n, ...); of one that repeats a value no more memory than before."""
+    if repeats(values):
+        return np.broadcast_to(values[:1], (np.arange(len(values))[rows].size, *values.shape[1:]))
+    return values[rows]
+
+
+def concatenated(parts: Sequence[NDArray[_Scalar]]) -> NDArray[_Scalar]:
+    """Arrays (n, ...) one after another; a single one as it is, those that repeat one value in the memory of one."""
+    full = [part for part in parts if part.size]
+    if len(full) == 1:
+        return full[0]
+    if full and all(repeats(part) and part.flat[0] == full[0].flat[0] for part in full):
+        return np.broadcast_to(full[0][:1], (sum(map(len, full)), *full[0].shape[1:]))
+    return np.concatenate(parts)
+
+
 def frozen(value: ArrayLike, where: str, shape: tuple[int | None, ...]) -> Array:
     """Copy to a read-only float64 array after checking its shape and that all of it is finite; what nobody can write to
     is not copied.

@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import SUPPORT
-from mgsgraph.geometry.records import Index, Mask
+from mgsgraph.geometry.records import Index, Mask, chosen_rows, concatenated
 from mgsgraph.names import Names
 from mgsgraph.network.definitions import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
@@ -139,7 +139,7 @@ def part(network: Network, points: Index) -> Network:
             own.classes[points],
             own.kinds[points],
             own.places[points],
-            own.covariances[points],
+            chosen_rows(own.covariances, points),
         ),
         replace(seen, point=place[seen.point], image=image[seen.image]),
         replace(shot, point=place[shot.point], image=image[shot.image]),
@@ -296,7 +296,7 @@ def _joined_considered(networks: Sequence[Network]) -> tuple[str, ...]:
 
 
 def _columns(rows: Iterable[tuple[NDArray[Any], ...]]) -> list[NDArray[Any]]:
-    return [np.concatenate(column) for column in zip(*rows, strict=True)]
+    return [concatenated(column) for column in zip(*rows, strict=True)]
 
 
 def _joined_points(networks: Sequence[Network]) -> tuple[list[Index], GroundPoints]:
@@ -322,7 +322,7 @@ def _joined_points(networks: Sequence[Network]) -> tuple[list[Index], GroundPoin
     for k in np.flatnonzero(apart)[:1]:
         found = f"two a-priori places, {np.linalg.norm(places[k] - places[source[where[k]]]):.3g} m apart"
         raise InputError(f"point {ids[where[k]]}", found, "one", "give new points other names")
-    return place_of, GroundPoints(ids, classes[source], kinds[source], places[source], covariances[source])
+    return place_of, GroundPoints(ids, classes[source], kinds[source], places[source], chosen_rows(covariances, source))
 
 
 def _joined_rays(

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import frozen, frozen_index, require_covariances, require_names
+from mgsgraph.geometry.records import (
+    chosen_rows,
+    concatenated,
+    frozen,
+    frozen_index,
+    repeated,
+    require_covariances,
+    require_names,
+)
 
 
 def test_frozen_copies_and_can_not_be_written() -> None:
@@ -88,3 +96,29 @@ def test_names_that_no_terminal_should_be_given(name: str) -> None:
     require_names(("é", "image 2"), "images")
     with pytest.raises(InputError, match="images"):
         require_names(("é", name), "images")
+
+
+@pytest.mark.parametrize("parts", [[3], [2, 4], [0, 3, 0], [1, 1]])
+def test_a_repeated_value_takes_the_memory_of_one(parts: list[int]) -> None:
+    """Chosen, joined and kept by a record it is what the full array is."""
+    blocks = [repeated(0.0, (n, 3, 3)) for n in parts]
+    together, rows = concatenated(blocks), np.array([0, sum(parts) - 1, 0])
+    mixed = concatenated([*blocks, np.ones((2, 3, 3))])
+    assert together.shape == (sum(parts), 3, 3)
+    assert frozen(together, "x", (None, 3, 3)) is together
+    assert chosen_rows(together, rows).shape == (3, 3, 3)
+    assert not any(chosen_rows(together, rows).strides)
+    np.testing.assert_array_equal(mixed, np.concatenate([np.zeros((sum(parts), 3, 3)), np.ones((2, 3, 3))]))
+    np.testing.assert_array_equal(chosen_rows(mixed, rows), mixed[rows])
+
+
+def test_what_nobody_can_write_to_is_not_copied() -> None:
+    given = np.arange(3.0)
+    assert frozen(given, "x", (3,)) is not given
+    given.flags.writeable = False
+    assert frozen(given, "x", (3,)) is given
+    assert frozen(given[1:], "x", (2,)).base is given
+    owner = np.arange(3.0)
+    view = owner.view()
+    view.flags.writeable = False
+    assert frozen(view, "x", (3,)).base is None  # the owner may still be written to
