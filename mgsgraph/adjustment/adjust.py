@@ -237,7 +237,7 @@ def _nominal(
     def again(anew: Layout) -> Reduction:
         return BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
 
-    layout, before = settled(layout, before, again)
+    layout, before = settled(layout, before, again, own=True)
     return layout, replace(selection, stereo=wanted.stereo), before
 
 

@@ -12,7 +12,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.graph.sorting import followed
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import OUT, PREDICTED
@@ -32,43 +33,49 @@ _BEYOND = 0.5
 """Share of an image's lines by which a predicted line may lie before it or after it."""
 
 
-def about_predicted_lines(layout: Layout, orientation: Array, points: Array, near: float = NEAR) -> Layout:
+def about_predicted_lines(
+    layout: Layout, orientation: Array, points: Array, near: float = NEAR, own: bool = False
+) -> Layout:
     """The layout itself where its rays are laid out about the lines predicted by shared unknowns (columns,) and points
     (n, 3), layout order, to `near` lines, and its stereo rows are linear about these; else one where they are. In the
-    measured-line form lines are what they are.
+    measured-line form lines are what they are. A layout that is the caller's `own` is renewed in place: nobody uses it
+    afterwards.
     """
-    now = layout if layout.model.line != PREDICTED else _about_lines(layout, orientation, points, near)
+    now = layout if layout.model.line != PREDICTED else _about_lines(layout, orientation, points, near, own)
     return now.about_stereo(layout.network_order(points), orientation)
 
 
-def _about_lines(layout: Layout, orientation: Array, points: Array, near: float) -> Layout:
+def _about_lines(layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
     """The layout, or one whose rays are laid out about their predicted lines."""
-    network, now = layout.network, layout
-    size = np.array([image.lines for image in network.images], dtype=np.float64)[network.rays.image]
-    places, taken = layout.network_order(points), (layout.network_order(layout.rows.kind) != OUT)[network.rays.point]
+    network, now, rays = layout.network, layout, layout.network.rays
+    size = np.array([image.lines for image in network.images], dtype=np.float64)
+    lines = np.empty(now.lines.size)
     for _ in range(_MOST):
-        found = residuals(now, orientation, places[now.point_order]).image[:, 0]
-        lines = network.rays.places[:, 0] - found
-        lines = np.clip(np.where(taken & np.isfinite(lines), lines, now.lines), -_BEYOND * size, (1.0 + _BEYOND) * size)
+        values = IN_PROCESS.residuals(now, now.rows, orientation, points)
+        ways = now.observation_rows.rays, now.rows.kind, rays.point, now.patterns.point_index, rays.image
+        moved = followed(now.lines, rays.places, values, *ways, size, _BEYOND, OUT, lines)
         bent = np.abs(orientation - now.bent)[now.bending].max(initial=0.0)
-        if np.abs(lines - now.lines).max(initial=0.0) <= near and bent <= _UNBENT:
+        if moved <= near and bent <= _UNBENT:
             break
-        now = now.about(lines, orientation)
+        anew = now.about(lines, orientation, own or now is not layout)
+        if anew.patterns is not now.patterns:
+            points = now.network_order(points)[anew.point_order]
+        lines, now = np.empty(lines.size) if now is layout else now.lines, anew
     return now
 
 
 def settled(
-    layout: Layout, reduction: Reduction, again: Callable[[Layout], Reduction]
+    layout: Layout, reduction: Reduction, again: Callable[[Layout], Reduction], own: bool = False
 ) -> tuple[Layout, Reduction]:
     """Layout and reduction of points that follow their lines, and lines their points, the shared unknowns held.
 
-    `again` solves the points of another layout for the same unknowns.
+    `again` solves the points of another layout for the same unknowns; `own` as of `about_predicted_lines`.
     """
     for _ in range(_MOST):
-        anew = about_predicted_lines(layout, reduction.orientation, reduction.points)
+        anew = about_predicted_lines(layout, reduction.orientation, reduction.points, own=own)
         if anew is layout:
             break
-        layout, reduction = anew, again(anew)
+        layout, reduction, own = anew, again(anew), True
     return layout, reduction
 
 

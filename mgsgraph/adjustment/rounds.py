@@ -199,7 +199,8 @@ def _solve_exactly(
     solved = _solve(graph, selection, orientation, known, settings, progress)
     initial, history = solved.cost_initial, solved.history
     for _ in range(_MOST_LAYOUTS):
-        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points)
+        own = solved.layout is not layout or settings.reject == 0.0  # a search looks at earlier passes again
+        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, own=own)
         if anew is solved.layout or not solved.outcome.converged:
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)

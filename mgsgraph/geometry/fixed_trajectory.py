@@ -22,7 +22,7 @@ class FixedTrajectory:
     @property
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, at which it holds."""
-        return self._sampled.coverage
+        return self.sampled.coverage
 
     @property
     def spin(self) -> Array | None:
@@ -30,7 +30,7 @@ class FixedTrajectory:
         return None
 
     @property
-    def _sampled(self) -> Trajectory:
+    def sampled(self) -> Trajectory:
         """The same with the body's axes for inertial ones."""
         unturned = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
         still = AttitudeTable(self.position.times[[0, -1]], unturned, np.eye(3))
@@ -38,8 +38,8 @@ class FixedTrajectory:
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
-        self._sampled.require(times, where, slack)
+        self.sampled.require(times, where, slack)
 
     def pose(self, times: Array) -> Pose:
         """Pose at times (n,) in s past the epoch, rates per second; outside the tables their outer intervals go on."""
-        return self._sampled.pose(times)
+        return self.sampled.pose(times)

@@ -161,7 +161,9 @@ class Partitions:
         """Go on with a layout made of the same network: one whose rays are laid out anew, or that has another loss, has
         partitions of its own.
         """
-        if layout.patterns is not self._layout.patterns or layout.model != self._layout.model:
+        now = self._layout
+        same = all(getattr(layout, name) is getattr(now, name) for name in ("patterns", "lines", "stereo"))
+        if not same or layout.model != now.model:
             self._cluster.call_all(forget, [part.token for part in self._parts])
             self._divide(layout)
 

@@ -1,7 +1,13 @@
-"""Constants of image rays put where the kernel reads them, and where points' nominal rays cross; compiled."""
+"""Constants of image rays put where the kernel reads them, and where points' nominal rays cross; compiled.
+
+All of it goes over the rays of some neighbouring pieces, observation by observation as they lie in the data: of each
+of these r rays there is its number in the network, where its constants begin, the step to the next one, and its place
+among all observations.
+"""
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.poses import pose_at, tables_of
 from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
@@ -12,15 +18,36 @@ from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
 make_equations_compilable()
 
 
-@compiled
-def destination(point, slot, point_index, piece_of, piece, before):
-    """Where an observation's constants begin in the data, the step to the next one, and its index among all
-    observations.
+@cached_kernel
+def places_of_rays(point, slot, point_index, piece_of, piece, among, ray):
+    """Place (k,) of each network ray among all t observations, and the way back: `ray` (t,), -1 for other ones."""
+    ray[:] = -1
+    for k in range(point.size):
+        index = point_index[point[k]]
+        p = piece_of[index]
+        among[k] = piece[p, 4] + slot[k] * piece[p, 2] + index - piece[p, 1]
+        ray[among[k]] = k
+
+
+@cached_kernel
+def rays_inside(first, last, piece, before, observation, rays, image, ray, found, at, stride, place, of_image):
+    """The rays of the pieces first .. last - 1, their number returned.
+
+    `observation` (q + 1,) is each pattern's first one, `rays` (q,) how many of them, the first ones, are image rays,
+    `image` (s,) whose they are, `ray` (t,) as of `places_of_rays`. Filled are (r,) arrays: network ray, where its
+    constants begin, step, place among all observations, image.
     """
-    index = point_index[point]
-    p = piece_of[index]
-    inside, stride = index - piece[p, 1], piece[p, 2]
-    return piece[p, 3] + stride * before[piece[p, 0], slot] + inside, stride, piece[p, 4] + slot * stride + inside
+    count = 0
+    for p in range(first, last):
+        pattern, size = piece[p, 0], piece[p, 2]
+        for s in range(rays[pattern]):
+            for inside in range(size):
+                index = piece[p, 4] + s * size + inside
+                found[count], place[count] = ray[index], index
+                at[count], stride[count] = piece[p, 3] + size * before[pattern, s] + inside, size
+                of_image[count] = image[observation[pattern] + s]
+                count += 1
+    return count
 
 
 @compiled
@@ -43,119 +70,151 @@ def rows_of(matrix):
 
 
 @compiled
-def origin_of(point, slot, store):
-    """Origin (m) of a nominal ray that `put_rays` has put there."""
-    point_index, piece_of, piece, before, data = store
-    at, s, _ = destination(point, slot, point_index, piece_of, piece, before)
-    return data[at], data[at + s], data[at + 2 * s]
+def put_look(attitude, data, at, stride, focal, units, c):
+    """The unit direction of a ray whose detector pixel is at `at` in the data."""
+    look = transform(transpose(attitude), (data[at], data[at + stride], focal))
+    units[c, 0], units[c, 1], units[c, 2] = scale(1.0 / np.sqrt(dot(look, look)), look)
 
 
 @cached_kernel
-def put_rays(
-    mine,
-    point,
-    slot,
-    sigmas,
-    store,
-    angles,
-    predicted,
-    pose,
-    detector,
-    focal,
-    slope,
-    scales,
-    offset,
-    u,
-    basis,
-    effects,
-    among,
-    weight,
-    units,
-):
-    """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_observation` takes them.
-
-    `store` is (point_index, piece_of, piece, before, data), `pose` (positions, matrices, velocities, angular rates or
-    rates of the angles), `scales` (m, 4 or 0) where S of the measured-line form is known already, `offset` (m,)
-    lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of
-    nodes. What is filled beside the constants: the ray's index among all observations, weights, and unit
-    directions.
+def put_detectors(mine, ray, at, stride, place, sigmas, first, predicted, detector, slope, data, weight):
+    """Detector pixels (m, 2) of the rays `mine` (m,), component `first` of each, their slopes in the strict form, and
+    the weights.
     """
-    point_index, piece_of, piece, before, data = store
+    for r in range(mine.size):
+        c = mine[r]
+        k, index = ray[c], place[c]
+        weight[0, index], weight[1, index] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
+        there = at[c] + first * stride[c]
+        there = put(data, there, stride[c], (detector[r, 0], detector[r, 1]))
+        if predicted:
+            put(data, there + 6 * stride[c], stride[c], (slope[r, 0], slope[r, 1]))
+
+
+@cached_kernel
+def put_sampled(ray, at, stride, image, tables, focal, size, polynomial, measured, lines, data, units):
+    """Nominal poses of the rays whose images have `tables` (`poses.PoseTables`), about lines (k,), in the strict form,
+    angles about the camera's axes.
+
+    `size` (m,) are the images' lines, `polynomial` (m,) says of which u is stored, `measured` (k, 2) are the measured
+    places. `units` (r, 3) are filled with unit directions where there is room for them.
+    """
+    before, own = np.int64(-1), tables_of(tables, 0)
+    for c in range(ray.size):
+        j, k, step = image[c], ray[c], stride[c]
+        if not tables.sampled[j]:
+            continue
+        if j != before:
+            before, own = j, tables_of(tables, j)
+        line = lines[k]
+        position, velocity, attitude, turning = pose_at(line, *own)
+        there = put(data, at[c], step, position)
+        there = put(data, there, step, matrix_quaternion(attitude))
+        if units.shape[0] > 0:
+            put_look(attitude, data, there, step, focal[j], units, c)
+        there = put(data, there + 2 * step, step, velocity)
+        there = put(data, there, step, turning) + 2 * step
+        data[there] = line - measured[k, 0]
+        if polynomial[j]:
+            data[there + step] = 2.0 * line / size[j] - 1.0
+
+
+@cached_kernel
+def put_poses(mine, at, stride, angles, predicted, pose, focal, scales, slope, offset, tail, data, units):
+    """Constants of one image's rays `mine` (m,) that follow from their lines, in the order in which
+    `kernel.tile.load_observation` takes them.
+
+    `pose` is (positions, matrices, velocities, angular rates or rates of the angles), `scales` (m, 4 or 0) S of the
+    measured-line form where it is known already, `slope` (m, 2 or 0) that of the detector line where it isn't there
+    yet, `offset` (m,) lines from the measured line, `tail` (m, c) what comes last: the line u of a polynomial, or
+    values and rates of nodes, then directions. `units` (r, 3) are filled with unit directions where there is room.
+    """
     position, matrix, velocity, angular_rate = pose
     for r in range(mine.size):
-        k = mine[r]
-        at, stride, index = destination(point[k], slot[k], point_index, piece_of, piece, before)
-        among[k] = index
-        weight[0, index], weight[1, index] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
-        at = put(data, at, stride, vector(position, r))
+        c = mine[r]
+        step = stride[c]
+        there = put(data, at[c], step, vector(position, r))
         attitude = rows_of(matrix[r])
         if angles == CAMERA:
-            at = put(data, at, stride, matrix_quaternion(attitude))
+            there = put(data, there, step, matrix_quaternion(attitude))
         else:
-            at = put(data, at, stride, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
-        at = put(data, at, stride, (detector[r, 0], detector[r, 1]))
-        look = transform(transpose(attitude), (detector[r, 0], detector[r, 1], focal))
-        units[k, 0], units[k, 1], units[k, 2] = scale(1.0 / np.sqrt(dot(look, look)), look)
+            there = put(data, there, step, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
+        if units.shape[0] > 0:
+            put_look(attitude, data, there, step, focal, units, c)
+        there += 2 * step
         if predicted:
-            at = put(data, at, stride, vector(velocity, r))
-            at = put(data, at, stride, vector(angular_rate, r))
-            at = put(data, at, stride, (slope[r, 0], slope[r, 1], offset[r]))
+            there = put(data, there, step, vector(velocity, r))
+            there = put(data, there, step, vector(angular_rate, r))
+            for a in range(slope.shape[1]):
+                data[there + a * step] = slope[r, a]
+            data[there + 2 * step] = offset[r]
+            there += 3 * step
         else:
-            for c in range(scales.shape[1]):
-                data[at + c * stride] = scales[r, c]
-            at += 4 * stride
-        for values in (u, basis, effects):
-            for c in range(values.shape[1]):
-                data[at] = values[r, c]
-                at += stride
+            for a in range(scales.shape[1]):
+                data[there + a * step] = scales[r, a]
+            there += 4 * step
+        for a in range(tail.shape[1]):
+            data[there] = tail[r, a]
+            there += step
 
 
 @cached_kernel
-def put_scale(mine, point, slot, store, first, values):
-    """The scale (m, 4) of the measured-line form, component `first` of each ray."""
-    point_index, piece_of, piece, before, data = store
+def put_scale(mine, at, stride, first, values, data):
+    """The scale (m, 4) of the measured-line form, component `first` of each of the rays `mine` (m,)."""
     for r in range(mine.size):
-        at, stride, _ = destination(point[mine[r]], slot[mine[r]], point_index, piece_of, piece, before)
-        for c in range(4):
-            data[at + (first + c) * stride] = values[r, c]
+        for a in range(4):
+            data[at[mine[r]] + (first + a) * stride[mine[r]]] = values[r, a]
+
+
+@compiled
+def origin_of(data, at, stride):
+    """Origin (m) of a nominal ray."""
+    return data[at], data[at + stride], data[at + 2 * stride]
 
 
 @cached_kernel
-def crossings(point_order, begin, order, slot, store, units, wanted, positions, apart):
+def crossings(first, last, piece, before, rays, point_order, data, units, wanted, positions, apart):
     """Where the nominal rays of points cross, and how far apart they point.
 
     Parameters
     ----------
+    first, last
+        Pieces first .. last - 1.
+    piece, before, rays
+        As of `rays_inside`.
     point_order : (n,)
         Network point at each index of the layout.
-    begin, order : (n + 1,), (k,)
-        Rays of each point (`sorting.by_point`).
-    slot : (k,)
-    store
-        As of `put_rays`.
-    units : (k, 3)
+    data
+        With the origins of the rays.
+    units : (r, 3)
         Directions of the rays, body-fixed.
     wanted : (n,)
         Points whose position is asked for.
-    places : (n, 3)
+    positions : (n, 3)
         m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
     apart : (n,)
         rad between the outermost rays, about: filled for all; zero for fewer than two.
     """
-    for i in point_order:  # as the constants lie
-        count, origin = begin[i + 1] - begin[i], (0.0, 0.0, 0.0)
-        normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        for r in range(begin[i], begin[i + 1]):
-            centre = origin_of(i, slot[order[r]], store)
-            origin = centre if r == begin[i] else origin
-            normal, right = add_ray(normal, right, subtract(centre, origin), vector(units, order[r]))
-        weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
-        apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
-        if wanted[i]:
-            found = solve_symmetric(normal, right)
-            usable = weakest > 1e-14
-            for r in range(begin[i], begin[i + 1] if usable else 0):  # rays that part meet behind their cameras
-                ahead = subtract(add(found, origin), origin_of(i, slot[order[r]], store))
-                usable &= dot(ahead, vector(units, order[r])) > 0.0
-            for j in range(3):
-                positions[i, j] = found[j] + origin[j] if usable else positions[i, j]
+    begin = 0
+    for p in range(first, last):
+        pattern, size = piece[p, 0], piece[p, 2]
+        count = rays[pattern]
+        for inside in range(size):
+            i, start, origin = point_order[piece[p, 1] + inside], piece[p, 3] + inside, (0.0, 0.0, 0.0)
+            normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            for s in range(count):
+                centre = origin_of(data, start + size * before[pattern, s], size)
+                origin = centre if s == 0 else origin
+                look = vector(units, begin + s * size + inside)
+                normal, right = add_ray(normal, right, subtract(centre, origin), look)
+            weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
+            apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
+            if wanted[i]:
+                found = solve_symmetric(normal, right)
+                usable = weakest > 1e-14
+                for s in range(count if usable else 0):  # rays that part meet behind their cameras
+                    ahead = subtract(add(found, origin), origin_of(data, start + size * before[pattern, s], size))
+                    usable &= dot(ahead, vector(units, begin + s * size + inside)) > 0.0
+                for a in range(3):
+                    positions[i, a] = found[a] + origin[a] if usable else positions[i, a]
+        begin += count * size

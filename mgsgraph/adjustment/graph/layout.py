@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
+from mgsgraph.adjustment.graph.rays import RayConstants
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows, with_stereo
 from mgsgraph.adjustment.graph.shared import bends
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
@@ -69,6 +70,8 @@ class Layout:
     bent: Array
     """(columns,) shared unknowns with which the slopes of detector lines are those of adjusted interior orientations;
     of the others it says nothing."""
+    rays: RayConstants
+    """What renews the constants of image rays."""
 
     @cached_property
     def cholesky(self) -> SparseCholesky:
@@ -144,28 +147,45 @@ class Layout:
         assert anew is not None
         anew = anew._replace(steps=steps)
         if not np.array_equal(anew.sides, self.stereo.sides):
-            return replace(self, stereo=anew).about(self.lines)
+            return replace(self, stereo=anew)._sorted_anew(self.lines, self.bent)
         rows = with_stereo(self.network, self.patterns, self.rows, anew)
-        return replace(self, stereo=anew, rows=rows)
+        return self._with(stereo=anew, rows=rows)
 
     def with_loss(self, loss: Loss) -> "Layout":
         """The same with another loss, at its customary width."""
-        return replace(self, model=self.model._replace(loss=_LOSSES[loss], width=LOSS_WIDTHS[loss]))
+        return self._with(model=self.model._replace(loss=_LOSSES[loss], width=LOSS_WIDTHS[loss]))
 
     @property
     def without_steps(self) -> "Layout":
         """The same, its stereo rows as they are where an optimisation begins: no step has led there."""
         if self.stereo is None or not self.stereo.steps:
             return self
-        return replace(self, stereo=self.stereo._replace(steps=()))
+        return self._with(stereo=self.stereo._replace(steps=()))
 
-    def about(self, lines: Array, shared: Array | None = None) -> "Layout":
+    def about(self, lines: Array, shared: Array | None = None, own: bool = False) -> "Layout":
         """The same network, points in and out, starting positions and stereo rows, its rays laid out about other lines
-        (k,), and slopes of detector lines about other shared unknowns (columns,).
+        (k,), and slopes of detector lines about other shared unknowns (columns,). Where this layout is the caller's
+        `own`, its rows are renewed in place: nobody uses it afterwards.
         """
-        starts, kinds = self.network_order(self.rows.start), self.network_order(self.rows.kind)
         bent = self.bent if shared is None else shared
-        return _lay_out(self.network, self.model, self.variables, None, lines, (starts, kinds), self.stereo, bent)
+        terms = Terms(self.network, self.variables, lines)
+        if self.model.line != PREDICTED or not self.rays.renewable(terms):
+            return self._sorted_anew(lines, bent)
+        rows = self.rows if own else self.rows._replace(data=self.rows.data.copy())
+        self.rays.renew(rows.data, terms, bent)
+        return self._with(rows=rows, lines=lines, bent=bent)
+
+    def _sorted_anew(self, lines: Array, bent: Array) -> "Layout":
+        """The same about other lines, where rays come to depend on other nodes: they have other patterns."""
+        like = self.network_order(self.rows.start), self.network_order(self.rows.kind)
+        return _lay_out(self.network, self.model, self.variables, None, lines, like, self.stereo, bent)
+
+    def _with(self, **changes: Any) -> "Layout":
+        """The same with other rows of the same observations; the order of elimination stays."""
+        other = replace(self, **changes)
+        if "cholesky" in self.__dict__:
+            other.__dict__["cholesky"] = self.cholesky
+        return other
 
     def active(self, rays: Mask, ranges: Mask, out: Mask, stereo: Mask | None = None) -> Rows:
         """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't, points (n,) whose
@@ -229,12 +249,14 @@ def _lay_out(
     are starting positions and kinds to keep, network order.
     """
     terms = Terms(network, variables, lines)
-    patterns, rays_of = sort_points(network, terms, stereo)
-    observations, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like, stereo, bent)
+    patterns, slot = sort_points(network, terms, stereo)
+    laid = lay_out_rows(network, model, variables, patterns, slot, terms, known, like, stereo, bent)
+    observations, rows, rays = laid
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
     blocks = pair_blocks(variables, groups, prior.pairs)
     information = prior.information(blocks)
     return Layout(
-        network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo, bent
-    )
+        network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo,
+        bent, rays,
+    )  # fmt: skip

@@ -91,8 +91,6 @@ class Patterns:
     """(m,) pattern of each piece."""
     piece_first: Index
     """(m + 1,) first point of each piece."""
-    ray_slot: NDArray[np.int32]
-    """(k,) index of each network ray among its point's observations."""
     range_slot: NDArray[np.int32]
     """(r,) the same of each network range."""
 
@@ -122,9 +120,9 @@ class Patterns:
 
 def sort_points(
     network: Network, terms: Terms, stereo: StereoRows | None
-) -> tuple[Patterns, tuple[Index, NDArray[np.int32]]]:
-    """Find the patterns of a network's points, told apart by 64-bit signatures of what they see; and the rays of each
-    point (`sorting.by_point`: begin, order).
+) -> tuple[Patterns, NDArray[np.int32]]:
+    """Find the patterns of a network's points, told apart by 64-bit signatures of what they see; and (k,) the index of
+    each ray among its point's observations.
     """
     rays, ranges, n = network.rays, network.ranges, len(network.points)
     of_rays = by_point(rays.point, rays.image, terms.of_rays, n)
@@ -162,9 +160,9 @@ def sort_points(
         of_example.image[of_order], of_example.node[of_order], of_example.width[of_order], of_example.terms[of_order],
         of_example.shared[of_order], entry, of_example.variable[entries], of_example.inside[entries], member[entries],
         point_order, point_index, np.repeat(np.arange(order.size), pieces),
-        np.append(np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE, number.size), of_rays[2], range_slot,
+        np.append(np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE, number.size), range_slot,
     )  # fmt: skip
-    return patterns, of_rays[:2]
+    return patterns, of_rays[2]
 
 
 def _runs(first: Index, order: Index) -> tuple[Index, Index]:

@@ -6,37 +6,30 @@ them.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.filling import crossings, put_rays, put_scale
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
-from mgsgraph.adjustment.graph.scales import angle_rates, frozen_scale, peer_scale
+from mgsgraph.adjustment.graph.rays import Crossing, RayConstants
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.variables import Terms, Variables
-from mgsgraph.compiled import in_threads, shares
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import (
-    CAMERA,
     FIXED,
     FREE,
     IMAGE,
     MEASURED,
     OPK_PEER,
     OUT,
-    PREDICTED,
     PRIOR,
     Model,
     Rows,
@@ -46,8 +39,6 @@ from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 _Component = TypeVar("_Component", int, Index)
-_WORTHWHILE = 5000
-"""Observations below which threads cost more than they save."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +53,6 @@ class _Store:
     """(m, 5) as in Rows."""
     data: Array
     """What is being filled."""
-
-    @cached_property
-    def tables(self) -> tuple[Index, NDArray[np.int32], Index, Index, Array]:
-        """The same for compiled code (`filling.put_rays`)."""
-        piece_of = np.repeat(np.arange(self.piece.shape[0], dtype=np.int32), self.piece[:, 2])
-        return self.patterns.point_index, piece_of, self.piece, self.before, self.data
 
     def place(self, points: Index, slots: NDArray[np.integer[Any]]) -> tuple[Index, Index, Index]:
         """For the `slots`-th observations of network `points`: first index in `data`, step to the next component, and
@@ -107,35 +92,35 @@ def lay_out_rows(
     model: Model,
     variables: Variables,
     patterns: Patterns,
-    rays_of: tuple[Index, NDArray[np.int32]],
+    slot: NDArray[np.int32],
     terms: Terms,
     known: Array | None,
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
     bent: Array,
-) -> tuple[ObservationRows, Rows]:
-    """Rows of a network in the kernel's order, and where each is.
+) -> tuple[ObservationRows, Rows, RayConstants]:
+    """Rows of a network in the kernel's order, where each is, and what renews those of image rays.
 
-    `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) positions at which to
+    `slot` (k,) is each ray's index among its point's observations, `known` (n, 3) positions at which to
     begin; `like` starting positions (n, 3) and kinds (n,) to keep as they are, network order. `bent` (columns,) are the
     shared unknowns with which the slopes of detector lines are those of adjusted interior orientations.
     """
     tables = _observation_tables(network, model, variables, patterns)
     store = _make_store(patterns, tables["observation_numbers"])
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
-    effects = SharedEffects(network, model)
-    values = variables.split(bent)
-    rays, parts, units = _fill_rays(network, model, store, terms, effects, weight, values)
-    ranges = _fill_ranges(network, store, terms, effects, weight)
+    crossing = None if like else _begin_crossing(network, known)
+    rays = RayConstants(network, model, variables, patterns, slot, store.piece, store.before)
+    rays.fill(store.data, weight, terms, bent, crossing)
+    ranges = _fill_ranges(network, store, terms, rays.effects, weight)
     _fill_ground(network, store, weight)
-    starts, kinds = like or _starting_points(network, store, rays_of, units, known)
+    starts, kinds = like or _starting_points(network, crossing)
     if model.line == MEASURED and model.angles != OPK_PEER:
-        _fill_scales(network, model, store, parts, starts)
+        rays.fill_scales(store.data, starts)
     on_terrain = _fill_surface(network, store, starts, weight)
-    observation_rows = ObservationRows(rays, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
+    observation_rows = ObservationRows(rays.among, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
     order = patterns.point_order
     spline = None if network.surface is None else network.surface.grid.spline()
-    rows = Rows(
+    laid = Rows(
         kind=kinds[order],
         start=starts[order],
         data=store.data,
@@ -145,7 +130,7 @@ def lay_out_rows(
         terrain=np.zeros((0, 0)) if spline is None else spline.coefficients,
         terrain_frame=np.zeros(4) if spline is None else np.array([*spline.first, *spline.step]),
     )
-    return observation_rows, rows
+    return observation_rows, laid, rays
 
 
 def with_stereo(network: Network, patterns: Patterns, rows: Rows, stereo: StereoRows) -> Rows:
@@ -203,59 +188,6 @@ def _by_image(images: Index, count: int) -> list[Index]:
     """Rows of each image."""
     order, _, sizes = counted(images, count)
     return np.split(order, np.cumsum(sizes)[:-1])
-
-
-def _fill_rays(
-    network: Network,
-    model: Model,
-    store: _Store,
-    terms: Terms,
-    effects: SharedEffects,
-    weight: Array,
-    values: Sequence[Array],
-) -> tuple[NDArray[np.int32], list[Index], Array]:
-    """Constants of the image rays, but for the scale of the measured-line form; the place of each among
-    all observations, the rays of each image, and unit directions (k, 3).
-    """
-    rays, predicted = network.rays, model.line == PREDICTED
-    among, units = np.empty(rays.point.size, dtype=np.int32), np.empty((rays.point.size, 3))
-    parts = _by_image(rays.image, len(network.images))
-
-    def fill(j: int) -> None:
-        image, mine = network.images[j], parts[j]
-        lines, samples = terms.lines[mine], rays.places[mine, 1]
-        axes, focal_length = network.axes_of(j), image.interior.focal_length
-        pose = image.pose(lines).in_axes(axes)
-        detector, slope = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
-        slope = effects.slopes(j, samples, values) if effects.bends(j) else slope
-        angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
-        u, basis = terms.basis(j, lines, terms.of_rays[mine], predicted)
-        shared = effects.of_rays(j, image.normalised(lines), samples)
-        scale = peer_scale(slope) if model.angles == OPK_PEER and not predicted else np.empty((mine.size, 0))
-        put_rays(
-            mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
-            (pose.position, pose.matrix, pose.velocity, angular_rate), detector, focal_length,
-            slope, scale, lines - rays.places[mine, 0], u, basis,
-            shared.reshape(mine.size, math.prod(shared.shape[1:])), among, weight, units,
-        )  # fmt: skip
-
-    in_threads(fill, range(len(parts)), rays.point.size >= _WORTHWHILE)
-    return among, parts, units
-
-
-def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Index], starts: Array) -> None:
-    """The scale of the measured-line form, from the image motion of points at their starting positions."""
-    rays, first = network.rays, 5 + (4 if model.angles == CAMERA else 3)
-
-    def fill(j: int) -> None:
-        image, mine = network.images[j], parts[j]
-        axes, focal_length = network.axes_of(j), image.interior.focal_length
-        pose = image.pose(rays.places[mine, 0]).in_axes(axes)
-        detector = Detector(*image.interior.focal_plane(rays.places[mine, 1])).in_axes(axes, focal_length)
-        scale = frozen_scale(pose, focal_length, starts[rays.point[mine]], detector.slope)
-        put_scale(mine, rays.point, store.patterns.ray_slot, store.tables, first, scale.reshape(-1, 4))
-
-    in_threads(fill, range(len(parts)), rays.point.size >= _WORTHWHILE)
 
 
 def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedEffects, weight: Array) -> Index:
@@ -340,25 +272,23 @@ def _fill_stereo(network: Network, store: _Store, stereo: StereoRows | None, wei
     return among
 
 
-def _starting_points(
-    network: Network, store: _Store, rays_of: tuple[Index, NDArray[np.int32]], units: Array, known: Array | None
-) -> tuple[Array, NDArray[np.int8]]:
-    """(n, 3) m: where each point's inner solve begins: where it is known to be, its a-priori place, or the intersection
-    of its nominal rays; and (n,) what each point is.
-    """
+def _begin_crossing(network: Network, known: Array | None) -> Crossing:
+    """Which points begin where their nominal rays cross: free ones of which nothing else is `known` (n, 3)."""
     starts = network.points.places.copy()
     there = np.zeros(starts.shape[0], dtype=bool)
     if known is not None:
         there = np.all(np.isfinite(known), axis=1)
         starts[there] = known[there]
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~there
-    angles = np.empty(free.size)
-    order, slot = store.patterns.point_order, store.patterns.ray_slot
+    return Crossing(free, starts, np.zeros(free.size))
 
-    def cross(mine: slice) -> None:
-        crossings(order[mine], *rays_of, slot, store.tables, units, free, starts, angles)
 
-    in_threads(cross, shares(order.size, _WORTHWHILE))
+def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array, NDArray[np.int8]]:
+    """(n, 3) m: where each point's inner solve begins: where it is known to be, its a-priori place, or the intersection
+    of its nominal rays; and (n,) what each point is.
+    """
+    assert crossing is not None
+    free, starts, angles = crossing
     require_on_ground(starts[free], angles[free], network.images[0].body, "images and their ties")
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
     _start_on_the_ground(network, missing, starts)

@@ -69,6 +69,10 @@ class SharedEffects:
             column += kind.width
         return found
 
+    def acts_on_rays(self, image: int) -> bool:
+        """Whether shared unknowns act on an image's rays."""
+        return bool(self._mine[IMAGE][image])
+
     def bends(self, image: int) -> bool:
         """Whether shared unknowns change the slope of an image's detector line."""
         return any(bends(self._network, k, image) for k in self._mine[IMAGE][image])

@@ -113,3 +113,20 @@ def counted(number, count):
         order[k], index[i] = i, k
         at[number[i]] = k + 1
     return order, index, sizes
+
+
+@cached_kernel
+def followed(lines, measured, residuals, among, kind, point, point_index, image, size, beyond, out, found):
+    """Predicted lines (k,) of rays, as residuals (t, 2) about `lines` (k,) have them, but for points that are `out` and
+    those that lie nowhere; at most a share `beyond` of an image's lines (`size` (m,)) before it or after it. How far
+    the farthest moves.
+    """
+    farthest = 0.0
+    for k in range(lines.size):
+        line = measured[k, 0] - residuals[among[k], 0]
+        if kind[point_index[point[k]]] == out or not np.isfinite(line):
+            line = lines[k]
+        most = size[image[k]]
+        found[k] = min(max(line, -beyond * most), (1.0 + beyond) * most)
+        farthest = max(farthest, abs(found[k] - lines[k]))
+    return farthest

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import IMAGE
@@ -114,14 +115,18 @@ class Terms:
         rays, ranges = network.rays, network.ranges
         self.lines = lines
         """(k,) line about which each ray is laid out."""
-        self.of_rays = np.full(rays.point.size, -1, dtype=np.int64)
-        """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip."""
-        self.of_ranges = np.full(ranges.point.size, -1, dtype=np.int64)
+        self.of_rays = np.full(rays.point.size, -1, dtype=np.int32)
+        """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip. A small
+        number, for there are many."""
+        self.of_ranges = np.full(ranges.point.size, -1, dtype=np.int32)
         """(r,) the same of each range."""
+        if not network.passes:
+            return
+        order, _, sizes = counted(rays.image, len(network.images))
+        ends = np.cumsum(sizes)
         for strip in network.passes:
             for j in strip.images.tolist():
-                image = network.images[j]
-                mine = np.flatnonzero(rays.image == j)
+                image, mine = network.images[j], order[ends[j] - sizes[j] : ends[j]]
                 times, _ = image.timing.at(self.lines[mine])
                 self.of_rays[mine] = strip.nodes.first_of_four(times, image.trajectory.epoch)
                 mine = np.flatnonzero(ranges.image == j)

@@ -1,0 +1,135 @@
+"""Nominal poses of many images at once, by compiled code: their tables one after another in flat arrays."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.compiled import compiled
+from mgsgraph.factors.algebra import cross, product, scale, subtract, transform, transpose
+from mgsgraph.geometry.compiled_pose import attitude_at, place_at
+from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+
+
+class AttitudeTables(NamedTuple):
+    """Tables of attitude (`geometry.trajectory.AttitudeTable`) of m images, one after another."""
+
+    first: Index
+    """(m + 1,) first sample of each."""
+    times: Array
+    """(a,) s past the epoch of each image's trajectory."""
+    quaternions: Array
+    """(a, 4) inertial to the sampled frame."""
+    turns: Array
+    """(a, 3) rad, to the next sample; zeros at the last one."""
+    constants: Array
+    """(m, 3, 3) sampled frame to the frame that is wanted."""
+
+
+class PoseTables(NamedTuple):
+    """Sampled trajectories and line timing of m images, one after another."""
+
+    sampled: Mask
+    """(m,) whether the image has a sampled trajectory; tables of others are empty."""
+    timing_first: Index
+    """(m + 1,) first segment of each image's line timing."""
+    lines: Array
+    """(s,) line at which each segment begins."""
+    starts: Array
+    """(s,) s past the epoch."""
+    periods: Array
+    """(s,) s per line."""
+    position_first: Index
+    """(m + 1,) first sample of each table of positions."""
+    times: Array
+    """(p,) s past the epoch."""
+    positions: Array
+    """(p, 3) m."""
+    velocities: Array
+    """(p, 3) m/s."""
+    camera: AttitudeTables
+    """Inertial to camera frame."""
+    body: AttitudeTables
+    """Inertial to body-fixed frame."""
+
+
+def pose_tables(images: Sequence[PushbroomImage], wanted: Mask) -> PoseTables:
+    """Tables of images; those that are not `wanted` (m,), and those without sampled trajectories, have empty ones."""
+    trajectories = [_sampled(image) if use else None for image, use in zip(images, wanted.tolist(), strict=True)]
+    timings = [None if one is None else image.timing for image, one in zip(images, trajectories, strict=True)]
+    positions = [None if one is None else one.position for one in trajectories]
+    nothing = np.zeros((0, 3))
+    return PoseTables(
+        np.array([one is not None for one in trajectories]),
+        _first([0 if one is None else one.periods.size for one in timings]),
+        np.concatenate([nothing[:, 0], *(one.first_lines for one in timings if one is not None)]),
+        np.concatenate([nothing[:, 0], *(one.start_times for one in timings if one is not None)]),
+        np.concatenate([nothing[:, 0], *(one.periods for one in timings if one is not None)]),
+        _first([0 if one is None else one.times.size for one in positions]),
+        np.concatenate([nothing[:, 0], *(one.times for one in positions if one is not None)]),
+        np.concatenate([nothing, *(one.positions for one in positions if one is not None)]),
+        np.concatenate([nothing, *(one.velocities for one in positions if one is not None)]),
+        _attitudes([None if one is None else one.camera for one in trajectories]),
+        _attitudes([None if one is None else one.body for one in trajectories]),
+    )
+
+
+def _sampled(image: PushbroomImage) -> Trajectory | None:
+    """The trajectory of an image as tables; None where it is none."""
+    found = image.trajectory
+    if isinstance(found, FixedTrajectory):
+        return found.sampled
+    return found if isinstance(found, Trajectory) else None
+
+
+def _first(sizes: Sequence[int]) -> Index:
+    """Where each of several runs of these sizes begins, and where the last one ends."""
+    return np.concatenate([[0], np.cumsum(np.array(sizes, dtype=np.int64))]).astype(np.int64)
+
+
+def _attitudes(tables: Sequence[AttitudeTable | None]) -> AttitudeTables:
+    there = [one for one in tables if one is not None]
+    turns = [part for one in there for part in (one.turns, np.zeros((1, 3)))]
+    return AttitudeTables(
+        _first([0 if one is None else one.times.size for one in tables]),
+        np.concatenate([np.zeros(0), *(one.times for one in there)]),
+        np.concatenate([np.zeros((0, 4)), *(one.quaternions for one in there)]),
+        np.concatenate([np.zeros((0, 3)), *turns]),
+        np.stack([np.eye(3) if one is None else one.constant for one in tables]),
+    )
+
+
+@compiled
+def tables_of(tables, image):
+    """Timing, table of positions and tables of attitude of one image."""
+    a, b = tables.timing_first[image], tables.timing_first[image + 1]
+    timing = tables.lines[a:b], tables.starts[a:b], tables.periods[a:b]
+    a, b = tables.position_first[image], tables.position_first[image + 1]
+    position = tables.times[a:b], tables.positions[a:b], tables.velocities[a:b]
+    return timing, position, attitude_table(tables.camera, image), attitude_table(tables.body, image)
+
+
+@compiled
+def attitude_table(tables, image):
+    """Table of attitude of one image (`geometry.compiled_pose.attitude_at`)."""
+    a, b = tables.first[image], tables.first[image + 1]
+    return tables.times[a:b], tables.quaternions[a:b], tables.turns[a : b - 1], tables.constants[image]
+
+
+@compiled
+def pose_at(line, timing, position_table, camera_table, body_table):
+    """Body-fixed position and attitude of the camera at a line, and their rates per line: as `PushbroomImage.pose`."""
+    lines, starts, periods = timing
+    k = max(np.searchsorted(lines, line, side="right") - 1, 0)
+    time, period = starts[k] + (line - lines[k]) * periods[k], periods[k]
+    place, motion = place_at(time, position_table)
+    to_camera, camera_turning = attitude_at(time, camera_table)
+    to_body, body_turning = attitude_at(time, body_table)
+    fixed = transform(to_body, place)
+    attitude = product(to_camera, transpose(to_body))
+    velocity = subtract(transform(to_body, motion), cross(body_turning, fixed))
+    turning = subtract(camera_turning, transform(attitude, body_turning))
+    return fixed, scale(period, velocity), attitude, scale(period, turning)

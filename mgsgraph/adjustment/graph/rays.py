@@ -1,0 +1,242 @@
+"""Constants of the image rays, share by share of neighbouring pieces: laid out once, and renewed in place where the
+lines about which they are laid out change.
+"""
+
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.adjustment.graph.filling import (
+    crossings,
+    places_of_rays,
+    put_detectors,
+    put_poses,
+    put_sampled,
+    put_scale,
+    rays_inside,
+)
+from mgsgraph.adjustment.graph.patterns import Patterns
+from mgsgraph.adjustment.graph.poses import PoseTables, pose_tables
+from mgsgraph.adjustment.graph.scales import angle_rates, frozen_scale, peer_scale
+from mgsgraph.adjustment.graph.shared import SharedEffects
+from mgsgraph.adjustment.graph.variables import Terms, Variables
+from mgsgraph.compiled import in_threads
+from mgsgraph.geometry.camera import Detector
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PEER, PREDICTED, Model
+from mgsgraph.network import Network
+
+_SHARE = 1 << 16
+"""Observations that a thread takes at a time."""
+_NO_UNITS = np.empty((0, 3))
+
+
+class _Share(NamedTuple):
+    """The r rays of some neighbouring pieces, in the order of their observations."""
+
+    first: int
+    """Piece."""
+    last: int
+    """Piece after the last one."""
+    ray: NDArray[np.int32]
+    """(r,) network ray."""
+    at: Index
+    """(r,) where its constants begin in the data."""
+    stride: Index
+    """(r,) step to the next one."""
+    place: Index
+    """(r,) among all observations."""
+    image: Index
+    """(r,) whose it is."""
+
+    def groups(self, number: Index, among: Mask | None = None) -> Iterator[tuple[int, Index]]:
+        """Which rays, of some of them (r,), have the same `number` (r,)."""
+        mine = np.arange(self.ray.size) if among is None else np.flatnonzero(among)
+        order = mine[np.argsort(number[mine], kind="stable")]
+        edges = np.flatnonzero(np.diff(number[order], prepend=-1, append=-1)).tolist()
+        for a, b in pairwise(edges):
+            yield int(number[order[a]]), order[a:b]
+
+
+class Crossing(NamedTuple):
+    """Where nominal rays cross; n points in network order."""
+
+    wanted: Mask
+    """(n,) points whose place is asked for."""
+    places: Array
+    """(n, 3) m."""
+    apart: Array
+    """(n,) rad between the outermost rays."""
+
+
+class RayConstants:
+    """Lays out the constants of a network's image rays.
+
+    Parameters
+    ----------
+    network : Network
+    model : Model
+    variables : Variables
+    patterns : Patterns
+    slot : (k,)
+        Index of each ray among its point's observations.
+    piece, before
+        As of `rows.lay_out_rows`.
+    """
+
+    def __init__(
+        self, network: Network, model: Model, variables: Variables, patterns: Patterns, slot: NDArray[np.int32],
+        piece: Index, before: Index,
+    ) -> None:  # fmt: skip
+        self._network, self._model, self._patterns = network, model, patterns
+        self._variables, self._piece, self._before = variables, piece, before
+        self.effects = SharedEffects(network, model)
+        rays = np.concatenate([[0], np.cumsum(patterns.kind == IMAGE)])
+        self._rays = np.diff(rays[patterns.first])
+        begins = np.append(piece[:, 4], int(piece[:, 2] @ np.diff(patterns.first)[piece[:, 0]]))
+        self._begins = begins
+        piece_of = np.repeat(np.arange(piece.shape[0], dtype=np.int32), piece[:, 2])
+        self.among, self._ray = np.empty(slot.size, dtype=np.int32), np.empty(begins[-1], dtype=np.int32)
+        """(k,) place of each ray among all observations; int32, for there are many."""
+        places_of_rays(network.rays.point, slot, patterns.point_index, piece_of, piece, self.among, self._ray)
+
+    def fill(self, data: Array, weight: Array, terms: Terms, bent: Array, crossing: Crossing | None) -> None:
+        """Constants (but for the scale of the measured-line form, `fill_scales`) and weights of all rays, and where
+        they cross; slopes of detector lines with shared unknowns `bent` (columns,).
+        """
+        values, self._nodes = self._variables.split(bent), terms.of_rays if self._network.passes else None
+
+        def part(share: _Share) -> None:
+            self._put_detectors(share, data, weight)
+            units = _NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
+            self._put_poses(share, data, terms, values, units, True)
+            if crossing is not None:
+                crossings(
+                    share.first, share.last, self._piece, self._before, self._rays, self._patterns.point_order, data,
+                    units, *crossing,
+                )  # fmt: skip
+
+        self._each(part)
+
+    def renewable(self, terms: Terms) -> bool:
+        """Whether rays about other lines depend on the same nodes as those that were laid out."""
+        return self._nodes is None or np.array_equal(self._nodes, terms.of_rays)
+
+    def renew(self, data: Array, terms: Terms, bent: Array) -> None:
+        """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
+        values = self._variables.split(bent)
+        self._each(lambda share: self._put_poses(share, data, terms, values, _NO_UNITS, False))
+
+    def fill_scales(self, data: Array, starts: Array) -> None:
+        """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
+        rays, first = self._network.rays, 5 + (4 if self._model.angles == CAMERA else 3)
+
+        def part(share: _Share) -> None:
+            for j, mine in share.groups(share.image):
+                image, axes, k = self._network.images[j], self._axes[j], share.ray[mine]
+                focal_length = image.interior.focal_length
+                pose = image.pose(rays.places[k, 0]).in_axes(axes)
+                detector = Detector(*image.interior.focal_plane(rays.places[k, 1])).in_axes(axes, focal_length)
+                scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
+                put_scale(mine, share.at, share.stride, first, scale.reshape(-1, 4), data)
+
+        self._each(part)
+
+    def _each(self, work: Callable[[_Share], None]) -> None:
+        """Do some work on all shares, shared by threads."""
+        total = int(self._begins[-1])
+        edges = np.unique(np.searchsorted(self._begins, [*range(0, total, _SHARE), total])).tolist()
+        in_threads(lambda ends: work(self._share(*ends)), list(pairwise(edges)))
+
+    def _share(self, first: int, last: int) -> _Share:
+        most, patterns = int(self._begins[last] - self._begins[first]), self._patterns
+        ray = np.empty(most, dtype=np.int32)
+        at, stride, place, image = (np.empty(most, dtype=np.int64) for _ in range(4))
+        count = rays_inside(
+            first, last, self._piece, self._before, patterns.first, self._rays, patterns.image, self._ray, ray, at,
+            stride, place, image,
+        )  # fmt: skip
+        return _Share(first, last, *(values[:count] for values in (ray, at, stride, place, image)))
+
+    @cached_property
+    def _axes(self) -> list[Array | None]:
+        """Of each image the axes of its pass (`Network.axes_of`)."""
+        strips = self._network.passes
+        found: list[Array | None] = [None] * len(self._network.images)
+        for strip in strips:
+            for j in strip.images.tolist():
+                found[j] = strip.axes_of(j)
+        return found
+
+    @cached_property
+    def _tables(self) -> tuple[PoseTables, Array, Array, Mask]:
+        """Of each image: pose, focal length, lines, and whether u is stored; poses of those that need no more."""
+        network, strict = self._network, self._model.line == PREDICTED and self._model.angles == CAMERA
+        plain = strict & (network.pass_of < 0)
+        plain[[j for j in np.flatnonzero(plain).tolist() if self.effects.acts_on_rays(j)]] = False
+        focal = np.array([image.interior.focal_length for image in network.images])
+        size = np.array([image.lines for image in network.images], dtype=np.float64)
+        return pose_tables(network.images, plain), focal, size, np.asarray(network.with_polynomial)
+
+    @cached_property
+    def _optics(self) -> Index:
+        """(m,) images with the same number have the same detector and optics, in the same axes."""
+        numbers = dict[bytes, int]()
+        keys = (
+            pickle.dumps((image.interior, axes))
+            for image, axes in zip(self._network.images, self._axes, strict=True)
+        )
+        return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
+
+    def _put_detectors(self, share: _Share, data: Array, weight: Array) -> None:
+        rays, strict = self._network.rays, self._model.line == PREDICTED
+        first = 3 + (4 if self._model.angles == CAMERA else 3)
+        for _, mine in share.groups(self._optics[share.image]):
+            j = int(share.image[mine[0]])
+            interior = self._network.images[j].interior
+            found = Detector(*interior.focal_plane(rays.places[share.ray[mine], 1]))
+            found = found.in_axes(self._axes[j], interior.focal_length)
+            put_detectors(
+                mine, share.ray, share.at, share.stride, share.place, rays.sigmas, first, strict, *found, data, weight
+            )
+
+    def _put_poses(
+        self, share: _Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
+    ) -> None:
+        tables, focal, size, polynomial = self._tables
+        rays = self._network.rays
+        put_sampled(
+            share.ray, share.at, share.stride, share.image, tables, focal, size, polynomial, rays.places, terms.lines,
+            data, units,
+        )  # fmt: skip
+        for j, mine in share.groups(share.image, ~tables.sampled[share.image]):
+            self._put_image(j, mine, share, data, terms, values, units, whole)
+
+    def _put_image(
+        self, j: int, mine: Index, share: _Share, data: Array, terms: Terms, values: Sequence[Array], units: Array,
+        whole: bool,
+    ) -> None:  # fmt: skip
+        """Poses of the rays `mine` of an image that needs more than its tables."""
+        rays, model, axes, image = self._network.rays, self._model, self._axes[j], self._network.images[j]
+        k, predicted, focal_length = share.ray[mine], model.line == PREDICTED, image.interior.focal_length
+        lines, samples = terms.lines[k], rays.places[k, 1]
+        pose, nothing = image.pose(lines).in_axes(axes), np.empty((mine.size, 0))
+        angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
+        slope, scale = nothing, nothing
+        if self.effects.bends(j):
+            slope = self.effects.slopes(j, samples, values)
+        if whole and model.angles == OPK_PEER and not predicted:
+            detector = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
+            scale = peer_scale(slope if slope.size else detector.slope)
+        effects = self.effects.of_rays(j, image.normalised(lines), samples)
+        tail = [*terms.basis(j, lines, terms.of_rays[k], predicted), effects.reshape(mine.size, -1)]
+        put_poses(
+            mine, share.at, share.stride, model.angles, predicted,
+            (pose.position, pose.matrix, pose.velocity, angular_rate), focal_length, scale, slope,
+            lines - rays.places[k, 0], np.hstack(tail), data, units,
+        )  # fmt: skip
