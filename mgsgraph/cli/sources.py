@@ -91,8 +91,17 @@ def demo(
     help="What the world does besides: beam, drift, pulse, tracks, orbit, jitter, matching; or all of them: all.",
 )  # fmt: skip
 @click.option("--no-pictures", is_flag=True, help="Uniform grey images, which are enough for geometry.")
-@click.option("--images", type=int, help="Of a strip: number of images, 2 to 500.  [default: 40]")
-@click.option("--ties", type=int, help="Of a strip: new tie points with each further image.  [default: 2000]")
+@click.option(
+    "--kind", metavar="NAME", help="Of an archive: kaguya, ctx, moc, dense or block (see below).  [default: kaguya]"
+)
+@click.option(
+    "--images", type=int,
+    help="Number of images: of a strip, 2 to 500  [default: 40]; of an archive  [default: as its kind has].",
+)
+@click.option(
+    "--ties", type=int,
+    help="Of a strip: new tie points with each further image  [default: 2000]; of an archive: all of them, about.",
+)  # fmt: skip
 @click.option("--steps", is_flag=True, help="Of a strip: write what each image adds to those before it, too.")
 def simulate(
     site: str,
@@ -101,6 +110,7 @@ def simulate(
     attitude_time_bias: float | None,
     effects: str | None,
     no_pictures: bool,
+    kind: str | None,
     images: int | None,
     ties: int | None,
     steps: bool,
@@ -108,7 +118,12 @@ def simulate(
     """Simulate SITE and write its files to a folder.
 
     SITE is eos, gusev or isidis; pair: two images, small and synthetic; strip: overlapping pairs along one ground
-    track; three-sites: the three study sites and a bridge image that holds them together, in one case.
+    track; three-sites: the three study sites and a bridge image that holds them together, in one case; archive: as many
+    images as are adjusted as a whole, with a binary network.
+
+    Archives, of any number of images and ties: kaguya (3,361 images and 240,000 ties by default), a block of Kaguya's
+    two terrain cameras; ctx (70,000 and 2.4 million), CTX about the whole globe; moc (97,000 and 1.5 million), MOC's
+    narrow angle in clusters; dense (20,000 and 12 million) and block (500 and a million), the terrain cameras again.
 
     case.toml in it is what `mgsgraph adjust`, `mgsgraph register` and `mgsgraph coregister` take; truth.json says what
     they should find. Errors are drawn from the sigmas that case.toml states; an attitude time bias, which it doesn't
@@ -119,12 +134,13 @@ def simulate(
     vibrate (1.5 pixels), matches that err together. What can be known of them by a sigma, case.toml states.
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.demo.simulate import simulation_options, strip_settings, write_simulation
+    from mgsgraph.demo.simulate import chosen_archive, simulation_options, strip_settings, write_simulation
 
     options = simulation_options(site, attitude_time_bias, not no_pictures, effects=effects)
     strip = strip_settings(site, images, ties, steps, options.world)
+    archive = chosen_archive(site, kind, images, ties)
     with stage_bar(2) as stages:
-        case = write_simulation(site, out, seed, options, strip, steps, stages)
+        case = write_simulation(site, out, seed, options, strip, steps, stages, archive)
     click.echo(f"The case is {case}; the truth lies beside it in truth.json")
 
 

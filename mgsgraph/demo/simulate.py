@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 
 from mgsgraph.errors import InputError
 from mgsgraph.output.folders import fresh_folder
+from mgsgraph.simulation.archive import ARCHIVE_KINDS, ArchiveSettings, archive_settings, lay_out
+from mgsgraph.simulation.archive_files import write_archive
 from mgsgraph.simulation.files import write_pair, write_site, write_strip, write_three_sites
 from mgsgraph.simulation.pair import simulate_pair
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
@@ -21,11 +23,13 @@ PAIR = "pair"
 """The small pair of synthetic images, beside the study sites."""
 STRIP = "strip"
 """A strip of overlapping pairs."""
+ARCHIVE = "archive"
+"""As many images as are adjusted as a whole."""
 THREE_SITES = "three-sites"
 """The study sites together, held by a bridge image."""
 DEMONSTRATED = (*SITE_NAMES, PAIR)
 """What `mgsgraph demo` knows."""
-SIMULATED = (*DEMONSTRATED, STRIP, THREE_SITES)
+SIMULATED = (*DEMONSTRATED, STRIP, THREE_SITES, ARCHIVE)
 """What `mgsgraph simulate` knows."""
 
 _T = TypeVar("_T")
@@ -57,9 +61,20 @@ def simulation_options(
 def strip_settings(site: str, images: int | None, ties: int | None, steps: bool, world: World) -> StripSettings:
     """Settings of a strip, the default ones of what isn't given; InputError where another site is given any."""
     given: dict[str, Any] = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
-    for name in (*given, *(["steps"] if steps else [])) if site != STRIP else ():
+    for name in (*(given if site != ARCHIVE else ()), *(["steps"] if steps else [])) if site != STRIP else ():
         raise InputError(name, f"given for {site}", f"the site {STRIP}", "leave it out")
-    return replace(StripSettings(), world=world if site == STRIP else World(), **given)
+    return replace(StripSettings(), world=world, **given) if site == STRIP else StripSettings()
+
+
+def chosen_archive(site: str, kind: str | None, images: int | None, ties: int | None) -> ArchiveSettings | None:
+    """Settings of an archive of a kind, the default ones of what isn't given; None for another site, and InputError
+    where that is given a kind.
+    """
+    if site == ARCHIVE:
+        return archive_settings(kind or ARCHIVE_KINDS[0], images, ties)
+    if kind is not None:
+        raise InputError("kind", f"given for {site}", f"the site {ARCHIVE}", "leave it out")
+    return None
 
 
 def write_simulation(
@@ -70,10 +85,12 @@ def write_simulation(
     strip: StripSettings,
     steps: bool,
     stages: Stages,
+    archive: ArchiveSettings | None = None,
 ) -> Path:
     """Simulate a study site or a campaign, and write its files to a folder that is absent or empty; the case's path.
 
-    Of a strip, `steps` says whether what each image adds is written, too. InputError if the folder holds anything.
+    Of a strip, `steps` says whether what each image adds is written, too; `archive` are the settings of one. InputError
+    if the folder holds anything.
     """
     with fresh_folder(folder, "truth.json") as aside:
         write = partial(simulated_files, folder=aside, stages=stages)
@@ -81,6 +98,8 @@ def write_simulation(
             _, path = write(partial(simulate_pair, seed=seed), write_pair)
         elif site == STRIP:
             _, path = write(partial(simulate_strip, strip, seed), partial(write_strip, steps=steps))
+        elif archive is not None:
+            _, path = write(partial(lay_out, archive, seed), partial(write_archive, progress=stages.detail))
         elif site == THREE_SITES:
             _, path = write(partial(simulate_three_sites, seed, options), write_three_sites)
         else:

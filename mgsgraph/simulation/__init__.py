@@ -2,7 +2,8 @@
 
 What is simulated, from small to large: a stereo `pair`, a `strip` of overlapping pairs (image by image in
 `strip_steps`), a study `site` (published numbers in `sites`), all `three_sites` in one campaign, and blocks of HRSC
-strips (`hrsc_block`, from passes in `hrsc_flight`, points in `hrsc_points`, true orientation in `strip_truth`).
+strips (`hrsc_block`, from passes in `hrsc_flight`, points in `hrsc_points`, true orientation in `strip_truth`); and an
+`archive` of up to a hundred thousand images (ties in `archive_ties`, files in `archive_files` and `archive_network`).
 
 What all of them are made of:
 

@@ -32,6 +32,9 @@ def test_a_strip_without_steps_has_none(tmp_path: Path) -> None:
         (("gusev", "--images", 4), "images: given for gusev; expected the site strip"),
         (("pair", "--ties", 4), "ties: given for pair"),
         (("three-sites", "--steps"), "steps: given for three-sites"),
+        (("archive", "--steps"), "steps: given for archive"),
+        (("strip", "--kind", "moc"), "kind: given for strip; expected the site archive"),
+        (("archive", "--kind", "themis"), "kind: 'themis'; expected kaguya, ctx, moc, dense or block"),
         (("strip", "--images", 1), "images: 1; expected a whole number, at least 2"),
         (("strip", "--images", 501), "images: 501; expected 2 .. 500"),
         (("strip", "--ties", 0), "ties: 0"),
@@ -58,3 +61,15 @@ def test_three_sites_are_written_with_a_folder_for_each(tmp_path: Path) -> None:
         "case.toml", "eos", "gusev", "image_BRIDGE.isd", "isidis", "network.pvl", "truth.json",
     ]
     assert list(json.loads((out / "truth.json").read_text())["coefficients"]) == ["BRIDGE"]
+
+
+def test_an_archive_is_written_and_adjusts(tmp_path: Path) -> None:
+    out = tmp_path / "archive"
+    done = run("simulate", "archive", "--kind", "moc", "--images", 6, "--ties", 100, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in out.iterdir()) == [
+        "case.toml", "isd", "network.net", "true_corrections.npz", "true_points.parquet", "truth.json",
+    ]
+    done = run("adjust", out / "case.toml", "--out", tmp_path / "results", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "converged" in done.stdout
