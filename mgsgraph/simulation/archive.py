@@ -257,8 +257,8 @@ def lay_out(settings: ArchiveSettings, seed: int = 1) -> Archive:
     sigmas = settings.prior.sigmas
     return Archive(
         settings, seed, sites, np.arcsin(np.cos(_INCLINATION) / np.cos(places[:, 1])),
-        of_places.uniform(-camera.aside, camera.aside, n), ahead, _FIRST + _APART * of_times.permutation(n),
-        sigmas * of_orientation.standard_normal((n, *sigmas.shape)),
+        of_places.uniform(-camera.aside, camera.aside, n), ahead,
+        np.asarray(_FIRST + _APART * of_times.permutation(n), dtype=np.float64), sigmas * of_orientation.standard_normal((n, *sigmas.shape)),
     )  # fmt: skip
 
 
@@ -282,7 +282,7 @@ def _tiles(settings: ArchiveSettings, sites: int, rng: np.random.Generator) -> A
     column = np.arange(row.size) - np.repeat(np.cumsum(columns) - columns, columns)
     longitudes = steps[row] * (column - 0.5 * (columns[row] - 1))
     shaken = _SHAKEN * rng.uniform(-1.0, 1.0, (row.size, 2)) * np.column_stack([steps[row], np.full(row.size, along)])
-    return (np.column_stack([longitudes, latitudes[row]]) + shaken)[:sites]
+    return np.asarray((np.column_stack([longitudes, latitudes[row]]) + shaken)[:sites])
 
 
 def _clusters(settings: ArchiveSettings, sites: int, rng: np.random.Generator) -> Array:

@@ -52,7 +52,7 @@ class Footprints(NamedTuple):
         first, second = self.halves[image, 0], self.halves[image, 1]
         a, b, c = (np.einsum("ki,ki->k", *pair) for pair in ((first, first), (first, second), (second, second)))
         e, f = np.einsum("ki,ki->k", off, first), np.einsum("ki,ki->k", off, second)
-        return np.column_stack([c * e - b * f, a * f - b * e]) / (a * c - b * b)[:, None]
+        return np.asarray(np.column_stack([c * e - b * f, a * f - b * e]) / (a * c - b * b)[:, None])
 
 
 def footprint(image: PushbroomImage) -> tuple[Array, Array]:
@@ -148,7 +148,7 @@ def regions(archive: Archive, footprints: Footprints, progress: Count = no_progr
     for k, rng in enumerate(streams):
         owners = order[k * many : (k + 1) * many]
         upto = round(wanted * (k * many + owners.size))
-        quota = np.diff(np.linspace(drawn_so_far, upto, owners.size + 1).astype(np.int64))
+        quota: Index = np.diff(np.linspace(drawn_so_far, upto, owners.size + 1).astype(np.int64)).astype(np.int64)
         drawn_so_far = upto
         directions = _drawn(archive, footprints, cells, owners, quota, rng)
         yield _projected(archive, footprints, cells, image_of, directions, rng)
@@ -168,7 +168,7 @@ def _drawn(
     slack = _shares(archive, footprints, image)
     inside = np.all(np.abs(footprints.coordinates(image, directions[point])) < 1.0 - slack, axis=1)
     good = np.bincount(point[inside], minlength=owner.size) > 1
-    rank = np.cumsum(good) - good
+    rank: Index = np.cumsum(good) - good
     begun = np.concatenate([[0], np.cumsum(_DRAWN * quota + 8)[:-1]])
     return np.asarray(directions[good & (rank - rank[begun][owner] < quota[owner])])
 
