@@ -75,7 +75,7 @@ ONLY_IN = {
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.export"),
     "msgspec": (
         "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.control", "mgsgraph.export", "mgsgraph.fetch", "mgsgraph.io",
-        "mgsgraph.output", "mgsgraph.project", "mgsgraph.review",
+        "mgsgraph.output", "mgsgraph.project", "mgsgraph.review", "mgsgraph.simulation.archive_files",
     ),
     "requests": ("mgsgraph.fetch",),
     "urllib3": ("mgsgraph.fetch",),

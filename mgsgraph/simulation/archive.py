@@ -258,7 +258,8 @@ def lay_out(settings: ArchiveSettings, seed: int = 1) -> Archive:
     return Archive(
         settings, seed, sites, np.arcsin(np.cos(_INCLINATION) / np.cos(places[:, 1])),
         of_places.uniform(-camera.aside, camera.aside, n), ahead,
-        np.asarray(_FIRST + _APART * of_times.permutation(n), dtype=np.float64), sigmas * of_orientation.standard_normal((n, *sigmas.shape)),
+        np.asarray(_FIRST + _APART * of_times.permutation(n), dtype=np.float64),
+        sigmas * of_orientation.standard_normal((n, *sigmas.shape)),
     )  # fmt: skip
 
 
