@@ -17,12 +17,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from msgspec.structs import replace
+
 from mgsgraph.control.first_version import second_versions
 from mgsgraph.control.messages import messages
 from mgsgraph.control.point_messages import Texts, encoded, finite, point_message, read_point
 from mgsgraph.control.pvl_writing import Value, keyword_lines, text_value
 from mgsgraph.control.record import ControlNetwork, of_mars
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.geometry.records import Index
 from mgsgraph.io.pvl import Block, Document, whole_label
 from mgsgraph.io.writing import write_file
 
@@ -63,21 +67,60 @@ def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
         cut short; a message that is none; an unknown type, a number that is not finite, text that is not UTF-8;
         a point without id or type, an id twice, a place or covariance in part; no point at all.
     """
-    label = (data[: data.find(b"\0")] if b"\0" in data else data).decode("latin-1")
-    version, buffer = _version(Document(source, label.replace("\r\n", "\n").replace("\r", "\n")))
+    version, buffer = _label_of(data, source)
     head, messages_of_points = (_first if version == "1" else _later)(data, version, buffer, source)
     texts = Texts()
-    with errors_from(f"{source}, header"):
-        values = {attribute: texts[getattr(head, name)] for attribute, name in _HEAD}
-        values["target_name"] = of_mars(values["target_name"])
-        radii = _radii(head.targetRadii) if version == "5" else ()
+    known = _head_of(head, version, texts, source)
     points = tuple(
         read_point(message, f"{source}, point {number}", texts)
         for number, message in enumerate(messages_of_points, start=1)
     )
     if not points:
         raise InputError(source, "no control point", "an ISIS control network that has some")
-    return ControlNetwork(points=points, source=source, target_radii=radii, **values)
+    return replace(known, points=points)
+
+
+def network_head(data: bytes, source: str) -> ControlNetwork:
+    """The network of version 2 or 5 that a file's content holds, without its points; `parse_binary_network` has the
+    errors.
+    """
+    version, buffer = _label_of(data, source)
+    return _head_of(_header(data, version, buffer, source)[0], version, Texts(), source)
+
+
+def point_spans(data: bytes, source: str) -> tuple[Index, Index] | None:
+    """Bytes at which the messages of points begin (n,) and end (n,), in a network of version 2 or 5; None for one of
+    version 1, and for sizes that don't fit the file. `parse_binary_network` has the errors of label and header.
+    """
+    version, buffer = _label_of(data, source)
+    if version == "1":
+        return None
+    head, start, size = _header(data, version, buffer, source)
+    if version == "5":
+        from mgsgraph.control.wire import walk_sizes
+
+        if start + size > len(data) or data[start + size :].strip(b"\0"):
+            return None
+        begin, end = walk_sizes(np.frombuffer(data, dtype=np.uint8), start, start + size)
+        return begin, end
+    sizes = np.array(head.pointMessageSizes, dtype=np.int64)
+    ends = start + np.cumsum(sizes)
+    return None if np.any(sizes < 0) or ends.max(initial=0) > len(data) else (ends - sizes, ends)
+
+
+def _label_of(data: bytes, source: str) -> tuple[str, Block]:
+    """Version, and what the label says of the messages."""
+    label = (data[: data.find(b"\0")] if b"\0" in data else data).decode("latin-1")
+    return _version(Document(source, label.replace("\r\n", "\n").replace("\r", "\n")))
+
+
+def _head_of(head: Any, version: str, texts: Texts, source: str) -> ControlNetwork:
+    """Of a header's message a network without points."""
+    with errors_from(f"{source}, header"):
+        values = {attribute: texts[getattr(head, name)] for attribute, name in _HEAD}
+        values["target_name"] = of_mars(values["target_name"])
+        radii = _radii(head.targetRadii) if version == "5" else ()
+    return ControlNetwork(points=(), source=source, target_radii=radii, **values)
 
 
 def _first(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
@@ -94,13 +137,8 @@ def _first(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, 
 
 def _later(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
     """Head of a network of version 2 or 5, and messages of its points."""
-    start, header_size, points_size = _layout(buffer)
-    end = start + header_size
-    if end > len(data):
-        raise _cut_short(source, f"{len(data)} bytes", f"a header up to byte {end}")
     kinds = messages()
-    kind = kinds.header if version == "5" else kinds.old_header
-    head = _parsed(kind(), data[start:end], f"{source}, header")
+    head, end, points_size = _header(data, version, buffer, source)
     if version == "5":
         parts = _points_behind_sizes(data, end, points_size, source)
     else:
@@ -108,6 +146,16 @@ def _later(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, 
     return head, (
         _parsed(kinds.point(), part, f"{source}, point {number}") for number, part in enumerate(parts, start=1)
     )
+
+
+def _header(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, int, int]:
+    """Message of the header of a network of version 2 or 5, where it ends, and the size of all points."""
+    start, header_size, points_size = _layout(buffer)
+    end = start + header_size
+    if end > len(data):
+        raise _cut_short(source, f"{len(data)} bytes", f"a header up to byte {end}")
+    kind = messages().header if version == "5" else messages().old_header
+    return _parsed(kind(), data[start:end], f"{source}, header"), end, points_size
 
 
 def _radii(values: Sequence[float]) -> tuple[float, ...]:

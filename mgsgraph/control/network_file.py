@@ -33,7 +33,7 @@ def read_network(path: Path) -> ControlNetwork:
         With the file, and line and point (text) or number and id of the point (binary): see `parse_pvl_network` and
         `parse_binary_network`.
     """
-    return _read_with_places(path)[0]
+    return _with_places(path, _content(path))[0]
 
 
 def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints:
@@ -57,14 +57,25 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
         With the file, and line and point (text) or number and id of the point (binary): what `read_network` and
         `tie_points` refuse; a network of another body.
     """
-    network, where = _read_with_places(path)
+    data = _content(path)
+    if is_binary(data):
+        from mgsgraph.control.binary_columns import binary_tie_points
+
+        found = binary_tie_points(data, str(path), body)
+        if found is not None:
+            return found
+    network, where = _with_places(path, data)
     return tie_points(network, where, body)
 
 
-def _read_with_places(path: Path) -> tuple[ControlNetwork, Where]:
-    """The network, and words for where its points and measures stand in the file."""
+def _content(path: Path) -> bytes:
     data = read_bytes(path)
     require_as_recorded(path, data)
+    return data
+
+
+def _with_places(path: Path, data: bytes) -> tuple[ControlNetwork, Where]:
+    """The network, and words for where its points and measures stand in the file."""
     if is_binary(data):
         network = with_names(parse_binary_network(data, str(path)))
         return network, network.where

@@ -16,13 +16,14 @@ from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import ISIS_OFFSET
 
-_KINDS = {
+KINDS = {
     PointType.FREE: PointKind.FREE, PointType.CONSTRAINED: PointKind.CONSTRAINED, PointType.FIXED: PointKind.FIXED,
 }  # fmt: skip
-_TYPES = {kind: point_type for point_type, kind in _KINDS.items()}
-_UNKNOWN = (math.nan, math.nan, math.nan)
-_FARTHEST = 1e12
+"""PointKind of each type of a network's points."""
+FARTHEST = 1e12
 """m from a body's centre: no point on it."""
+_TYPES = {kind: point_type for point_type, kind in KINDS.items()}
+_UNKNOWN = (math.nan, math.nan, math.nan)
 
 
 def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellipsoid | None = None) -> TiePoints:
@@ -72,7 +73,7 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
     ties = TiePoints(
         source=network.source or "network",
         ids=Names.of(point.id for point in points),
-        kinds=np.array([_KINDS[point.type] for point in points], dtype=np.int64),
+        kinds=np.array([KINDS[point.type] for point in points], dtype=np.int64),
         places=np.array([_place(point) for point in points]),
         covariances=np.array([_covariance(point) for point in points]),
         measure_point=np.repeat(np.arange(len(points), dtype=np.int64), counts),
@@ -83,11 +84,11 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
         ).reshape(-1, 2),
     )
     if body is not None:
-        _require_body(network, ties, body)
+        require_body(network, ties, body)
     return ties
 
 
-def _require_body(network: ControlNetwork, ties: TiePoints, body: Ellipsoid) -> None:
+def require_body(network: ControlNetwork, ties: TiePoints, body: Ellipsoid) -> None:
     """Raise InputError for a network of another body than the images'. Of points that are free any may lie anywhere,
     for their places are first guesses, but not most of them.
     """
@@ -172,7 +173,7 @@ def control_network(
 
 def _require_usable(point: ControlPoint, index: int, where: Where) -> None:
     """Raise InputError unless an adjustment can take the point and its measures."""
-    if max(map(abs, _place(point))) > _FARTHEST:
+    if max(map(abs, _place(point))) > FARTHEST:
         raise InputError(where(index, None, ""), f"a place at {_place(point)} m", "one on the body")
     if point.type != PointType.FREE and point.apriori is None:
         found = f"{point.type.name.lower()} without an a-priori place"

@@ -1,0 +1,110 @@
+"""Tie points decoded by compiled code, against protobuf's own reader: the same, or the same refusal."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from isis_networks import grid, networks
+
+from mgsgraph.control.binary import binary_network, parse_binary_network
+from mgsgraph.control.binary_columns import binary_tie_points
+from mgsgraph.control.network_file import read_control_network
+from mgsgraph.control.record import ControlNetwork, with_names
+from mgsgraph.control.ties import tie_points
+from mgsgraph.errors import InputError
+from mgsgraph.ties import TiePoints
+
+GRID = binary_network(grid(4, 3))
+LABEL = 65_536
+
+
+def by_protobuf(data: bytes) -> TiePoints | str:
+    """What the reference makes of a file's content; the error's text where it refuses it."""
+    try:
+        return tie_points(with_names(parse_binary_network(data, "x.net")))
+    except InputError as error:
+        return str(error)
+
+
+def assert_same(found: TiePoints, expected: TiePoints) -> None:
+    assert (found.ids, found.measure_image) == (expected.ids, expected.measure_image)
+    for name in ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas"):
+        one, other = getattr(found, name), getattr(expected, name)
+        assert one.shape == other.shape, name
+        assert np.array(one).tobytes() == np.array(other).tobytes(), name
+
+
+def assert_as_the_reference(data: bytes) -> bool:
+    """Whether compiled code read it: then it must be what the reference reads; what it leaves is the reference's."""
+    try:
+        found: TiePoints | str | None = binary_tie_points(data, "x.net")
+    except InputError as error:
+        found = str(error)
+    if found is None:
+        return False
+    expected = by_protobuf(data)
+    if isinstance(found, str):
+        assert found == expected
+        return False
+    assert isinstance(expected, TiePoints), expected
+    assert_same(found, expected)
+    return True
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """A network with bits flipped, bytes written over, cut out or doubled, or an end cut off, behind its label."""
+    content, at = bytearray(data), int(rng.integers(LABEL, len(data)))
+    kind, size = rng.integers(6), int(rng.integers(1, 12))
+    if kind == 0:
+        content[at] ^= 1 << int(rng.integers(8))
+    elif kind == 1:
+        content[at : at + size] = rng.bytes(size)
+    elif kind == 2:
+        del content[at : at + size]
+    elif kind == 3:
+        content[at:at] = content[at : at + size]
+    elif kind == 4:
+        del content[at:]
+    else:
+        content[at] = int(rng.integers(256))
+    return bytes(content)
+
+
+@settings(deadline=None, max_examples=60)
+@given(networks())
+def test_any_network_is_as_protobuf_has_it(network: ControlNetwork) -> None:
+    assert_as_the_reference(binary_network(network))
+
+
+def test_a_network_as_isis_writes_it_is_decoded() -> None:
+    """Otherwise all of this would test nothing."""
+    assert assert_as_the_reference(GRID)
+
+
+def test_mutated_networks_are_as_protobuf_has_them() -> None:
+    rng = np.random.default_rng(25)
+    decoded = sum(assert_as_the_reference(mutated(GRID, rng)) for _ in range(400))
+    assert 0 < decoded < 400
+
+
+def test_ignored_points_and_measures_are_left_out(tmp_path: Path) -> None:
+    from msgspec.structs import replace
+
+    points = list(grid(5, 3).points)
+    points[1] = replace(points[1], ignore=True)
+    points[3] = replace(points[3], measures=(replace(points[3].measures[0], ignore=True, line=None),
+                                             *points[3].measures[1:]))  # fmt: skip
+    data = binary_network(replace(grid(5, 3), points=tuple(points)))
+    assert assert_as_the_reference(data)
+    (tmp_path / "a.net").write_bytes(data)
+    found = read_control_network(tmp_path / "a.net")
+    assert len(found.ids) == 4
+    assert np.bincount(found.measure_point).tolist() == [3, 3, 2, 3]
+
+
+@pytest.mark.parametrize("images", [30, 9000])
+def test_many_images_need_a_larger_table(images: int) -> None:
+    found = binary_tie_points(binary_network(grid(images // 3, 3)), "x.net")
+    assert found is not None
+    assert len(found.measure_image.used) == len(set(found.measure_image))
