@@ -4,10 +4,11 @@ Tables, words and figures all take their numbers here, so that they can't contra
 """
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
@@ -23,6 +24,11 @@ ORIENTATION = ("X", "Y", "Z", "omega", "phi", "kappa", "rotation x", "rotation y
 
 _WEAK = 10.0
 """Times the median sigma of its class from which on a point is called weak."""
+_TOGETHER = 4096
+"""Images whose orientation is looked at at a time."""
+_CONNECTED: "WeakKeyDictionary[Solution, Connectivity]" = WeakKeyDictionary()
+_ORIENTED: "WeakKeyDictionary[Solution, list[OrientationStatistics]]" = WeakKeyDictionary()
+"""Found before, of solutions that are there."""
 
 
 def mean_and_rms(values: Array) -> tuple[Array, Array]:
@@ -106,12 +112,25 @@ class OrientationStatistics:
 
 
 def orientation_statistics(solution: Solution, image: int) -> OrientationStatistics:
-    """Corrections of one image over the papers' 31 places."""
-    profile = orientation_profile(solution, image, PLACES)
-    moved = profile.position_after - profile.position_before
-    mean, rms = mean_and_rms(np.concatenate([moved, profile.angle_differences, profile.rotation], axis=1))
-    sigmas = np.concatenate([profile.position_sigma, profile.angles_sigma, profile.rotation_sigma], axis=1)
-    return OrientationStatistics(mean, rms, sigmas.mean(axis=0))
+    """Corrections of one image over the papers' 31 places; those of all images are found at once, the first time."""
+    found = _ORIENTED.get(solution)
+    if found is None:
+        found = _ORIENTED[solution] = _orientation_statistics(solution)
+    return found[image]
+
+
+def _orientation_statistics(solution: Solution) -> list[OrientationStatistics]:
+    images, found = range(len(solution.network.images)), list[OrientationStatistics]()
+    for first in range(0, len(images), _TOGETHER):
+        some = images[first : first + _TOGETHER]
+        profile = orientation_profiles(solution, some, PLACES)
+        moved = profile.position_after - profile.position_before
+        values = np.concatenate([moved, profile.angle_differences, profile.rotation], axis=1)
+        sigmas = np.concatenate([profile.position_sigma, profile.angles_sigma, profile.rotation_sigma], axis=1)
+        values, sigmas = (one.reshape(len(some), PLACES, -1) for one in (values, sigmas))
+        mean, rms = values.mean(axis=1), root_mean_square(values, 1)
+        found += [OrientationStatistics(*rows) for rows in zip(mean, rms, sigmas.mean(axis=1), strict=True)]
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,5 +245,8 @@ def sigmas_along(axes: Array, covariances: Array) -> Array:
 
 def solution_connectivity(solution: Solution) -> Connectivity:
     """By the rays that were used, with the footprints of the adjusted orientation."""
-    footprints = network_footprints(solution.network, solution.places, solution.correction)
-    return connectivity(solution.network, footprints, solution.rays_used)
+    found = _CONNECTED.get(solution)
+    if found is None:
+        footprints = network_footprints(solution.network, solution.places, solution.correction)
+        found = _CONNECTED[solution] = connectivity(solution.network, footprints, solution.rays_used)
+    return found

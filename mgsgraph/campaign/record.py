@@ -20,6 +20,7 @@ from mgsgraph.adjustment.settings import Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import json_object
 from mgsgraph.io.writing import claim
+from mgsgraph.reports.large_tables import TableForm
 
 Status = Literal["done", "no result", "not converged", "failed"]
 RECORD = "campaign.jsonl"
@@ -49,6 +50,8 @@ class Overrides:
     """False leaves the figures out."""
     starts: int | None = None
     """Starts over a terrain model's unknown shift, as `SolverSettings.starts`."""
+    tables: TableForm | None = None
+    """Form of the tables of points and residuals, as `write_results`."""
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""

@@ -77,7 +77,7 @@ def _adjusted(task: CaseTask) -> dict[str, Any]:
     require_replaceable(target)
     case = read_case(task.case, laser=task.overrides.laser)
     solution = adjust(dataclasses.replace(case, settings=task.overrides.over(case.settings)))
-    write_results(solution, target, task.overrides.figures, task.case, case.networks)
+    write_results(solution, target, task.overrides.figures, task.case, case.networks, task.overrides.tables)
     return {
         "status": "not converged" if not solution.converged else "done" if is_result(solution) else "no result",
         "message": " ".join([*soundness_statements(solution), solution.message]),

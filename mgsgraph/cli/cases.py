@@ -118,10 +118,12 @@ def adjust(
             solution, words = found.solution, found.words()
         else:
             solution, words = adjust_network(read.network, settings, read.name, bar, workers), ""
-    write_results(solution, out, overrides.figures, case, read.networks)
+    written = write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution)
     if words:
         click.echo(words)
+    if "points.parquet" in written and overrides.tables is None:
+        click.echo("Tables of points and residuals are Parquet, for their size; --tables csv writes CSV")
     click.echo(f"Results are in {out}")
     ctx.exit(0 if is_result(solution) else 1)
 

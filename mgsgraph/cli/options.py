@@ -10,6 +10,7 @@ import click
 if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Form, Loss
     from mgsgraph.adjustment.solution import Solution
+    from mgsgraph.reports.large_tables import TableForm
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
@@ -35,6 +36,10 @@ _OPTIONS = (
     ),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
     NO_FIGURES,
+    click.option(
+        "--tables", type=click.Choice(["csv", "parquet"]),
+        help="Form of points and residuals; when absent CSV up to 200,000 rows, else Parquet.",
+    ),
 )
 
 
@@ -50,11 +55,12 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
         starts: int | None,
         no_laser: bool,
         no_figures: bool,
+        tables: "TableForm | None",
         **others: Any,
     ) -> None:
         from mgsgraph.campaign import Overrides
 
-        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts), **others)
+        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts, tables), **others)
 
     for option in reversed(_OPTIONS):
         option(with_overrides)

@@ -102,7 +102,7 @@ def _write_layer(pyogrio: ModuleType, layer: Layer, crs: str, path: Path) -> Non
     pyogrio.raw.write(
         path,
         geometry=shapely.to_wkb(layer.shapes) if spatial else None,
-        field_data=[np.array(one, dtype=object) if isinstance(one, list) else one for one in layer.fields.values()],
+        field_data=[one if isinstance(one, np.ndarray) else np.array(one, object) for one in layer.fields.values()],
         fields=np.array(list(layer.fields), dtype=object),
         layer=layer.name,
         driver="GPKG",

@@ -207,7 +207,7 @@ def _components(frame: Array, vectors: Array) -> Array:
 
 def _rows(fields: Fields, rows: Index) -> dict[str, Any]:
     """Some rows of columns."""
-    return {name: picked(one, rows) if isinstance(one, list) else one[rows] for name, one in fields.items()}
+    return {name: one[rows] if isinstance(one, np.ndarray) else picked(one, rows) for name, one in fields.items()}
 
 
 # --- error ellipses

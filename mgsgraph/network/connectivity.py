@@ -106,26 +106,29 @@ def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask |
     if tuple(one.name for one in footprints) != tuple(image.name for image in network.images):
         raise InputError("connectivity", f"footprints of {len(footprints)} images", "one of each image, in order")
     m = len(footprints)
-    table = _common_by_class(network, used)
-    total = table.sum(axis=0)
+    linked, shared = _common_by_class(network, used)
     found = overlaps(footprints)
-    area, share = np.zeros((2, m, m))
-    area[tuple(found.pairs.T)], share[tuple(found.pairs.T)] = found.areas, found.shares
-    pairs = np.argwhere(np.triu((total > 0) | (area > 0.0), 1))
-    at = pairs[:, 0], pairs[:, 1]
-    areas = area[at]
+    meet = (found.pairs[:, 0] < found.pairs[:, 1]) & (found.areas > 0.0)
+    apart = linked[:, 0] < linked[:, 1]
+    codes, meeting = linked @ [m, 1], found.pairs[meet] @ [m, 1]
+    every = np.unique(np.concatenate([codes[apart], meeting]))
+    pairs = np.stack(np.divmod(every, m), axis=1)
+    areas, share, common = np.zeros(every.size), np.zeros(every.size), np.zeros((every.size, len(PointClass)), int)
+    at = np.searchsorted(every, meeting)
+    areas[at], share[at] = found.areas[meet], found.shares[meet]
+    common[np.searchsorted(every, codes[apart])] = shared[apart]
     distances = np.zeros(len(pairs))
     distances[areas == 0.0] = gaps(footprints, pairs[areas == 0.0])
-    common = np.moveaxis(table, 0, -1)[at]
-    points = common.sum(axis=1)
+    points, seen = common.sum(axis=1), np.zeros(m, dtype=np.int64)
+    seen[linked[~apart, 0]] = shared[~apart].sum(axis=1)
     bridges, cut_images = _bridges_and_cuts(m, pairs, points > 0)
     return Connectivity(
         footprints=tuple(footprints),
-        seen=np.diagonal(total).copy(),
+        seen=seen,
         pairs=pairs,
         common=common,
         areas=areas,
-        shares=share[at],
+        shares=share,
         gaps=distances,
         islands=tuple(groups(m, pairs[points > 0])),
         bridges=bridges,
@@ -151,9 +154,10 @@ def network_footprints(
     heights = geodetic(places, network.images[0].body)[:, 2]
     known = np.isfinite(heights)
     everywhere = float(np.median(heights[known])) if np.any(known) else 0.0
-    found = []
-    for j, image in enumerate(network.images):
-        mine = heights[network.rays.point[network.rays.image == j]]
+    found, order = [], np.argsort(network.rays.image, kind="stable")
+    ends = np.cumsum(np.bincount(network.rays.image, minlength=len(network.images)))
+    of_images = np.split(heights[network.rays.point[order]], ends[:-1])
+    for j, (image, mine) in enumerate(zip(network.images, of_images, strict=True)):
         mine = mine[np.isfinite(mine)]
         height = float(np.median(mine)) if mine.size else everywhere
         found.append(footprint(image, height, correction(j) if correction else None))
@@ -162,32 +166,43 @@ def network_footprints(
 
 def common_points(network: Network, used: Mask | None = None) -> Index:
     """(images, images) number of points seen by both; on the diagonal, seen by the image. `used` as above."""
-    return np.asarray(_common_by_class(network, used).sum(axis=0))
+    pairs, shared = _common_by_class(network, used)
+    common = np.zeros((len(network.images),) * 2, dtype=np.int64)
+    common[tuple(pairs.T)] = shared.sum(axis=1)
+    return np.asarray(common + np.triu(common, 1).T)
 
 
 def islands(network: Network, used: Mask | None = None) -> list[list[int]]:
     """Groups of images that hang together by common points, largest first; more than one means a broken block."""
-    joined = np.argwhere(np.triu(common_points(network, used), 1))
-    return [list(group) for group in groups(len(network.images), joined)]
+    pairs = _common_by_class(network, used)[0]
+    return [list(group) for group in groups(len(network.images), pairs[pairs[:, 0] < pairs[:, 1]])]
 
 
-def _common_by_class(network: Network, used: Mask | None) -> Index:
-    """(classes, images, images) number of points of each class seen by both; symmetric."""
-    m, rays = len(network.images), network.rays
+def _common_by_class(network: Network, used: Mask | None) -> tuple[Index, Index]:
+    """(p, 2) pairs of images that see common points, the smaller number first, and each image with itself; and (p,
+    classes) how many of each class.
+    """
+    m, rays, classes = len(network.images), network.rays, len(PointClass)
     counted = slice(None) if used is None else used
-    # a table of points x images would outgrow the memory: go through the pairs of each point's rays
-    point, image = np.divmod(np.unique(rays.point[counted] * m + rays.image[counted]), m)
-    block = network.points.classes[point] * (m * m)
-    size = len(PointClass) * m * m
-    common = np.zeros(size, dtype=np.int64)
+    # a table of points x images, or of images x images, would outgrow the memory: go through the pairs of each point
+    code = np.sort(rays.point[counted] * m + rays.image[counted])
+    point, image = np.divmod(code[np.append(True, code[1:] != code[:-1])[: code.size]], m)
+    of_class = network.points.classes[point]
+    codes, counts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for lag in range(m):
         first, second = slice(0, point.size - lag), slice(lag, None)
         same = point[first] == point[second]
         if not np.any(same):
             break
-        common += np.bincount((block[first] + image[first] * m + image[second])[same], minlength=size)
-    table = common.reshape(len(PointClass), m, m)
-    return np.asarray(table + np.swapaxes(np.triu(table, 1), 1, 2))
+        pair = ((image[first] * m + image[second]) * classes + of_class[first])[same]
+        found, count = np.unique(pair, return_counts=True)
+        codes.append(found)
+        counts.append(count)
+    every = np.concatenate(codes)
+    pairs, row = np.unique(every // classes, return_inverse=True)
+    common = np.zeros((pairs.size, classes), dtype=np.int64)
+    np.add.at(common, (row, every % classes), np.concatenate(counts))
+    return np.stack(np.divmod(pairs, m), axis=1), common
 
 
 def _neighbours(images: int, pairs: Index) -> list[list[tuple[int, int]]]:

@@ -37,7 +37,8 @@ COREGISTRATION = "coregistration.json"
 _KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, EXPORT)
 """The first of these in a folder says of what kind its results are."""
 TABLES = (
-    RECORD, "solution.npz", "summary.json", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
+    RECORD, "solution.npz", "summary.json", "points.csv", "points.parquet", "orientation.csv", "residuals.csv",
+    "residuals.parquet", "connectivity.csv",
     "shared.csv", "passes.csv", "report.html",
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
     REGISTRATION, "registration.csv", "discrepancy.csv",

@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
+import pyarrow as pa
 
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.output import csv_json
-from mgsgraph.output.csv_json import all_quoted, plain, truths, whole
+from mgsgraph.output.csv_json import plain
 from mgsgraph.units import ARCSEC, DEG, KM, MGON, MRAD
 from mgsgraph.wording import cell, many, short
 
@@ -184,7 +186,9 @@ class Table:
         def some_of(values: Any) -> Any:
             if isinstance(values, str):
                 return values
-            return values[rows] if isinstance(values, np.ndarray) else [values[k] for k in chosen]
+            if isinstance(values, np.ndarray | Names | RepeatedNames):
+                return values[rows]
+            return [values[k] for k in chosen]
 
         some = [replace(one, values=some_of(one.values), unit=some_of(one.unit)) for one in self.columns]
         instead = {new: self.instead[old] for new, old in enumerate(chosen) if old in self.instead}
@@ -202,17 +206,22 @@ class Table:
 
     def write_csv(self, out: Path | TextIO) -> None:
         """Write a CSV file, or to a stream; numbers read back bit for bit, what is not known is an empty field."""
-        words: dict[str, Sequence[str]] = {}
-        numbers: dict[str, Array] = {}
-        for one in (part for column in self.columns if column.files for part in column.split):
-            values, name = one.scaled, one.name()
-            if not isinstance(values, np.ndarray):
-                words[name] = all_quoted(list(values))
-            elif values.dtype.kind == "f":
-                numbers[name] = values
-            else:
-                words[name] = truths(values) if values.dtype.kind == "b" else whole(values)
-        csv_json.write_csv(out, words, numbers)
+        csv_json.write_csv(out, self.arrow)
+
+    def write_parquet(self, path: Path, metadata: Mapping[str, str] | None = None) -> None:
+        """Write an Apache Parquet file of the same columns, with further metadata of the file."""
+        from pyarrow import parquet
+
+        table = self.arrow
+        parquet.write_table(table.replace_schema_metadata(dict(metadata or {})), path, compression="zstd")
+
+    @property
+    def arrow(self) -> pa.Table:
+        """The columns that files have, first those that are no decimal numbers; null for what is not known."""
+        parts = [part for column in self.columns if column.files for part in column.split]
+        arrays = {one.name(): _arrow(one.scaled) for one in parts}
+        decimal = [name for name, array in arrays.items() if pa.types.is_floating(array.type)]
+        return pa.table({name: arrays[name] for name in [*(n for n in arrays if n not in decimal), *decimal]})
 
     def records(self) -> list[dict[str, Any]]:
         """One mapping for each row, for JSON; units in the keys, None for what is not known."""
@@ -286,6 +295,17 @@ class Table:
             noun, _, where = more.partition(":")
             lines.append(f"{' ' * indent}and {many(len(self) - most, noun)}:{where}")
         return lines
+
+
+def _arrow(values: Sequence[Any] | np.ndarray) -> pa.Array:
+    """An Arrow array of words, numbers (null for what is not finite) or truths."""
+    if isinstance(values, Names | RepeatedNames):
+        return values.arrow
+    if isinstance(values, pa.Array):
+        return values
+    if not isinstance(values, np.ndarray):
+        return pa.array(list(values), type=pa.large_string())
+    return pa.array(np.ascontiguousarray(values), mask=~np.isfinite(values) if values.dtype.kind == "f" else None)
 
 
 def _is_number(text: str) -> bool:

@@ -30,19 +30,14 @@ from mgsgraph.output.folders import PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import ARCHIVE, write_archive
 from mgsgraph.reports.control import control_json
 from mgsgraph.reports.group_fits import fits_json
+from mgsgraph.reports.large_tables import TableForm, write_large_tables
 from mgsgraph.reports.likelihood import linearity_json
 from mgsgraph.reports.minima import minima_json
 from mgsgraph.reports.passes import nodes_table, passes_table
 from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.soundness import soundness_json
 from mgsgraph.reports.summary import statements
-from mgsgraph.reports.tables import (
-    classes_table,
-    connectivity_table,
-    orientation_table,
-    points_table,
-    residuals_table,
-)
+from mgsgraph.reports.tables import classes_table, connectivity_table, orientation_table
 from mgsgraph.units import ARCSEC
 
 FORMAT = 1
@@ -52,7 +47,7 @@ _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; tim
 
 def write_results(
     solution: Solution, folder: str | Path, figures: bool = True, case: str | Path | None = None,
-    networks: Sequence[Path] = (),
+    networks: Sequence[Path] = (), tables: TableForm | None = None,
 ) -> list[str]:  # fmt: skip
     """Write tables, archive and figures to a folder that appears whole or not at all.
 
@@ -68,6 +63,8 @@ def write_results(
         Case file that was adjusted, for later commands (`case_of`).
     networks : sequence of Path
         Files of its tie points, which an export to ISIS takes more from.
+    tables : "csv" or "parquet", optional
+        Form of the tables of points and residuals; when absent CSV up to 200,000 rows, and else Parquet.
 
     Returns
     -------
@@ -80,12 +77,12 @@ def write_results(
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        return write_into(solution, aside, figures, case, networks)
+        return write_into(solution, aside, figures, case, networks, tables)
 
 
 def write_into(
     solution: Solution, folder: Path, figures: bool = True, case: str | Path | None = None,
-    networks: Sequence[Path] = (),
+    networks: Sequence[Path] = (), tables: TableForm | None = None,
 ) -> list[str]:  # fmt: skip
     """Write tables, archive and figures into a folder that exists; returns the names of the files."""
     connected = solution_connectivity(solution)
@@ -93,12 +90,11 @@ def write_into(
     files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
     known |= {"networks": files} if files else {}
     write_json(folder / RECORD, solution_json(solution, connected) | known)
-    points_table(solution).write_csv(folder / "points.csv")
     orientation_table(solution).write_csv(folder / "orientation.csv")
-    residuals_table(solution).write_csv(folder / "residuals.csv")
+    large = write_large_tables(solution, folder, tables)
     connectivity_table(connected).write_csv(folder / "connectivity.csv")
     write_archive(solution, folder / ARCHIVE)
-    names = [RECORD, "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv", ARCHIVE]
+    names = [RECORD, large[0], "orientation.csv", large[1], "connectivity.csv", ARCHIVE]
     if solution.network.shared:
         shared_table(solution).write_csv(folder / "shared.csv")
         names.append("shared.csv")

@@ -4,10 +4,11 @@ The columns of files carry their units. Lines and samples are counted as ISIS do
 latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights are given as radii.
 """
 
+from collections.abc import Sequence
 
 import numpy as np
 
-from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.analysis.statistics import (
     PLACES,
     local_sigmas,
@@ -19,6 +20,7 @@ from mgsgraph.analysis.statistics import (
 )
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.output.csv_json import padded, picked
@@ -129,14 +131,15 @@ def points_table(solution: Solution) -> Table:
 def orientation_table(solution: Solution) -> Table:
     """The exterior orientation of every image at the papers' 31 places, before and after."""
     images = solution.network.images
-    profiles = [orientation_profile(solution, j, PLACES) for j in range(len(images))]
+    profiles = orientation_profiles(solution, places=PLACES)
 
     def of(name: str) -> Array:
-        return np.concatenate([getattr(profile, name) for profile in profiles])
+        return np.asarray(getattr(profiles, name))
 
+    names = RepeatedNames(tuple(image.name for image in images), np.repeat(np.arange(len(images)), PLACES))
     before, after, xyz, angles = of("position_before"), of("position_after"), ("x", "y", "z"), ("omega", "phi", "kappa")
     return Table("orientation", "Exterior orientation along the images", (
-        Column("image", [image.name for image in images for _ in range(PLACES)], meaning="31 lines of each"),
+        Column("image", names, meaning="31 lines of each"),
         Column("isis_line", of("lines") + ISIS_OFFSET, meaning="the first line's middle is 1"),
         Column("time_et", of("times"), "s", "TDB past J2000"),
         Column("{}_before", before, "m", "position, body-fixed", xyz),
@@ -186,12 +189,12 @@ def residuals_table(solution: Solution) -> Table:
         ]
 
     return Table("measures", "Residuals", (
-        Column("kind", ["image"] * k + ["range"] * r + ["stereo height"] * h,
+        Column("kind", picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
                meaning="an image measure, a range, or a height above a stereo surface"),
         Column("point", picked(network.points.ids, point), meaning="its id", page="s"),
         Column("class", _names(PointClass, network.points.classes[point]), meaning="of the point", head="kind",
                page="s"),
-        Column("image", picked([*(one.name for one in network.images), ""], image),
+        Column("image", picked(["", *(one.name for one in network.images)], image + 1),
                meaning="of a range: that carries it", page="s"),
         Column("used", used, meaning="false for blunders that were rejected"),
         *tested,
@@ -246,11 +249,12 @@ def connectivity_table(connected: Connectivity) -> Table:
 def _shot_lines(solution: Solution) -> Array:
     """(r,) line of the carrying image that was read when the shot was taken."""
     ranges, lines = solution.network.ranges, np.empty(solution.network.ranges.point.size)
-    for j in np.unique(ranges.image):
-        mine, image = ranges.image == j, solution.network.images[j]
+    order = np.argsort(ranges.image, kind="stable")
+    for mine in np.split(order, np.flatnonzero(np.diff(ranges.image[order])) + 1) if order.size else []:
+        image = solution.network.images[ranges.image[mine[0]]]
         lines[mine] = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
     return lines
 
 
-def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> list[str]:
+def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> Sequence[str]:
     return picked([member.name.lower() for member in kind], codes)

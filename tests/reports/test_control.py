@@ -46,8 +46,8 @@ def test_heights_above_stereo_surfaces_are_told(tmp_path: Path) -> None:
         mine = [row for row in csv.DictReader(file) if row["kind"] == "stereo height"]
     assert [row["point"] for row in mine] == list(solution.network.points.ids[-6:])
     assert [float(row["residual_height_m"]) for row in mine] == (-heights).tolist()
-    said = {tuple(row[name] for name in ("image", "used", "isis_line", "sigma_height_m")) for row in mine}
-    assert said == {("", "true", "", "1.0")}
+    said = {(row["image"], row["used"], row["isis_line"], float(row["sigma_height_m"])) for row in mine}
+    assert said == {("", "true", "", 1.0)}
 
 
 def test_back_projections_are_owned_up_to() -> None:
