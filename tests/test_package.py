@@ -65,6 +65,7 @@ ONLY_IN = {
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.blunders", "mgsgraph.adjustment.datum",
         "mgsgraph.adjustment.graph.prior",
+        "mgsgraph.adjustment.marginals",
         "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.common_errors", "mgsgraph.geometry.stereo_surface",
         "mgsgraph.geometry.terrain",
         "mgsgraph.geometry.track_terrain",

@@ -10,7 +10,6 @@ So every pair of variables within a clique gets its block, among them all pairs 
 need. Any other block follows from the square root itself.
 """
 
-import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,8 +18,11 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.linalg import lapack
 
-from mgsgraph.adjustment.square_root import SquareRoot, begins, eliminate, product
+from mgsgraph.adjustment.blas_threads import many_threads, one_thread
+from mgsgraph.adjustment.square_root import SquareRoot, begins, eliminate
+from mgsgraph.compiled import cached_kernel
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
 
@@ -259,37 +261,45 @@ def joint_covariance(root: SquareRoot) -> JointCovariance:
 
 
 def _clique_blocks(root: SquareRoot) -> Array:
-    """Rows [S_FF S_FS] of all cliques, flat, by the recursion from the root down, a variable at a time."""
+    """Rows [S_FF S_FS] of all cliques, flat, by the recursion from the root down."""
     blocks = np.empty_like(root.rows)
     waiting = np.bincount(root.parent[root.parent >= 0], minlength=root.sizes.size)
     whole = dict[int, Array]()
     """Covariance of all variables of a clique, kept while children wait for it."""
     place = np.zeros(root.columns, dtype=np.int64)
-    for clique, parent in enumerate(root.parent.tolist()):
-        columns, rows = root.columns_of[clique], root.rows_of(clique)
-        covariance, frontal = np.empty((columns.size, columns.size)), rows.shape[0]
-        if parent >= 0:
-            place[root.columns_of[parent]] = np.arange(root.columns_of[parent].size)
-            _copy_square(whole[parent], place[columns[frontal:]], covariance[frontal:, frontal:])
-            waiting[parent] -= 1
-            if waiting[parent] == 0:
-                del whole[parent]
-        for a, b, inverse in reversed(root.triangles[clique]):
-            across = (inverse @ rows[a:b, b:]).T
-            beside = -product(covariance[b:, b:], across)
-            own = inverse @ inverse.T - across.T @ beside
-            covariance[a:b, a:b] = 0.5 * (own + own.T)
-            covariance[b:, a:b], covariance[a:b, b:] = beside, beside.T
-        blocks[root.offset[clique] : root.offset[clique + 1]] = covariance[:frontal].ravel()
-        if waiting[clique]:
-            whole[clique] = covariance
+    with one_thread():
+        for clique, parent in enumerate(root.parent.tolist()):
+            columns, rows = root.columns_of[clique], root.rows_of(clique)
+            covariance, frontal = np.empty((columns.size, columns.size)), rows.shape[0]
+            if parent >= 0:
+                place[root.columns_of[parent]] = np.arange(root.columns_of[parent].size)
+                _copy_square(whole[parent], place[columns[frontal:]], covariance[frontal:, frontal:])
+                waiting[parent] -= 1
+                if waiting[parent] == 0:
+                    del whole[parent]
+            with many_threads(float(frontal) * columns.size**2):
+                _fill_frontal(rows, covariance)
+            blocks[root.offset[clique] : root.offset[clique + 1]] = covariance[:frontal].ravel()
+            if waiting[clique]:
+                whole[clique] = covariance
     return blocks
 
 
-def _copy_square(source: Array, places: Index, target: Array) -> None:
-    """Copy source[places][:, places] to `target`, run by run of consecutive places."""
-    edges = [0, *(np.flatnonzero(np.diff(places) != 1) + 1).tolist(), places.size]
-    runs = [(a, b, int(places[a])) for a, b in itertools.pairwise(edges)]
-    for a, b, row in runs:
-        for c, d, column in runs:
-            target[a:b, c:d] = source[row : row + b - a, column : column + d - c]
+def _fill_frontal(rows: Array, covariance: Array) -> None:
+    """S_FF and S_FS of a clique of rows [R T], from its S_SS, which stands in `covariance` already."""
+    frontal = rows.shape[0]
+    inverse = lapack.dtrtri(np.triu(rows[:, :frontal]).T, lower=1)[0].T
+    across = inverse @ rows[:, frontal:]
+    beside = -(covariance[frontal:, frontal:] @ across.T)
+    own = inverse @ inverse.T - across @ beside
+    covariance[:frontal, :frontal] = 0.5 * (own + own.T)
+    covariance[frontal:, :frontal], covariance[:frontal, frontal:] = beside, beside.T
+
+
+@cached_kernel
+def _copy_square(source, places, target):
+    """Copy source[places][:, places] to `target`."""
+    for i in range(places.size):
+        row = source[places[i]]
+        for j in range(places.size):
+            target[i, j] = row[places[j]]

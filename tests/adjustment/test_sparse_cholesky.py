@@ -34,4 +34,4 @@ def test_a_band_stays_a_band() -> None:
     """Its fronts stay as wide as the band, and twice as long a band takes twice the work, not eight times."""
     short, long = (band(count)[0] for count in (200, 400))
     assert max(front.columns.size for front in long._fronts) < 4 * REACH * WIDTH
-    assert long._operations / short._operations == pytest.approx(2.0, rel=0.2)
+    assert long.operations / short.operations == pytest.approx(2.0, rel=0.2)
