@@ -13,7 +13,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.connectivity import connectivity_sheet
 from mgsgraph.figures.discrepancy import discrepancy_sheets
-from mgsgraph.figures.ground_map import map_sheet
+from mgsgraph.figures.ground_map import map_sheets
 from mgsgraph.figures.minima import minima_sheets
 from mgsgraph.figures.orientation import orientation_sheets
 from mgsgraph.figures.overlay import overlay_sheets, pixels_of
@@ -57,7 +57,7 @@ def _sheets(solution: Solution, connected: Connectivity | None) -> Iterator[Shee
     rays = solution.network.rays
     if np.any(solution.network.points.classes[rays.point] == PointClass.LASER):
         yield from registration_sheets(solution)
-    yield map_sheet(solution)
+    yield from map_sheets(solution, connected)
     yield connectivity_sheet(solution, connected)
     yield from minima_sheets(solution)
 

@@ -33,7 +33,8 @@ class ImageResiduals:
 def image_residuals(solution: Solution, image: int) -> ImageResiduals:
     """Residuals of one image; rays to undetermined points have none and are left out."""
     rays = solution.network.rays
-    mine = np.flatnonzero((rays.image == image) & np.all(np.isfinite(solution.residuals), axis=1))
+    mine = np.flatnonzero(rays.image == image)
+    mine = mine[np.all(np.isfinite(solution.residuals[mine]), axis=1)]
     return ImageResiduals(
         places=rays.places[mine],
         residuals=solution.residuals[mine],

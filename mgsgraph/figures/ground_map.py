@@ -1,12 +1,16 @@
 """A map of the block: footprints of the images, tie points by their sigma, laser and control points."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.content import centre_of, east_north
+from mgsgraph.figures.overview_map import overview_map
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_MARKER,
@@ -23,21 +27,30 @@ from mgsgraph.figures.sheet import (
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
-from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.measured import thinned
 from mgsgraph.units import DEG, KM
 
 _OUTLINES = ((INK, "-"), ("#CC79A7", "--"), ("#56B4E9", "-."), (SOFT, ":"))
 """Colours and strokes of the first outlines; in larger blocks all look alike."""
+_FEW = 500
+"""Marks of known points that are large enough to be told apart."""
 _WIDEST, _TALLEST, _LEAST, _SIDE = 7.2, 7.4, 3.0, 2.9
 """inch: bounds of the map, and the column beside it for legend and colour bar."""
 
 
+def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
+    """The map, and of a block with many points their cells; `connected` saves finding the footprints anew."""
+    yield map_sheet(solution, connected)
+    if np.count_nonzero(solution.determined) > MOST_MARKS:
+        yield overview_map(solution)
+
+
 @plain_style()
-def map_sheet(solution: Solution) -> Sheet:
+def map_sheet(solution: Solution, connected: Connectivity | None = None) -> Sheet:
     """The map, around the block's centre."""
     centre = centre_of(solution.places)
-    footprints = network_footprints(solution.network, solution.places, solution.correction)
+    footprints = (connected or solution_connectivity(solution)).footprints
     outlines = [east_north(one.outline, centre) / KM for one in footprints]
     places = east_north(solution.places, centre) / KM
     low, high, (width, height) = frame(np.concatenate([*outlines, places]))
@@ -134,7 +147,8 @@ def _draw_known(panel: Axes, solution: Solution, places: Array) -> list[Line2D]:
             continue
         mine = mine[thinned(mine.size, MOST_MARKS)]
         handles += panel.plot(
-            *places[mine].T, ls="", marker=CLASS_MARKER[point_class], ms=4.2, mfc="none", mew=0.9,
+            *places[mine].T, ls="", marker=CLASS_MARKER[point_class], ms=4.2 if mine.size <= _FEW else 1.6, mfc="none",
+            mew=0.9 if mine.size <= _FEW else 0.4,
             color=CLASS_COLOUR[point_class], label=CLASS_NAME[point_class], zorder=4,
         )
     return handles

@@ -10,6 +10,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
+from mgsgraph.figures.aggregate import LARGE_BLOCK
+from mgsgraph.figures.overview import middle_corrections, orientation_overview, strangeness
 from mgsgraph.figures.passes import largest_correlation, pass_sheets
 from mgsgraph.figures.sheet import (
     AFTER,
@@ -28,6 +30,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.units import ARCSEC
 
 _PER_SHEET = 4
+_FARTHEST, _NEAREST = 6, 2
+"""Images of a large block that are drawn one by one, by their corrections in robust sigmas from the block's median."""
 _PLACES = 101
 _ROWS = ("X (m)", "Y (m)", "Z (m)", "about x\n(arcsec)", "about y\n(arcsec)", "about z\n(arcsec)")
 
@@ -49,13 +53,19 @@ class Drawn:
 
 
 def orientation_sheets(solution: Solution, most_passes: int = MOST_SHEETS) -> Iterator[Sheet]:
-    """Sheets of passes (`figures.passes`), then sheets of up to four images on their own; of a large block, the first
-    ones.
+    """Sheets of passes (`figures.passes`), then sheets of up to four images on their own; of a large block all of these
+    on one sheet, and a choice of them on two.
     """
     yield from pass_sheets(solution, most_passes)
     own = np.flatnonzero(solution.network.pass_of < 0).tolist()
-    chosen = own[: _PER_SHEET * MOST_SHEETS]
-    sheets, omitted = in_sheets(chosen, _PER_SHEET), left_out(len(own), len(chosen), f"first {len(chosen)}")
+    chosen, which = own, ""
+    if len(own) > LARGE_BLOCK:
+        found = middle_corrections(solution, own)
+        yield orientation_overview(found)
+        order = np.argsort(-strangeness(found), kind="stable")
+        chosen = sorted(np.array(own)[[*order[:_FARTHEST], *order[-_NEAREST:]]].tolist())
+        which = f"{_FARTHEST} farthest from the block's median and {_NEAREST} nearest to it"
+    sheets, omitted = in_sheets(chosen, _PER_SHEET), left_out(len(own), len(chosen), which)
     for n, some in enumerate(sheets):
         columns = [drawn_image(solution, k) for k in some]
         yield _sheet(columns, sheet_name("orientation", n + 1, len(sheets)), omitted)

@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +16,7 @@ from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.connectivity import connectivity_sheet
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.discrepancy import discrepancy_sheets
-from mgsgraph.figures.ground_map import frame, map_sheet
+from mgsgraph.figures.ground_map import frame, map_sheets
 from mgsgraph.figures.minima import minima_sheets
 from mgsgraph.figures.orientation import orientation_sheets
 from mgsgraph.figures.overlay import pixels_of
@@ -73,17 +74,21 @@ class Picture:
 
 
 def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
-    """Sheets as pictures, in order: SVG, or PNG where that is large; `as_picture`: JPEG, for what shows pixels."""
+    """Sheets as pictures, in order: SVG, or PNG where that is large and for pictures of cells; `as_picture`: JPEG, for
+    what shows pixels.
+    """
     return [_drawn(sheet, as_picture) for sheet in sheets]
 
 
 def _drawn(sheet: Sheet, as_picture: bool) -> Picture:
     if as_picture:
         kind, data = "jpeg", encoded(sheet, "jpg", pil_kwargs={"quality": _QUALITY, "optimize": True})
+    elif not sheet.vector:
+        kind, data = "png", encoded(sheet, "png")
     else:
         about = {"Title": sheet.title, "Date": None, "Creator": "mgsgraph"}
         kind, data = "svg+xml", encoded(sheet, "svg", metadata=about)
-    if len(data) > _LARGE and not as_picture:
+    if kind == "svg+xml" and len(data) > _LARGE:
         kind, data = min((kind, data), ("png", encoded(sheet, "png")), key=lambda one: len(one[1]))
     width, height = (round(96.0 * float(inch)) for inch in sheet.figure.get_size_inches())
     return Picture(sheet.name, sheet.title, sheet.caption, data_uri(f"image/{kind}", data), width, height)
@@ -101,8 +106,9 @@ def solution_figures(solution: Solution, connected: Connectivity) -> dict[str, l
     """Figures that a solution alone allows, by section of the page."""
     rays = solution.network.rays
     laser = bool(np.any(solution.network.points.classes[rays.point] == PointClass.LASER))
+    maps = map_sheets(solution, connected), [connectivity_sheet(solution, connected)], minima_sheets(solution)
     return {
-        "map": drawn([map_sheet(solution), connectivity_sheet(solution, connected), *minima_sheets(solution)]),
+        "map": drawn(chain.from_iterable(maps)),
         "registration": drawn(registration_sheets(solution)) if laser else [],
         "orientation": drawn(orientation_sheets(solution)),
         "residuals": [*drawn(residual_sheets(solution)), *drawn(correction_sheets(solution))],

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.figures.aggregate import LARGE_BLOCK
 from mgsgraph.figures.content import mean, rms
 from mgsgraph.figures.sheet import (
     AFTER,
@@ -33,7 +34,8 @@ from mgsgraph.registration.measured import (
     registration_offsets,
 )
 
-_PER_SHEET = 2
+_PER_SHEET, _OF_LARGE = 2, 2
+"""Images on a sheet, and sheets of a large block, all of whose laser points are on the overview of residuals."""
 MOST_SHOTS = 1000
 """Laser points in an image; each is drawn up to ten times."""
 _LABELS = ("sample (px)", "line, measured\nminus projected (px)", "sample, measured\nminus projected (px)")
@@ -47,7 +49,8 @@ def registration_sheets(solution: Solution) -> Iterator[Sheet]:
     """
     if not solution.members(PointClass.LASER).size:
         return
-    chosen = _richest(solution, _PER_SHEET * MOST_SHEETS)
+    large = len(solution.network.images) > LARGE_BLOCK
+    chosen = _richest(solution, _PER_SHEET * (_OF_LARGE if large else MOST_SHEETS))
     omitted = left_out(len(solution.network.images), len(chosen), f"{len(chosen)} with most laser measures")
     found = {j: registration_offsets(solution, j, MOST_SHOTS) for j in chosen}
     seeing = [j for j in chosen if found[j].points.size]

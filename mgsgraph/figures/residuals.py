@@ -1,6 +1,7 @@
 """Residuals of image coordinates as arrows in the frame of each image."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,14 +9,15 @@ from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.figures.aggregate import LARGE_BLOCK, cell_means, medians, used_rays
 from mgsgraph.figures.content import ImageResiduals, image_residuals, rms
+from mgsgraph.figures.overview import residual_overview
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_MARKER,
     CLASS_NAME,
     INK,
     MOST_MARKS,
-    MOST_SHEETS,
     SOFT,
     Sheet,
     in_sheets,
@@ -32,6 +34,19 @@ from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned
 
 _PER_SHEET = 4
+_WORST, _TYPICAL = 6, 2
+"""Images of a large block that are drawn one by one: those that fit worst, and those in the middle."""
+_SINGLE = 600
+"""Measures of a class in an image from which on means of cells are drawn in place of each one."""
+_CELLS = 24, 8
+"""Cells of an image along its lines and samples."""
+_FEWEST = 5
+"""Measures in a cell that has an arrow."""
+_MOST_LONGER = 300
+"""Marks of long residuals in an image."""
+_LONGER = "#CC0000"
+_BEYOND = 4.0
+"""Times the median length of an image's residuals: longer ones are marked where they are, for a mean hides them."""
 _LONGEST = {PointClass.TIE: 0.4, PointClass.LASER: 0.18, PointClass.CONTROL: 0.4, PointClass.POST: 0.18}
 """inch, of the longest arrow; laser points lie in rows so dense that long arrows would hide each other."""
 _SHARE = 0.98
@@ -39,59 +54,105 @@ _SHARE = 0.98
 
 
 def residual_sheets(solution: Solution) -> Iterator[Sheet]:
-    """Sheets of up to four images; of a large block, the images with the largest residuals."""
-    every = [image_residuals(solution, j) for j in range(len(solution.network.images))]
-    chosen = _worst([rms(one.residuals[one.used]) for one in every], _PER_SHEET * MOST_SHEETS)
+    """Sheets of up to four images; of a large block all images on one sheet, and a choice of them on two."""
+    every = len(solution.network.images)
+    chosen, which = list(range(every)), ""
+    if every > LARGE_BLOCK:
+        yield residual_overview(solution)
+        chosen = _worst_and_typical(solution)
+        which = f"{_WORST} with the largest median residuals and {_TYPICAL} from their middle"
     sheets = in_sheets(chosen, _PER_SHEET)
-    omitted = left_out(len(every), len(chosen), f"{len(chosen)} with the largest residuals")
+    omitted = left_out(every, len(chosen), which)
     for n, images in enumerate(sheets):
-        yield _sheet(solution, images, [every[j] for j in images], sheet_name("residuals", n + 1, len(sheets)), omitted)
+        found = [image_residuals(solution, j) for j in images]
+        yield _sheet(solution, images, found, sheet_name("residuals", n + 1, len(sheets)), omitted)
 
 
-def _worst(sizes: Sequence[float], most: int) -> list[int]:
-    """Indices of the `most` largest, NaN last, in their own order."""
-    order = np.argsort(-np.nan_to_num(np.array(sizes), nan=-1.0), kind="stable")
-    return sorted(order[:most].tolist())
+def _worst_and_typical(solution: Solution) -> list[int]:
+    """Images whose median residual, in units of its sigma, is largest, and those whose one is in the middle; sorted."""
+    rays, number = solution.network.rays, len(solution.network.images)
+    mine = np.flatnonzero(used_rays(solution))
+    size = np.max(np.abs(solution.residuals[mine]) / rays.sigmas[mine], axis=1)
+    found = medians(size, rays.image[mine], number)
+    order = np.argsort(-np.nan_to_num(found, nan=-1.0), kind="stable")
+    middle = (max(int(np.count_nonzero(np.isfinite(found))), number // 2) - _TYPICAL) // 2
+    return sorted({*order[:_WORST].tolist(), *order[max(middle, _WORST):][:_TYPICAL].tolist()})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Arrows:
+    """Arrows of one class in one image."""
+
+    places: Array
+    """(n, 2) line, sample."""
+    residuals: Array
+    """(n, 2) px, of measures or means of cells."""
+    averaged: bool
+    """Whether they are means of cells."""
+    longer: Array
+    """(m, 2) line, sample of measures whose residuals the means hide."""
 
 
 @plain_style()
 def _sheet(
     solution: Solution, images: Sequence[int], residuals: Sequence[ImageResiduals], name: str, omitted: str
 ) -> Sheet:
-    scales = {point_class: _scale(residuals, point_class) for point_class in PointClass}
+    pictures = [solution.network.images[j] for j in images]
     present = [point_class for point_class in PointClass if any(one.of(point_class).size for one in residuals)]
-    caption = _caption(residuals, present, scales) + omitted + "."
+    sizes = [(picture.lines, picture.samples) for picture in pictures]
+    arrows = {c: [_arrows(one, c, size) for one, size in zip(residuals, sizes, strict=True)] for c in present}
+    scales = {point_class: _scale(some) for point_class, some in arrows.items()}
+    caption = _caption(residuals, arrows, scales) + omitted + "."
     sheet = new_sheet(name, max(7.2, 0.6 + 3.0 * len(images)), 6.6, "Image residuals after the adjustment", caption)
     row = sheet.panels(1, len(images))[0]
     keys: dict[PointClass, Quiver] = {}
-    for panel, j, one in zip(row, images, residuals, strict=True):
-        picture = solution.network.images[j]
+    for k, (panel, picture, one) in enumerate(zip(row, pictures, residuals, strict=True)):
         _frame(panel, picture.lines, picture.samples)
         panel.set(xlabel="sample (px)", ylabel="line (px)" if panel is row[0] else "", title=short(picture.name, 34))
         for point_class in present:
-            arrows = _draw(panel, one, point_class, scales[point_class])
-            if arrows is not None:
-                keys.setdefault(point_class, arrows)
+            drawn = _draw(panel, arrows[point_class][k], point_class, scales[point_class])
+            if drawn is not None:
+                keys.setdefault(point_class, drawn)
         _cross_out(panel, one)
-    handles = [
-        Line2D([], [], ls="", marker=CLASS_MARKER[c], ms=4, color=CLASS_COLOUR[c], label=CLASS_NAME[c]) for c in present
-    ]
-    if any(np.any(~one.used) for one in residuals):
-        handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.4, color=INK, label="rejected (no arrow)"))
-    sheet.legend(handles)
+    sheet.legend(_handles(residuals, arrows))
     width = float(sheet.figure.get_figwidth())
-    for n, (point_class, arrows) in enumerate(reversed(keys.items())):
+    for n, (point_class, shown) in enumerate(reversed(keys.items())):
         key = round_figure(scales[point_class])
         row[0].quiverkey(
-            arrows, 1.0 - (0.85 + 1.0 * n) / width, sheet.band_height(), key, f"{number(key)} px",
+            shown, 1.0 - (0.85 + 1.0 * n) / width, sheet.band_height(), key, f"{number(key)} px",
             coordinates="figure", labelpos="E", labelsep=0.06, color=CLASS_COLOUR[point_class],
         )
     return sheet
 
 
-def _scale(residuals: Sequence[ImageResiduals], point_class: PointClass) -> float:
+def _handles(residuals: Sequence[ImageResiduals], arrows: dict[PointClass, list[_Arrows]]) -> list[Line2D]:
+    handles = [
+        Line2D([], [], ls="", marker=CLASS_MARKER[c], ms=4, color=CLASS_COLOUR[c],
+               label=CLASS_NAME[c] + ", means of cells" * any(one.averaged for one in some))
+        for c, some in arrows.items()
+    ]  # fmt: skip
+    if any(one.longer.size for some in arrows.values() for one in some):
+        mark = {"marker": "o", "ms": 4.5, "mfc": "none", "mew": 0.9, "color": _LONGER}
+        handles.append(Line2D([], [], ls="", label="long residual", **mark))
+    if any(np.any(~one.used) for one in residuals):
+        handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.4, color=INK, label="rejected (no arrow)"))
+    return handles
+
+
+def _arrows(one: ImageResiduals, point_class: PointClass, size: tuple[int, int]) -> _Arrows:
+    """Each measure of a class, or the means of cells where there are many, and then the measures that are long."""
+    mine = one.of(point_class)
+    places, residuals = one.places[mine], one.residuals[mine]
+    if mine.size <= _SINGLE:
+        return _Arrows(places, residuals, False, np.empty((0, 2)))
+    length = np.hypot(*residuals.T)
+    longer = places[length > _BEYOND * float(np.median(length))]
+    return _Arrows(*cell_means(places, residuals, size, _CELLS, _FEWEST), True, longer)
+
+
+def _scale(arrows: Sequence[_Arrows]) -> float:
     """Pixels of the longest arrow of a class."""
-    lengths = np.concatenate([np.hypot(*one.residuals[one.of(point_class)].T) for one in residuals])
+    lengths = np.concatenate([np.hypot(*one.residuals.T) for one in arrows])
     return (float(np.quantile(lengths, _SHARE)) if lengths.size else 0.0) or 1.0
 
 
@@ -104,15 +165,15 @@ def _frame(panel: Axes, lines: int, samples: int) -> None:
     panel.locator_params(axis="x", nbins=5)
 
 
-def _draw(panel: Axes, one: ImageResiduals, point_class: PointClass, longest: float) -> Quiver | None:
-    """Dots at the measured places and arrows from them; None when the image has none of the class."""
-    mine = one.of(point_class)
-    if not mine.size:
+def _draw(panel: Axes, arrows: _Arrows, point_class: PointClass, longest: float) -> Quiver | None:
+    """Dots at the places and arrows from them; None when the image has none of the class."""
+    if not arrows.places.size:
         return None
-    mine = mine[thinned(mine.size, MOST_MARKS)]
-    colour, (lines, samples) = CLASS_COLOUR[point_class], one.places[mine].T
-    down, right = cut(one.residuals[mine], longest).T
+    colour, (lines, samples) = CLASS_COLOUR[point_class], arrows.places.T
+    down, right = cut(arrows.residuals, longest).T
     panel.plot(samples, lines, ls="", marker=CLASS_MARKER[point_class], ms=2.2, mew=0.0, color=colour, alpha=0.8)
+    longer = arrows.longer[thinned(len(arrows.longer), _MOST_LONGER)]
+    panel.plot(longer[:, 1], longer[:, 0], ls="", marker="o", ms=4.5, mfc="none", mew=0.9, color=_LONGER, zorder=4)
     return panel.quiver(
         samples, lines, right, -down, color=colour,
         angles="uv", units="inches", scale_units="inches", scale=longest / _LONGEST[point_class],
@@ -136,25 +197,40 @@ def cut(residuals: Array, longest: float) -> Array:
 
 
 def _caption(
-    residuals: Sequence[ImageResiduals], present: Sequence[PointClass], scales: dict[PointClass, float]
+    residuals: Sequence[ImageResiduals], arrows: dict[PointClass, list[_Arrows]], scales: dict[PointClass, float]
 ) -> str:
     """What one sees, with figures."""
-    parts, longer, fewer = [], 0, False
-    for point_class in present:
+    parts = []
+    for point_class in arrows:
         rows = [(one, one.of(point_class)) for one in residuals]
         before = np.concatenate([one.residuals_before[mine] for one, mine in rows])
         after = np.concatenate([one.residuals[mine] for one, mine in rows])
-        longer += int(np.count_nonzero(np.hypot(*after.T) > scales[point_class] * (1.0 + 1e-9)))
-        fewer = fewer or any(mine.size > MOST_MARKS for _, mine in rows)
         parts.append(
             f"{len(after)} measures of {CLASS_NAME[point_class]} from {number(rms(before[:, 0]))} and "
             f"{number(rms(before[:, 1]))} to {number(rms(after[:, 0]))} and {number(rms(after[:, 1]))} px"
         )
-    crossed = sum(int(np.count_nonzero(~one.used)) for one in residuals)
     text = "The adjustment brought the RMS residual (line and sample, measured minus predicted) of "
     text = text + "; of ".join(parts) if parts else "No measure of these images took part in the adjustment"
-    text += "; arrows go from the measured place along the residual, and line and sample axes differ in scale"
-    limits = " and ".join(f"{number(scales[point_class])}" for point_class in present)
+    return text + _arrow_words(residuals, arrows, scales)
+
+
+def _arrow_words(
+    residuals: Sequence[ImageResiduals], arrows: dict[PointClass, list[_Arrows]], scales: dict[PointClass, float]
+) -> str:
+    """What arrows and marks are."""
+    text = "; arrows go from the measured place along the residual, and line and sample axes differ in scale"
+    if any(one.averaged for some in arrows.values() for one in some):
+        lost = sum(len(one.longer) for some in arrows.values() for one in some)
+        text += (
+            f"; of a kind with more than {_SINGLE} measures in an image the mean residuals of "
+            f"{_CELLS[0]} x {_CELLS[1]} cells are drawn (of at least {_FEWEST} measures), and apart from them "
+            f"residuals of more than {_BEYOND:g} times the median length are marked ({lost})"
+        )
+    longer = sum(
+        int(np.count_nonzero(np.hypot(*one.residuals.T) > scales[c] * (1.0 + 1e-9)))
+        for c, some in arrows.items() for one in some
+    )
+    limits = " and ".join(f"{number(scales[point_class])}" for point_class in arrows)
     text += f"; arrows longer than {limits} px are cut off ({longer})" if longer else ""
-    text += f"; rejected measures: {crossed}" if crossed else ""
-    return text + (f"; at most {MOST_MARKS} arrows of a kind are drawn in a panel" if fewer else "")
+    crossed = sum(int(np.count_nonzero(~one.used)) for one in residuals)
+    return text + (f"; rejected measures: {crossed}" if crossed else "")

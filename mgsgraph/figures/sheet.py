@@ -95,6 +95,8 @@ class Sheet:
     """The sentence under it."""
     figure: Figure
     """What is drawn."""
+    vector: bool = True
+    """False for a picture of cells, of which no SVG is made."""
 
     def panels(
         self, rows: int = 1, columns: int = 1, heights: Sequence[float] | None = None,
@@ -130,7 +132,8 @@ class Sheet:
 
 
 def new_sheet(
-    name: str, width: float, height: float, title: str, caption: str, band: float = _BAND, gap: float = 0.04
+    name: str, width: float, height: float, title: str, caption: str, band: float = _BAND, gap: float = 0.04,
+    vector: bool = True,
 ) -> Sheet:
     """A sheet with title, caption and a legend band (inch), and `height` inches for panels with their labels, `gap`
     inches above and below each.
@@ -145,7 +148,7 @@ def new_sheet(
     engine.set(rect=inside, w_pad=0.06, h_pad=gap, hspace=0.5 * gap)
     figure.text(left, 1.0 - _MARGIN / total, title, va="top", size=12.0, weight="bold")
     figure.text(left, _MARGIN / total, "\n".join(lines), va="bottom", size=8.5, color="#333333", linespacing=1.35)
-    return Sheet(name, title, caption, figure)
+    return Sheet(name, title, caption, figure, vector)
 
 
 @plain_style()
@@ -173,14 +176,17 @@ def _lay_out(figure: Figure) -> None:
 
 
 def save(sheets: Iterable[Sheet], folder: Path) -> list[str]:
-    """Write each sheet as PNG and SVG to a folder, made where it does not exist; the names of the files."""
+    """Write each sheet as PNG, and as SVG unless it is a picture of cells; returns the names of the files. The folder
+    is made where it does not exist.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     names = []
     for sheet in sheets:
         about = {"Title": sheet.title, "Description": sheet.caption}
-        png = encoded(sheet, "png", metadata=about, pil_kwargs={"compress_level": 1})
-        svg = encoded(sheet, "svg", metadata={"Date": None, "Creator": "mgsgraph", **about})
-        for suffix, data in (("png", png), ("svg", svg)):
+        files = {"png": encoded(sheet, "png", metadata=about, pil_kwargs={"compress_level": 1})}
+        if sheet.vector:
+            files["svg"] = encoded(sheet, "svg", metadata={"Date": None, "Creator": "mgsgraph", **about})
+        for suffix, data in files.items():
             (folder / f"{sheet.name}.{suffix}").write_bytes(data)
             names.append(f"{sheet.name}.{suffix}")
     return names

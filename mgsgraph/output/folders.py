@@ -55,6 +55,7 @@ FIGURES = (
     "residuals", "orientation", "passes", "pass", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "unexplained", "vibrations", "spacings",
     "spectrum", "course", "matches", "dem", "costs", "profiles", "shifts", "story", "minima",
+    "overview_residuals", "overview_orientation", "overview_map",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"

@@ -51,12 +51,12 @@ def kinds(names: list[str]) -> set[str]:
 
 
 def require_files(folder: Path, names: list[str], pixels: bool = False) -> None:
-    """Every PNG has its SVG, SVGs (and PNGs, if there are `pixels`) are whole, nothing else lies in the folder."""
+    """Every PNG but an overview has its SVG, SVGs (and PNGs, if there are `pixels`) are whole, and that is all."""
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
     for name in names:
         data = (folder / name).read_bytes()
         if name.endswith(".png"):
-            assert name.replace(".png", ".svg") in names
+            assert (name.replace(".png", ".svg") in names) != name.startswith("overview_")
             if pixels:
                 assert len(data) > 10_000
                 assert data[:8] == b"\x89PNG\r\n\x1a\n"
@@ -331,13 +331,10 @@ def repeated(solution: Solution, images: int, copies: int) -> Solution:
 
 
 @pytest.mark.usefixtures("light_figures")
-def test_a_large_block_has_few_sheets_which_say_so(
-    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for kind in ("residuals", "orientation", "registration"):
-        monkeypatch.setattr(f"mgsgraph.figures.{kind}.MOST_SHEETS", 2)
+def test_a_large_block_has_overviews_and_few_sheets_which_say_so(solution: Solution, tmp_path: Path) -> None:
     names = write_figures(repeated(solution, 40, 1), tmp_path)
     require_files(tmp_path, names)
+    assert {"overview_residuals.png", "overview_orientation.png"} <= set(names)
     for kind in ("residuals", "orientation", "registration"):
         sheets = [name for name in names if name.startswith(kind) and name.endswith(".png")]
         assert sheets == [f"{kind}_{k + 1}.png" for k in range(2)]
@@ -346,13 +343,14 @@ def test_a_large_block_has_few_sheets_which_say_so(
 
 
 @pytest.mark.usefixtures("light_figures")
-def test_many_points_are_thinned_which_is_said(solution: Solution, tmp_path: Path) -> None:
+def test_many_points_are_averaged_or_thinned_which_is_said(solution: Solution, tmp_path: Path) -> None:
     found = repeated(solution, 2, 1000)
     assert found.network.rays.point.size == 120_000
     names = write_figures(found, tmp_path)
     require_files(tmp_path, names)
+    assert "overview_map.png" in names
     for name, words in (
-        ("residuals", f"at most {MOST_MARKS} arrows"), ("map", f"at most {MOST_MARKS} points"),
+        ("residuals", "the mean residuals of"), ("map", f"at most {MOST_MARKS} points"),
         ("registration", f"{MOST_SHOTS} of 20000 shots"),
     ):
         text = (tmp_path / f"{name}.svg").read_text()

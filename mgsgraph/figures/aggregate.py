@@ -1,0 +1,145 @@
+"""Many values made few before they are drawn: means and medians of groups, robust limits of a colour scale, and the
+images of a large block by the rows of a picture. No loop runs over values.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.figures.sheet import short
+from mgsgraph.geometry.records import Array, Index, Mask
+
+LARGE_BLOCK = 16
+"""Images up to which all are drawn, one by one; a larger block has overviews, and a choice of its images."""
+_MOST_ROWS = 500
+"""Rows of a picture; a block of more images has several in a row."""
+_NAMED = 12
+"""Rows that have their image's name beside them."""
+_SHARE = 0.98
+"""Share of the values that a colour scale covers."""
+
+
+def counts(groups: Index, number: int) -> Index:
+    """(number,) how many of `groups` (n,), from 0 on, are each one."""
+    return np.bincount(groups, minlength=number)
+
+
+def means(values: Array, groups: Index, number: int) -> Array:
+    """(number,) mean of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
+    sound = np.isfinite(values)
+    values, groups = values[sound], groups[sound]
+    of = counts(groups, number)
+    total = np.bincount(groups, weights=values, minlength=number)
+    return np.where(of > 0, total / np.maximum(of, 1), np.nan)
+
+
+def medians(values: Array, groups: Index, number: int) -> Array:
+    """(number,) median of the finite values (n,) of each group (n,), counted from 0; NaN where there are none.
+
+    Values are rounded to float32, enough for any picture: group and value then fit into one integer of 64 bits, which
+    is sorted at once, some ten times faster than by two keys.
+    """
+    sound = np.isfinite(values)
+    values, groups = values[sound], groups[sound]
+    bits = values.astype(np.float32).view(np.uint32)
+    rising = np.where(bits >> 31 == 1, ~bits, bits | np.uint32(1 << 31))  # in the order of the values they stand for
+    packed = np.sort(groups.astype(np.uint64) << np.uint64(32) | rising)
+    of = counts(groups, number)
+    first = np.cumsum(of) - of
+    some = of > 0
+    found = np.full(number, np.nan)
+    middle = [_unpacked(packed[(first + shift)[some]]) for shift in ((of - 1) // 2, of // 2)]
+    found[some] = 0.5 * (middle[0] + middle[1])
+    return found
+
+
+def _unpacked(packed: np.ndarray) -> Array:
+    rising = (packed & np.uint64(0xFFFFFFFF)).astype(np.uint32)
+    bits = np.where(rising >> 31 == 1, rising & np.uint32(0x7FFFFFFF), ~rising)
+    return np.asarray(bits.view(np.float32), dtype=np.float64)
+
+
+def cell_means(
+    places: Array, values: Array, size: tuple[float, float], cells: tuple[int, int], fewest: int
+) -> tuple[Array, Array]:
+    """Middles (m, 2) of the cells of a rectangle from zero to `size`, and the means (m, 2) of the values (n, 2) whose
+    places (n, 2) lie in each; cells of fewer than `fewest` values are left out, places outside belong to the nearest.
+    """
+    widths = np.array(size, dtype=np.float64) / cells
+    cell, number = cell_numbers(places, size, cells), cells[0] * cells[1]
+    some = np.flatnonzero(counts(cell, number) >= fewest)
+    middles = (np.stack(np.divmod(some, cells[1]), axis=1) + 0.5) * widths
+    return middles, np.stack([means(values[:, k], cell, number)[some] for k in range(2)], axis=1)
+
+
+def cell_numbers(places: Array, size: Array | tuple[float, float], cells: tuple[int, int]) -> Index:
+    """(n,) number of the cell, row by row, in which each place (n, 2) of a rectangle from zero to `size` lies; places
+    outside belong to the nearest.
+    """
+    along, across = np.clip(places * (np.array(cells) / size), 0.0, np.array(cells) - 1.0).astype(np.int64).T
+    return np.asarray(along * cells[1] + across)
+
+
+def limit(values: Array) -> float:
+    """Half the width of a colour scale about zero that covers 98 % of the values; 1 where nothing is finite."""
+    sound = np.abs(values[np.isfinite(values)])
+    return (float(np.quantile(sound, _SHARE)) if sound.size else 0.0) or 1.0
+
+
+def span(values: Array) -> tuple[float, float]:
+    """Ends of a colour scale from the 2 % to the 98 % quantile of the finite values; 0 and 1 where there are none."""
+    sound = values[np.isfinite(values)]
+    if not sound.size:
+        return 0.0, 1.0
+    low, high = np.quantile(sound, [1.0 - _SHARE, _SHARE]).tolist()
+    return low, max(high, low + 1e-12 + 1e-6 * abs(low))
+
+
+def used_rays(solution: Solution) -> Mask:
+    """(k,) rays that took part and whose point is determined."""
+    return np.asarray(
+        solution.rays_used & np.isfinite(solution.residuals[:, 0]) & np.isfinite(solution.residuals[:, 1])
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Images of a block by the rows of a picture, in their own order."""
+
+    images: Sequence[int]
+    """Which images of the network."""
+    names: Sequence[str]
+    """Of those that are first in a row, (number,)."""
+    row: Index
+    """(images of the network,) row of each; -1 for one that is in none."""
+
+    @staticmethod
+    def of(solution: Solution, images: Sequence[int] | None = None) -> "Rows":
+        """Rows of some images, of all by default."""
+        every = solution.network.images
+        images = range(len(every)) if images is None else images
+        number = min(len(images), _MOST_ROWS)
+        row = np.full(len(every), -1, dtype=np.int64)
+        mine = np.arange(len(images)) * number // max(len(images), 1)
+        row[np.asarray(images, dtype=np.int64)] = mine
+        first = np.searchsorted(mine, np.arange(number))
+        return Rows(images, [every[images[k]].name for k in first], row)
+
+    @property
+    def number(self) -> int:
+        """Rows."""
+        return len(self.names)
+
+    @property
+    def words(self) -> str:
+        """For an axis: what a row is."""
+        several = -(-len(self.images) // max(self.number, 1))
+        return "image" if several == 1 else f"images, up to {several} in a row"
+
+    def name(self, panel: Axes) -> None:
+        """Write some of the names beside a panel's rows."""
+        ticks = np.unique(np.linspace(0, self.number - 1, min(self.number, _NAMED)).round().astype(int)).tolist()
+        panel.set_yticks(ticks, [short(self.names[k], 20) for k in ticks], size=7.0)
