@@ -166,7 +166,7 @@ def _require_ties(name: str, solved: Solved) -> None:
             name, f"none of {lost} tie points is left ({lost - weak} rejected, {weak} not determined by their rays)",
             "ties that agree with the orientations, heights and laser shots",
             "look at mgsgraph check: images, lines and samples, or columns interchanged, orientations far off; "
-            "without rejection (reject = 0) residuals.csv shows by how much",
+            "without rejection (reject = 0) the table of residuals shows by how much",
         )
 
 

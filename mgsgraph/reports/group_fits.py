@@ -125,7 +125,7 @@ def _advice(worse: Sequence[GroupFit]) -> str:
         steps.append(f"the stated sigmas of {name}{key} by {times(factor)}")
     return (
         f"Don't multiply the quoted sigmas by sigma0: they are too small wherever they rest on {listed(names)}. "
-        "Look for blunders there first (--reject 4, the largest residuals in residuals.csv); if there are none, "
+        "Look for blunders there first (--reject 4, the largest ones in the table of residuals); if there are none, "
         f"multiply {listed(steps)} and adjust again. `analyze --components --iterate` finds the factors of all groups "
         "together."
     )

@@ -174,7 +174,7 @@ def _points(solution: Solution, earlier: Solution) -> tuple[list[str], Table]:
         Column("{}", moved[listed], "m", parts=("east", "north", "up"), head="{}", page=".2f"),
         Column("distance", length[listed], "m", page=".2f"),
         Column("over σ", off[listed], page=".2f"),
-    ), note + cut(here.size, len(listed), "those that moved most", "points.csv"))  # fmt: skip
+    ), note + cut(here.size, len(listed), "those that moved most", "the table of points"))  # fmt: skip
     largest = f", by {np.nanmax(off):.2g} sigmas at the most" if np.any(np.isfinite(off)) else ""
     rms = root_mean_square(length)
     return [f"{counts}; they moved by {rms:.3g} m (rms), {length.max():.3g} m at the most{largest}."], table

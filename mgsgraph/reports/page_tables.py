@@ -93,7 +93,7 @@ def _measures(solution: Solution) -> Table:
     note = (
         "Lines and samples as ISIS counts them, the first pixel's centre at (1, 1); residuals are measured minus "
         "predicted. " + cut(rays.point.size, chosen.size, "those with the largest residual over its sigma",
-                            "residuals.csv")
+                            "the table of residuals")
     )  # fmt: skip
     shown = table.pick("point", "class", "image", "isis_line", "isis_sample", *pairs)
     units = {"isis_line": "px", "isis_sample": "px"}
@@ -104,7 +104,7 @@ def _measures(solution: Solution) -> Table:
 def _points(solution: Solution) -> Table:
     table, chosen = points_table(solution), _weakest(solution)
     which = "those that nothing determines and those of the largest sigma"
-    note = table.note + cut(len(table), chosen.size, which, "points.csv")
+    note = table.note + cut(len(table), chosen.size, which, "the table of points")
     return replace(table.take(chosen).last("rays_used", "state"), note=note)
 
 

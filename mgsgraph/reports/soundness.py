@@ -31,7 +31,7 @@ def soundness_statements(solution: Solution) -> list[str]:
         said.append(
             f"NO RESULT: residuals {found.sigma0:.3g} times larger than stated come from no stated sigma, but from a "
             "wrong input (images, lines and samples, or columns interchanged; a unit; a camera) or from gross "
-            "blunders. Look at the largest residuals in residuals.csv and at `mgsgraph check`, or reject blunders "
+            "blunders. Look at the largest ones in the table of residuals and at `mgsgraph check`, or reject blunders "
             "(--reject 4)."
         )
     many = [one for one in found.losses if not one.fatal]

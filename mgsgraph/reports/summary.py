@@ -76,7 +76,7 @@ def _ending(solution: Solution) -> list[str]:
     return [
         f"NOT CONVERGED after {steps}; {cost}. {solution.message}",
         "Nothing below is a result: the figures describe the state at which it stopped. Look at the largest residuals "
-        "in residuals.csv for blunders, and at the a-priori sigmas; then adjust again.",
+        "in the table of residuals for blunders, and at the a-priori sigmas; then adjust again.",
     ]
 
 
@@ -226,7 +226,7 @@ def _left_out(solution: Solution) -> list[str]:
         also = f" and {many(heights, 'height')} above stereo surfaces" if heights else ""
         found.append(
             f"{many(rays, 'ray')} of {network.rays.point.size} and {many(ranges, 'range')} of "
-            f"{network.ranges.point.size}{also} were rejected as blunders; residuals.csv marks them."
+            f"{network.ranges.point.size}{also} were rejected as blunders; the table of residuals marks them."
         )
     if solution.test_dimensions is not None:
         found += _unchecked(solution.test_dimensions[: network.rays.point.size][solution.rays_used])
