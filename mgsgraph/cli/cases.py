@@ -96,7 +96,7 @@ def adjust(
     from mgsgraph.reports.results import write_results
 
     if overrides.tables is not None and (relief or two_steps):
-        raise click.UsageError("--tables goes with neither --two-steps nor --relief, which write CSV up to 200,000 rows")
+        raise click.UsageError("--tables goes with neither --two-steps nor --relief")
     if relief and (two_steps or cluster is not None):
         raise click.UsageError("--relief goes with neither --two-steps nor --cluster")
     require_replaceable(out)
