@@ -7,12 +7,11 @@ among all observations.
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.poses import pose_at, tables_of
 from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
-from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
+from mgsgraph.factors.algebra import add, cross, dot, product, scale, subtract, transform, transpose
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
 from mgsgraph.factors.rotation import matrix_quaternion, opk_angles
-from mgsgraph.geometry.compiled_pose import vector
+from mgsgraph.geometry.compiled_pose import attitude_at, place_at, vector
 from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
 
 make_equations_compilable()
@@ -89,6 +88,39 @@ def put_detectors(mine, ray, at, stride, place, sigmas, first, predicted, detect
         there = put(data, there, stride[c], (detector[r, 0], detector[r, 1]))
         if predicted:
             put(data, there + 6 * stride[c], stride[c], (slope[r, 0], slope[r, 1]))
+
+
+@compiled
+def tables_of(tables, image):
+    """Timing, table of positions and tables of attitude of one image."""
+    a, b = tables.timing_first[image], tables.timing_first[image + 1]
+    timing = tables.lines[a:b], tables.starts[a:b], tables.periods[a:b]
+    a, b = tables.position_first[image], tables.position_first[image + 1]
+    position = tables.times[a:b], tables.positions[a:b], tables.velocities[a:b]
+    return timing, position, attitude_table(tables.camera, image), attitude_table(tables.body, image)
+
+
+@compiled
+def attitude_table(tables, image):
+    """Table of attitude of one image (`geometry.compiled_pose.attitude_at`)."""
+    a, b = tables.first[image], tables.first[image + 1]
+    return tables.times[a:b], tables.quaternions[a:b], tables.turns[a : b - 1], tables.constants[image]
+
+
+@compiled
+def pose_at(line, timing, position_table, camera_table, body_table):
+    """Body-fixed position and attitude of the camera at a line, and their rates per line: as `PushbroomImage.pose`."""
+    lines, starts, periods = timing
+    k = max(np.searchsorted(lines, line, side="right") - 1, 0)
+    time, period = starts[k] + (line - lines[k]) * periods[k], periods[k]
+    place, motion = place_at(time, position_table)
+    to_camera, camera_turning = attitude_at(time, camera_table)
+    to_body, body_turning = attitude_at(time, body_table)
+    fixed = transform(to_body, place)
+    attitude = product(to_camera, transpose(to_body))
+    velocity = subtract(transform(to_body, motion), cross(body_turning, fixed))
+    turning = subtract(camera_turning, transform(attitude, body_turning))
+    return fixed, scale(period, velocity), attitude, scale(period, turning)
 
 
 @cached_kernel

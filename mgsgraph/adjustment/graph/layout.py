@@ -12,6 +12,7 @@ from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rays import RayConstants
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows, with_stereo
+from mgsgraph.adjustment.graph.scratch import copied
 from mgsgraph.adjustment.graph.shared import bends
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
@@ -171,7 +172,7 @@ class Layout:
         terms = Terms(self.network, self.variables, lines)
         if self.model.line != PREDICTED or not self.rays.renewable(terms):
             return self._sorted_anew(lines, bent)
-        rows = self.rows if own else self.rows._replace(data=self.rows.data.copy())
+        rows = self.rows if own else self.rows._replace(data=copied(self.rows.data))
         self.rays.renew(rows.data, terms, bent)
         return self._with(rows=rows, lines=lines, bent=bent)
 

@@ -1,13 +1,10 @@
-"""Nominal poses of many images at once, by compiled code: their tables one after another in flat arrays."""
+"""Tables of the nominal poses of many images, one after another, for compiled code (`filling.pose_at`)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.compiled import compiled
-from mgsgraph.factors.algebra import cross, product, scale, subtract, transform, transpose
-from mgsgraph.geometry.compiled_pose import attitude_at, place_at
 from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -100,36 +97,3 @@ def _attitudes(tables: Sequence[AttitudeTable | None]) -> AttitudeTables:
         np.concatenate([np.zeros((0, 3)), *turns]),
         np.stack([np.eye(3) if one is None else one.constant for one in tables]),
     )
-
-
-@compiled
-def tables_of(tables, image):
-    """Timing, table of positions and tables of attitude of one image."""
-    a, b = tables.timing_first[image], tables.timing_first[image + 1]
-    timing = tables.lines[a:b], tables.starts[a:b], tables.periods[a:b]
-    a, b = tables.position_first[image], tables.position_first[image + 1]
-    position = tables.times[a:b], tables.positions[a:b], tables.velocities[a:b]
-    return timing, position, attitude_table(tables.camera, image), attitude_table(tables.body, image)
-
-
-@compiled
-def attitude_table(tables, image):
-    """Table of attitude of one image (`geometry.compiled_pose.attitude_at`)."""
-    a, b = tables.first[image], tables.first[image + 1]
-    return tables.times[a:b], tables.quaternions[a:b], tables.turns[a : b - 1], tables.constants[image]
-
-
-@compiled
-def pose_at(line, timing, position_table, camera_table, body_table):
-    """Body-fixed position and attitude of the camera at a line, and their rates per line: as `PushbroomImage.pose`."""
-    lines, starts, periods = timing
-    k = max(np.searchsorted(lines, line, side="right") - 1, 0)
-    time, period = starts[k] + (line - lines[k]) * periods[k], periods[k]
-    place, motion = place_at(time, position_table)
-    to_camera, camera_turning = attitude_at(time, camera_table)
-    to_body, body_turning = attitude_at(time, body_table)
-    fixed = transform(to_body, place)
-    attitude = product(to_camera, transpose(to_body))
-    velocity = subtract(transform(to_body, motion), cross(body_turning, fixed))
-    turning = subtract(camera_turning, transform(attitude, body_turning))
-    return fixed, scale(period, velocity), attitude, scale(period, turning)

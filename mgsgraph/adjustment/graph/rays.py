@@ -161,7 +161,7 @@ class RayConstants:
             first, last, self._piece, self._before, patterns.first, self._rays, patterns.image, self._ray, ray, at,
             stride, place, image,
         )  # fmt: skip
-        return _Share(first, last, *(values[:count] for values in (ray, at, stride, place, image)))
+        return _Share(first, last, ray[:count], at[:count], stride[:count], place[:count], image[:count])
 
     @cached_property
     def _axes(self) -> list[Array | None]:
@@ -188,8 +188,7 @@ class RayConstants:
         """(m,) images with the same number have the same detector and optics, in the same axes."""
         numbers = dict[bytes, int]()
         keys = (
-            pickle.dumps((image.interior, axes))
-            for image, axes in zip(self._network.images, self._axes, strict=True)
+            pickle.dumps((image.interior, axes)) for image, axes in zip(self._network.images, self._axes, strict=True)
         )
         return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.rays import Crossing, RayConstants
+from mgsgraph.adjustment.graph.scratch import room
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.adjustment.graph.stereo import StereoRows
@@ -155,7 +156,7 @@ def _make_store(patterns: Patterns, stored: Index) -> _Store:
     first = patterns.piece_first[:-1]
     begins = [np.cumsum(counts) - counts for counts in (numbers, observations)]
     piece = np.stack([of_piece, first, size, *begins], axis=1)
-    return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), np.empty(int(numbers.sum())))
+    return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), room(int(numbers.sum())))
 
 
 def _observation_tables(network: Network, model: Model, variables: Variables, patterns: Patterns) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.geometry.orientation_images import SUPPORT
@@ -136,7 +137,7 @@ class Terms:
         """(n,) variable of the first node of each image's strip; of no meaning for one without."""
         return self._first_of_strips[self._strip[images]]
 
-    def basis(self, image: int, lines: Array, node: Index, rates: bool) -> tuple[Array, Array]:
+    def basis(self, image: int, lines: Array, node: NDArray[np.int32], rates: bool) -> tuple[Array, Array]:
         """What is stored of the basis at lines (n,): u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
         `rates`, their derivatives per line; the other one has no columns. `node` (n,) is `of_rays` or `of_ranges`.
         """
@@ -144,7 +145,7 @@ class Terms:
         if self._strip[image] < 0:
             return (moments.u[:, None] if self.counts[image] else nothing), nothing
         nodes = self._network.passes[self._strip[image]].nodes
-        values, slopes = nodes.around(node, moments.times, moments.epoch)
+        values, slopes = nodes.around(node.astype(np.int64), moments.times, moments.epoch)
         return nothing, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values
 
 
