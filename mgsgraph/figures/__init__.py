@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.figures.adjacency import links_sheet
 from mgsgraph.figures.closeups import closeup_sheets
-from mgsgraph.figures.connectivity import connectivity_sheet
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import map_sheets
 from mgsgraph.figures.minima import minima_sheets
@@ -58,7 +58,7 @@ def _sheets(solution: Solution, connected: Connectivity | None) -> Iterator[Shee
     if np.any(solution.network.points.classes[rays.point] == PointClass.LASER):
         yield from registration_sheets(solution)
     yield from map_sheets(solution, connected)
-    yield connectivity_sheet(solution, connected)
+    yield links_sheet(solution, connected)
     yield from minima_sheets(solution)
 
 

@@ -14,7 +14,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 
 LARGE_BLOCK = 16
 """Images up to which all are drawn, one by one; a larger block has overviews, and a choice of its images."""
-_MOST_ROWS = 500
+MOST_ROWS = 500
 """Rows of a picture; a block of more images has several in a row."""
 _NAMED = 12
 """Rows that have their image's name beside them."""
@@ -105,6 +105,11 @@ def used_rays(solution: Solution) -> Mask:
     )
 
 
+def image_rows(images: int, most: int = MOST_ROWS) -> Index:
+    """(images,) row of each of so many images in a picture of at most `most` rows, from 0, none of them empty."""
+    return np.arange(images) * min(images, most) // max(images, 1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """Images of a block by the rows of a picture, in their own order."""
@@ -121,11 +126,9 @@ class Rows:
         """Rows of some images, of all by default."""
         every = solution.network.images
         images = range(len(every)) if images is None else images
-        number = min(len(images), _MOST_ROWS)
-        row = np.full(len(every), -1, dtype=np.int64)
-        mine = np.arange(len(images)) * number // max(len(images), 1)
+        row, mine = np.full(len(every), -1, dtype=np.int64), image_rows(len(images))
         row[np.asarray(images, dtype=np.int64)] = mine
-        first = np.searchsorted(mine, np.arange(number))
+        first = np.searchsorted(mine, np.arange(min(len(images), MOST_ROWS)))
         return Rows(images, [every[images[k]].name for k in first], row)
 
     @property

@@ -12,8 +12,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import MgsgraphError
+from mgsgraph.figures.adjacency import links_sheet
 from mgsgraph.figures.closeups import closeup_sheets
-from mgsgraph.figures.connectivity import connectivity_sheet
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import frame, map_sheets
@@ -106,7 +106,7 @@ def solution_figures(solution: Solution, connected: Connectivity) -> dict[str, l
     """Figures that a solution alone allows, by section of the page."""
     rays = solution.network.rays
     laser = bool(np.any(solution.network.points.classes[rays.point] == PointClass.LASER))
-    maps = map_sheets(solution, connected), [connectivity_sheet(solution, connected)], minima_sheets(solution)
+    maps = map_sheets(solution, connected), [links_sheet(solution, connected)], minima_sheets(solution)
     return {
         "map": drawn(chain.from_iterable(maps)),
         "registration": drawn(registration_sheets(solution)) if laser else [],

@@ -10,9 +10,12 @@ from strip_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.figures.aggregate import Rows, cell_means, limit, means, medians, span
+from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.figures.adjacency import adjacency, joints, links_sheet
+from mgsgraph.figures.aggregate import Rows, cell_means, image_rows, limit, means, medians, span
 from mgsgraph.figures.overview import MiddleCorrections, residual_matrix, strangeness
 from mgsgraph.figures.overview_map import ground_cells, ground_frame, weak_points
+from mgsgraph.figures.sheet import encoded
 from mgsgraph.network import PointClass
 
 FLOATS = st.one_of(st.floats(-1e6, 1e6, width=32), st.just(float("nan")))
@@ -115,3 +118,39 @@ def test_cells_of_the_ground_are_those_of_a_loop() -> None:
             else:
                 assert np.isnan(found.density[a, b])
     assert np.nansum(found.density) * size[0] * size[1] == pytest.approx(np.count_nonzero(frame.sound))
+
+
+@given(st.integers(1, 300), st.integers(1, 40))
+def test_rows_are_all_used_and_in_order(images: int, most: int) -> None:
+    row = image_rows(images, most)
+    assert row.size == images
+    assert np.array_equal(np.unique(row), np.arange(min(images, most)))
+    assert np.all(np.diff(row) >= 0)
+    assert np.ptp(np.bincount(row)) <= 1
+
+
+def test_cells_of_links_have_the_most_points_of_their_pairs() -> None:
+    connected = solution_connectivity(adjust_network(block().network, SolverSettings()))
+    count, most = len(connected.names), 3
+    found, row = adjacency(connected, most), image_rows(count, most)
+    want = np.full((most, most), np.nan)
+    linked = [set[int]() for _ in range(count)]
+    for (i, j), points in zip(connected.pairs.tolist(), connected.points.tolist(), strict=True):
+        if points:
+            linked[i].add(j)
+            linked[j].add(i)
+            for a, b in ((row[i], row[j]), (row[j], row[i])):
+                want[a, b] = np.fmax(want[a, b], points)
+    assert np.array_equal(found, want, equal_nan=True)
+    number, strongest = joints(connected)
+    assert number.tolist() == [len(others) for others in linked]
+    assert strongest.max() == connected.points.max()
+
+
+def test_many_images_have_cells_and_few_a_graph(monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = adjust_network(block().network, SolverSettings())
+    assert links_sheet(solution).vector
+    monkeypatch.setattr("mgsgraph.figures.adjacency._MOST_NODES", 2)
+    sheet = links_sheet(solution)
+    assert not sheet.vector
+    assert len(encoded(sheet, "png")) > 10_000
