@@ -3,6 +3,7 @@
 import struct
 
 import msgspec
+import numpy as np
 from hypothesis import strategies as st
 
 from mgsgraph.control.pvl_writing import network_text
@@ -14,6 +15,7 @@ from mgsgraph.control.record import (
     MeasureType,
     PointType,
 )
+from mgsgraph.ties import TiePoints
 
 NUMBERS = st.floats(-1e299, 1e299)
 TEXTS = st.text("abcXYZ019_.:/ #=(){},<>+-*'é漢\t", max_size=12).filter(lambda text: text.lower() != "null")
@@ -88,6 +90,15 @@ def grid(points: int, images: int) -> ControlNetwork:
             for i in range(points)
         ),
     )  # fmt: skip
+
+
+def assert_same(found: TiePoints, expected: TiePoints) -> None:
+    """Tie points are equal to the last bit."""
+    assert (found.ids, found.measure_image) == (expected.ids, expected.measure_image)
+    for name in ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas"):
+        one, other = getattr(found, name), getattr(expected, name)
+        assert one.shape == other.shape, name
+        assert np.array(one).tobytes() == np.array(other).tobytes(), name
 
 
 def varint(value: int) -> bytes:

@@ -11,9 +11,9 @@ from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import ISIS_OFFSET
 
-_SLOTS = 1 << 12
+SLOTS = 1 << 12
 """Of the first hash table of images; it grows with what is found to be needed."""
-_MOST_SLOTS = 1 << 22
+MOST_SLOTS = 1 << 22
 _KIND_OF_TYPE = np.array(
     [int(KINDS[one]) for one in (PointType.FREE, PointType.FIXED, PointType.FREE, PointType.CONSTRAINED,
                                  PointType.FIXED)]
@@ -59,7 +59,7 @@ def _decoded(content: np.ndarray, begin: Index, end: Index, source: str) -> TieP
     if np.any(count < 0):
         return None
     first = np.concatenate([[0], np.cumsum(count)])
-    n, k, slots = begin.size, int(first[-1]), _SLOTS
+    n, k, slots = begin.size, int(first[-1]), SLOTS
     types, ids, ignored = np.zeros(n, dtype=np.int64), np.zeros((n, 2), dtype=np.int64), np.zeros(n, dtype=bool)
     places, covariances, measures = np.empty((n, 3)), np.empty((n, 6)), np.empty((k, 4))
     out, spans, image = np.zeros(k, dtype=bool), np.zeros((k, 2), dtype=np.int64), np.zeros(k, dtype=np.int64)
@@ -69,25 +69,26 @@ def _decoded(content: np.ndarray, begin: Index, end: Index, source: str) -> TieP
                                 measures, out, spans, image)  # fmt: skip
         if done == n:
             break
-        if images[-1, 0] <= slots // 2 or slots >= _MOST_SLOTS:
+        if images[-1, 0] <= slots // 2 or slots >= MOST_SLOTS:
             return None
         slots *= 16
-    names = _names(content, ids)
-    distinct = tuple(_names(content, images[: images[-1, 0]]))
+    names = names_at(content, ids)
+    distinct = tuple(names_at(content, images[: images[-1, 0]]))
     if names.first_repeated() is not None or np.all(ignored):
         return None
-    return _tie_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
+    return used_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
                        RepeatedNames(distinct, image), measures, ~out)  # fmt: skip
 
 
-def _names(content: np.ndarray, spans: Index) -> Names:
+def names_at(content: np.ndarray, spans: Index) -> Names:
+    """Texts that lie at spans (m, 2) of a file's content (b,) uint8."""
     from mgsgraph.control import wire
 
     offsets = np.concatenate([[0], np.cumsum(spans[:, 1] - spans[:, 0])]).astype(np.int64)
     return Names(wire.gathered(content, spans, int(offsets[-1])), offsets)
 
 
-def _tie_points(
+def used_points(
     source: str, names: Names, kinds: Index, used: Mask, places: Array, covariances: Array, first: Index,
     image: RepeatedNames, measures: Array, taken: Mask,
 ) -> TiePoints:  # fmt: skip

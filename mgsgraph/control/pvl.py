@@ -35,7 +35,7 @@ _TURN = 360.5 * DEG
 _VERSIONS = ("1", "2", "3", "4", "5")
 _OLD = ("1", "2")
 _ANGLES = dict.fromkeys(("", "deg", "degree", "degrees"), DEG) | dict.fromkeys(("rad", "radian", "radians"), 1.0)
-_PIXELS = dict.fromkeys(("", "pixel", "pixels"), 1.0)
+PIXEL_UNITS = dict.fromkeys(("", "pixel", "pixels"), 1.0)
 
 HEAD_TEXTS = {
     "NetworkId": "network_id", "TargetName": "target_name", "UserName": "user_name", "Created": "created",
@@ -77,9 +77,10 @@ def _by_word(words: Mapping[Any, str]) -> dict[str, Any]:
     return {word.lower(): value for value, word in words.items()}
 
 
-_OF_POINT_TYPE = _by_word(POINT_TYPES) | {"tie": PointType.FREE, "ground": PointType.FIXED}
-_OF_MEASURE_TYPE, _OF_SOURCE = _by_word(MEASURE_TYPES), _by_word(SOURCES)
-_OF_LOG = _by_word(LOG_NAMES) | {"eccentricity": 1, "averageresidual": 8}
+WORDS_OF_POINT_TYPE = _by_word(POINT_TYPES) | {"tie": PointType.FREE, "ground": PointType.FIXED}
+WORDS_OF_MEASURE_TYPE, WORDS_OF_SOURCE = _by_word(MEASURE_TYPES), _by_word(SOURCES)
+WORDS_OF_LOG = _by_word(LOG_NAMES) | {"eccentricity": 1, "averageresidual": 8}
+"""What the words for a choice mean, in lower case, those of old networks too."""
 _NUMBER_KEYS = {key.lower(): (key, attribute) for key, attribute in (PLACES | PIXELS).items()}
 _TEXT_KEYS = {key.lower(): (key, attribute) for key, attribute in NAME_TEXTS.items()}
 _FLAG_KEYS = {key.lower(): (key, attribute) for key, attribute in LOCKS.items()} | {
@@ -176,7 +177,7 @@ def _label_measure(measure: Block, point: Block) -> str:
 
 def _point(block: Block) -> ControlPoint:
     name = _label(block)
-    kind = _OF_POINT_TYPE.get(block.text("PointType").lower())
+    kind = WORDS_OF_POINT_TYPE.get(block.text("PointType").lower())
     if kind is None:
         raise InputError(block.where("PointType"), repr(block.text("PointType")), "Free, Constrained or Fixed")
     for measure in block.blocks:
@@ -191,9 +192,9 @@ def _point(block: Block) -> ControlPoint:
         type=kind,
         measures=measures,
         reference=references[-1] if references else None,  # the last one, as in ControlPointV0003
-        apriori_source=_choice(block, "AprioriXYZSource", _OF_SOURCE, AprioriSource.NONE),
+        apriori_source=_choice(block, "AprioriXYZSource", WORDS_OF_SOURCE, AprioriSource.NONE),
         apriori_source_file=_text(block, "AprioriXYZSourceFile"),
-        apriori_radius_source=_choice(block, "AprioriRadiusSource", _OF_SOURCE, AprioriSource.NONE),
+        apriori_radius_source=_choice(block, "AprioriRadiusSource", WORDS_OF_SOURCE, AprioriSource.NONE),
         apriori_radius_source_file=_text(block, "AprioriRadiusSourceFile"),
         apriori=_place(block, "Apriori"),
         apriori_covariance=_numbers(block, "AprioriCovarianceMatrix", 6),
@@ -212,19 +213,19 @@ def _measure(block: Block, point: Block) -> ControlMeasure:
     for key in block.entries:
         if key in _NUMBER_KEYS:
             name, attribute = _NUMBER_KEYS[key]
-            values[attribute] = block.number(name, _PIXELS) if key in block else None
+            values[attribute] = block.number(name, PIXEL_UNITS) if key in block else None
         elif key in _TEXT_KEYS:
             name, attribute = _TEXT_KEYS[key]
             values[attribute] = _text(block, name)
         elif key in _FLAG_KEYS:
             name, attribute = _FLAG_KEYS[key]
             values[attribute] = block.flag(name)
-        elif key in _OF_LOG:
+        elif key in WORDS_OF_LOG:
             if key in block:
-                figures.append((_OF_LOG[key], block.number(key, _PIXELS)))
+                figures.append((WORDS_OF_LOG[key], block.number(key, PIXEL_UNITS)))
         elif key not in _OTHER_KEYS:
             raise InputError(block.where(key), f"the keyword {key}", "ISIS's keywords of a measure", "take it out")
-    kind = _choice(block, "MeasureType", _OF_MEASURE_TYPE, MeasureType.CANDIDATE)
+    kind = _choice(block, "MeasureType", WORDS_OF_MEASURE_TYPE, MeasureType.CANDIDATE)
     return ControlMeasure(serial_number=image, type=kind, log=tuple(figures), **values)
 
 

@@ -176,7 +176,7 @@ def _same(data, a, b, c, d):
 
 
 @compiled
-def _image(data, at, end, table, first):
+def image_number(data, at, end, table, first):
     """Number of the image of a name: that of an equal one in `table`, a hash table of numbers, whose names lie where
     `first` says, or a new one; -1 when the table is full.
     """
@@ -290,7 +290,7 @@ def read_points(data, begin, end, first_measure, table, images, points, ids, mar
             elif field == 25 and kind == _BYTES:
                 if not _read_measure(data, value, at, bits, number, k, measures, flags, serial):
                     return i
-                image[k] = _image(data, serial[k, 0], serial[k, 1], table, images)
+                image[k] = image_number(data, serial[k, 0], serial[k, 1], table, images)
                 if image[k] < 0:
                     return i
                 k += 1
@@ -305,7 +305,7 @@ def read_points(data, begin, end, first_measure, table, images, points, ids, mar
                 return i
         if not _usable(i, kind_of_point, given, marks, place, places, covariances):
             return i
-        if not marks[i] and _measured_twice(first_measure[i], k, flags, image):
+        if not marks[i] and measured_twice(first_measure[i], k, flags, image):
             return i
     return begin.size
 
@@ -329,7 +329,7 @@ def _usable(i, kind, given, marks, place, places, covariances):
 
 
 @compiled
-def _measured_twice(begin, end, flags, image):
+def measured_twice(begin, end, flags, image):
     """Whether an image measures a point twice, of measures that are not ignored; True for very many measures, too."""
     if end - begin > _MOST_MEASURES:
         return True

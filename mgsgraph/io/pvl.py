@@ -23,7 +23,7 @@ _BEGIN = {"object": "object", "begin_object": "object", "group": "group", "begin
 _CLOSE = {"end_object": "object", "end_group": "group"}
 _LARGEST_COUNT = 1e15
 """Exact as a float64; no file is as long."""
-_FLAGS = {"true": True, "t": True, "yes": True, "y": True, "on": True, "1": True,
+FLAGS = {"true": True, "t": True, "yes": True, "y": True, "on": True, "1": True,
           "false": False, "f": False, "no": False, "n": False, "off": False, "0": False}
 """Truth values, as in ISIS toBool."""
 
@@ -152,9 +152,9 @@ class Block:
         if key not in self:
             return False
         value = self.text(key).lower()
-        if value not in _FLAGS:
+        if value not in FLAGS:
             raise InputError(self.where(key), repr(value), "True or False")
-        return _FLAGS[value]
+        return FLAGS[value]
 
     def _finite(self, key: str, value: str) -> float:
         try:

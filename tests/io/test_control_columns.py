@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from isis_networks import grid, networks
+from isis_networks import assert_same, grid, networks
 
 from mgsgraph.control.binary import binary_network, parse_binary_network
 from mgsgraph.control.binary_columns import binary_tie_points
@@ -25,14 +25,6 @@ def by_protobuf(data: bytes) -> TiePoints | str:
         return tie_points(with_names(parse_binary_network(data, "x.net")))
     except InputError as error:
         return str(error)
-
-
-def assert_same(found: TiePoints, expected: TiePoints) -> None:
-    assert (found.ids, found.measure_image) == (expected.ids, expected.measure_image)
-    for name in ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas"):
-        one, other = getattr(found, name), getattr(expected, name)
-        assert one.shape == other.shape, name
-        assert np.array(one).tobytes() == np.array(other).tobytes(), name
 
 
 def assert_as_the_reference(data: bytes) -> bool:
