@@ -25,6 +25,7 @@ from mgsgraph.figures.residuals import cut, residual_sheets
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_NAME,
+    MOST_MARKS,
     SOFT,
     Sheet,
     encoded,
@@ -141,7 +142,11 @@ def sigma_figures(solution: Solution) -> tuple[list[Picture], str]:
 
 
 def correction_sheets(solution: Solution) -> Iterator[Sheet]:
-    """How ground points moved on the map, and by how much upward: one sheet, none where nothing has a place."""
+    """How ground points moved on the map, and by how much upward: one sheet; none where nothing has a place, and
+    none of many points, which `overview_map` has by cells.
+    """
+    if np.count_nonzero(solution.determined) > MOST_MARKS:
+        return
     moved = local_corrections(solution)
     if np.any(np.all(np.isfinite(moved), axis=1)):
         yield _correction_sheet(solution, moved)
