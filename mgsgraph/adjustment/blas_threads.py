@@ -32,4 +32,5 @@ def many_threads(operations: float) -> AbstractContextManager[object]:
     """Within `one_thread`: all processors for so many multiplications, where that is worth it."""
     if operations < _WORTHWHILE:
         return nullcontext()
-    return _controller().limit(limits=os.cpu_count() or 1, user_api="blas")
+    limit: AbstractContextManager[object] = _controller().limit(limits=os.cpu_count() or 1, user_api="blas")
+    return limit

@@ -204,7 +204,7 @@ def _number_end(data, at, end):
         if at < end and (data[at] == _PLUS or data[at] == _MINUS):
             at += 1
         power = _digits(data, at, end)
-        exponent = 0
+        exponent = np.int64(0)
         for k in range(at, min(power, at + 4)):
             exponent = 10 * exponent + np.int64(data[k]) - 48
         if power == at or power - at > 4 or exponent + count > 290:

@@ -25,7 +25,7 @@ FARTHEST = 1e12
 @compiled
 def _varint(data, at, end):
     """A whole number below 2^31 and where it ends; -1 for one that is larger, negative or cut short."""
-    value, shift = 0, 0
+    value, shift = np.int64(0), 0
     while at < end and shift < 35:
         byte = np.int64(data[at])
         at += 1

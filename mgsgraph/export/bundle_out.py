@@ -112,7 +112,7 @@ def _tables(solution: Solution, orientation: list[OrientationPolynomials], facto
     prior = np.where(constrained[:, None], _local_sigmas(points.covariances, solution.places_before), np.nan)
     of_points, of_images = _of_points(solution), _of_images(solution)
     return Tables(
-        status=picked([kind.name for kind in PointKind], points.kinds),
+        status=picked([kind.name for kind in PointKind], points.kinds).tolist(),
         accepted=of_points.accepted, total=of_points.total, rms=of_points.rms,
         places=_reported(after), corrections=change[:, [1, 0, 2]] / [DEG, DEG, KM], corrections_m=metres,
         prior=prior, sigmas=_local_sigmas(solution.covariances, solution.places) * factor,

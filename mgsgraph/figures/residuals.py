@@ -132,8 +132,9 @@ def _handles(residuals: Sequence[ImageResiduals], arrows: dict[PointClass, list[
         for c, some in arrows.items()
     ]  # fmt: skip
     if any(one.longer.size for some in arrows.values() for one in some):
-        mark = {"marker": "o", "ms": 4.5, "mfc": "none", "mew": 0.9, "color": _LONGER}
-        handles.append(Line2D([], [], ls="", label="long residual", **mark))
+        handles.append(
+            Line2D([], [], ls="", label="long residual", marker="o", ms=4.5, mfc="none", mew=0.9, color=_LONGER)
+        )
     if any(np.any(~one.used) for one in residuals):
         handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.4, color=INK, label="rejected (no arrow)"))
     return handles
