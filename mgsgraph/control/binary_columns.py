@@ -5,6 +5,7 @@ import numpy as np
 from mgsgraph.control.binary import network_head, point_spans
 from mgsgraph.control.record import PointType, with_names
 from mgsgraph.control.ties import KINDS, require_body
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array, Index, Mask, repeated
 from mgsgraph.names import Names, RepeatedNames
@@ -42,8 +43,12 @@ def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -
     spans = point_spans(data, source)
     if spans is None or not spans[0].size:
         return None
-    content, head = np.frombuffer(data, dtype=np.uint8), with_names(network_head(data, source))
-    found = _decoded(content, *spans, source)
+    head = network_head(data, source)
+    try:
+        with_names(head)
+    except InputError:  # points are looked at first, there
+        return None
+    found = _decoded(np.frombuffer(data, dtype=np.uint8), *spans, source)
     if found is None:
         return None
     if body is not None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from isis_networks import assert_same, grid, networks
+from msgspec.structs import replace
 
 from mgsgraph.control.binary import binary_network, parse_binary_network
 from mgsgraph.control.binary_columns import binary_tie_points
@@ -81,8 +82,6 @@ def test_mutated_networks_are_as_protobuf_has_them() -> None:
 
 
 def test_ignored_points_and_measures_are_left_out(tmp_path: Path) -> None:
-    from msgspec.structs import replace
-
     points = list(grid(5, 3).points)
     points[1] = replace(points[1], ignore=True)
     points[3] = replace(points[3], measures=(replace(points[3].measures[0], ignore=True, line=None),
@@ -95,8 +94,17 @@ def test_ignored_points_and_measures_are_left_out(tmp_path: Path) -> None:
     assert np.bincount(found.measure_point).tolist() == [3, 3, 2, 3]
 
 
-@pytest.mark.parametrize("images", [30, 9000])
+@pytest.mark.parametrize("images", [30, 4900])
 def test_many_images_need_a_larger_table(images: int) -> None:
-    found = binary_tie_points(binary_network(grid(images // 3, 3)), "x.net")
+    data = binary_network(grid(1, images))
+    assert assert_as_the_reference(data)
+    found = binary_tie_points(data, "x.net")
     assert found is not None
-    assert len(found.measure_image.used) == len(set(found.measure_image))
+    assert len(found.measure_image.used) == images
+
+
+def test_a_body_without_a_proper_name_is_refused_after_its_points() -> None:
+    """As protobuf's reader has it, whose error is that of the point."""
+    head = replace(grid(2, 3), target_name="a\tb")
+    assert "TargetName" in str(by_protobuf(binary_network(head)))
+    assert binary_tie_points(binary_network(head), "x.net") is None
