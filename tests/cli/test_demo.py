@@ -78,7 +78,7 @@ def test_the_pair(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "choices"), [("demo", "isidis or pair"), ("simulate", "isidis, pair, strip or three-sites")]
+    ("verb", "choices"), [("demo", "isidis or pair"), ("simulate", "isidis, pair, strip, three-sites or archive")]
 )
 def test_unknown_sites_are_one_line_with_the_choices(verb: str, choices: str, tmp_path: Path) -> None:
     refused(run(verb, "olympus", "--out", tmp_path / "x"), f"'olympus'; expected eos, gusev, {choices}")
