@@ -7,6 +7,7 @@ the numbers of a few distinct ones. Both are sequences of str, and Arrow arrays 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from operator import index
 from typing import Any, Union, overload
 
@@ -21,7 +22,7 @@ Chosen = Union[slice, "NDArray[np.int64]", "NDArray[np.bool_]"]
 """Which names: a slice, numbers (m,) or marks (n,)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Names(Sequence[str]):
     """Names, a text each, in columns."""
 
@@ -161,6 +162,15 @@ class Names(Sequence[str]):
         """(m,) number of each of other names among these, -1 for one that is not here."""
         return _numbers_among(Names.of(others).arrow, self.arrow)
 
+    @staticmethod
+    def united(parts: "Sequence[Names]") -> "tuple[Names, list[NDArray[np.int64]]]":
+        """The names of several, each once, as they come; and of each part the numbers of its names among them."""
+        every = Names.concatenated(parts)
+        names = Names.of(pc.unique(every.arrow))
+        ends = np.cumsum([len(part) for part in parts])
+        return names, np.split(names.find(every), ends[:-1])
+
+    @cached_property
     def first_repeated(self) -> int | None:
         """Number of the first name that stands before it already; None where each is there once."""
         if len(pc.unique(self.arrow)) == len(self):

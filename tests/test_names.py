@@ -45,7 +45,7 @@ def test_they_find_each_other(texts: list[str], others: list[str]) -> None:
 @given(NAMES)
 def test_the_first_that_is_there_twice(texts: list[str]) -> None:
     found = [k for k, name in enumerate(texts) if name in texts[:k]]
-    assert Names.of(texts).first_repeated() == (found[0] if found else None)
+    assert Names.of(texts).first_repeated == (found[0] if found else None)
 
 
 def test_names_made_of_numbers() -> None:

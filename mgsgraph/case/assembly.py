@@ -348,7 +348,7 @@ class Parts:
     def _ids(self) -> Names:
         """Ids of all points; InputError where two files have one."""
         ids = Names.concatenated([names for _, names in self._names])
-        if (again := ids.first_repeated()) is not None:
+        if (again := ids.first_repeated) is not None:
             name = ids[again]
             holders = [source for source, names in self._names if names.find([name])[0] >= 0]
             raise InputError(holders[-1], f"the id {name!r}, which {holders[0]} has too", "each id once")

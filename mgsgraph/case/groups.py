@@ -1,13 +1,11 @@
 """Several control networks as one set of tie points: a point of several files has the measures of all of them."""
 
-import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
@@ -95,13 +93,12 @@ def merged(groups: Sequence[TiePoints]) -> TiePoints:
     """
     if len(groups) == 1:
         return groups[0]
-    every = Names.concatenated([group.ids for group in groups])
-    ids = Names.of(pc.unique(every.arrow))
-    number, file_of = ids.find(every), np.repeat(np.arange(len(groups)), [len(group.ids) for group in groups])
-    bounds = np.cumsum([0, *(len(group.ids) for group in groups)])
-    points = [number[a:b] for a, b in itertools.pairwise(bounds.tolist())]
-    source = _best_sources(groups, number, file_of, len(ids))
-    _require_new_measures(groups, points, ids)
+    ids, points = Names.united([group.ids for group in groups])
+    file_of = np.repeat(np.arange(len(groups)), [len(group.ids) for group in groups])
+    source = _best_sources(groups, np.concatenate(points), file_of, len(ids))
+    point = np.concatenate([mine[group.measure_point] for mine, group in zip(points, groups, strict=True)])
+    image = RepeatedNames.concatenated([group.measure_image for group in groups])
+    _require_new_measures(groups, point, image, ids)
 
     def of_points(name: str) -> NDArray[Any]:
         return chosen_rows(concatenated([getattr(group, name) for group in groups]), source)
@@ -112,8 +109,8 @@ def merged(groups: Sequence[TiePoints]) -> TiePoints:
         kinds=of_points("kinds"),
         places=of_points("places"),
         covariances=of_points("covariances"),
-        measure_point=np.concatenate([mine[group.measure_point] for mine, group in zip(points, groups, strict=True)]),
-        measure_image=RepeatedNames.concatenated([group.measure_image for group in groups]),
+        measure_point=point,
+        measure_image=image,
         measures=np.concatenate([group.measures for group in groups]),
         measure_sigmas=np.concatenate([group.measure_sigmas for group in groups]),
     )
@@ -144,10 +141,8 @@ def _best_sources(groups: Sequence[TiePoints], number: Index, file_of: Index, co
     return np.asarray(source)
 
 
-def _require_new_measures(groups: Sequence[TiePoints], points: Sequence[Index], ids: Names) -> None:
-    """Raise InputError for a measure that an earlier file holds; `points` (n,) of each file are numbers among all."""
-    images = RepeatedNames.concatenated([group.measure_image for group in groups])
-    point = np.concatenate([mine[group.measure_point] for mine, group in zip(points, groups, strict=True)])
+def _require_new_measures(groups: Sequence[TiePoints], point: Index, images: RepeatedNames, ids: Names) -> None:
+    """Raise InputError for a measure that an earlier file holds; points (k,) by their numbers and images (k) of all."""
     file_of = np.repeat(np.arange(len(groups)), [group.measure_point.size for group in groups])
     code = point * len(images.distinct) + images.numbers
     order = np.argsort(code, kind="stable")

@@ -30,7 +30,8 @@ from mgsgraph.geometry.records import Index
 from mgsgraph.io.pvl import Block, Document, whole_label
 from mgsgraph.io.writing import write_file
 
-_LABEL_BYTES = 65536
+LABEL_BYTES = 65536
+"""Of a label, or a multiple of them."""
 _SIZE = struct.Struct("<I")
 _BEGINNING = re.compile(
     rb"(?:\s++|#[^\n]*+|/\*.*?\*/)*+(?:begin_)?object\s*+=\s*+protobuffer\b", re.IGNORECASE | re.DOTALL
@@ -80,22 +81,21 @@ def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
     return replace(known, points=points)
 
 
-def network_head(data: bytes, source: str) -> ControlNetwork:
-    """The network of version 2 or 5 that a file's content holds, without its points; `parse_binary_network` has the
-    errors.
-    """
-    version, buffer = _label_of(data, source)
-    return _head_of(_header(data, version, buffer, source)[0], version, Texts(), source)
-
-
-def point_spans(data: bytes, source: str) -> tuple[Index, Index] | None:
-    """Bytes at which the messages of points begin (n,) and end (n,), in a network of version 2 or 5; None for one of
-    version 1, and for sizes that don't fit the file. `parse_binary_network` has the errors of label and header.
+def head_and_spans(data: bytes, source: str) -> tuple[ControlNetwork, Index, Index] | None:
+    """The network of version 2 or 5 that a file's content holds, without its points, and the bytes at which their
+    messages begin (n,) and end (n,); None for version 1, and for sizes that don't fit the file. `parse_binary_network`
+    has the errors of label and header.
     """
     version, buffer = _label_of(data, source)
     if version == "1":
         return None
     head, start, size = _header(data, version, buffer, source)
+    spans = _spans(data, version, head, start, size)
+    return None if spans is None else (_head_of(head, version, Texts(), source), *spans)
+
+
+def _spans(data: bytes, version: str, head: Any, start: int, size: int) -> tuple[Index, Index] | None:
+    """Where messages of points begin and end, from a byte on, of `size` in all; None where they don't fit the file."""
     if version == "5":
         from mgsgraph.control.wire import walk_sizes
 
@@ -268,10 +268,6 @@ def binary_network(network: ControlNetwork) -> bytes:
     """What `write_binary_network` writes."""
     if not network.points:
         raise InputError(network.source or "network", "no control point", "some to write")
-    kinds = messages()
-    head = kinds.header(targetRadii=_radii(network.target_radii))
-    for attribute, name in _HEAD:
-        setattr(head, name, encoded(getattr(network, attribute)) or b"")  # all of them, as in ISIS
     parts = list[bytes]()
     for index, point in enumerate(network.points):
         try:
@@ -279,20 +275,32 @@ def binary_network(network: ControlNetwork) -> bytes:
         except InputError as error:
             raise error.within(network.where(index)) from None
         parts += (_SIZE.pack(len(message)), message)
-    header, points = head.SerializeToString(), b"".join(parts)
-    return b"".join((_label(network, len(header), len(points)), header, points))
+    points, measures = b"".join(parts), sum(len(point.measures) for point in network.points)
+    header = network_header(network)
+    label = network_label(network, len(network.points), measures, len(header), len(points))
+    return b"".join((label, header, points))
 
 
-def _label(network: ControlNetwork, header: int, points: int) -> bytes:
-    """The label, padded to a multiple of 65536 bytes."""
-    size, label = 0, b""
-    while len(label) >= size:  # a longer label moves the bytes whose positions it gives
-        size += _LABEL_BYTES
-        label = _label_text(network, size, header, points).encode("utf-8")
-    return label.ljust(size, b"\0")
+def network_header(network: ControlNetwork) -> bytes:
+    """The header's message, of a network with or without its points."""
+    head = messages().header(targetRadii=_radii(network.target_radii))
+    for attribute, name in _HEAD:
+        setattr(head, name, encoded(getattr(network, attribute)) or b"")  # all of them, as in ISIS
+    return head.SerializeToString()  # type: ignore[no-any-return]
 
 
-def _label_text(network: ControlNetwork, start: int, header: int, points: int) -> str:
+def network_label(network: ControlNetwork, points: int, measures: int, header: int, size: int) -> bytes:
+    """The label, padded to a multiple of 65536 bytes, of a network with so many points and measures, whose header and
+    points take `header` and `size` bytes; its own points aren't looked at.
+    """
+    start, label = 0, b""
+    while len(label) >= start:  # a longer label moves the bytes whose positions it gives
+        start += LABEL_BYTES
+        label = _label_text(network, (points, measures), start, header, size).encode("utf-8")
+    return label.ljust(start, b"\0")
+
+
+def _label_text(network: ControlNetwork, counts: tuple[int, int], start: int, header: int, points: int) -> str:
     core: list[tuple[str, Value]] = [
         ("HeaderStartByte", f"{start}"),
         ("HeaderBytes", f"{header}"),
@@ -308,8 +316,8 @@ def _label_text(network: ControlNetwork, start: int, header: int, points: int) -
         ("Created", _for_eyes(network.created)),
         ("LastModified", _for_eyes(network.last_modified)),
         ("Description", _for_eyes(network.description)),
-        ("NumberOfPoints", f"{len(network.points)}"),
-        ("NumberOfMeasures", f"{sum(len(point.measures) for point in network.points)}"),
+        ("NumberOfPoints", f"{counts[0]}"),
+        ("NumberOfMeasures", f"{counts[1]}"),
         ("Version", "5"),
     ]
     return "\n".join([

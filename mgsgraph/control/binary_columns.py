@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mgsgraph.control.binary import network_head, point_spans
+from mgsgraph.control.binary import head_and_spans
 from mgsgraph.control.record import PointType, with_names
 from mgsgraph.control.ties import KINDS, require_body
 from mgsgraph.errors import InputError
@@ -40,15 +40,15 @@ def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -
     InputError
         What is wrong with label and header, as `parse_binary_network`; a network of another body.
     """
-    spans = point_spans(data, source)
-    if spans is None or not spans[0].size:
+    known = head_and_spans(data, source)
+    if known is None:
         return None
-    head = network_head(data, source)
+    head, begin, end = known
     try:
         with_names(head)
     except InputError:  # points are looked at first, there
         return None
-    found = _decoded(np.frombuffer(data, dtype=np.uint8), *spans, source)
+    found = _decoded(np.frombuffer(data, dtype=np.uint8), begin, end, source) if begin.size else None
     if found is None:
         return None
     if body is not None:
@@ -79,7 +79,7 @@ def _decoded(content: np.ndarray, begin: Index, end: Index, source: str) -> TieP
         slots *= 16
     names = names_at(content, ids)
     distinct = tuple(names_at(content, images[: images[-1, 0]]))
-    if names.first_repeated() is not None or np.all(ignored):
+    if names.first_repeated is not None or np.all(ignored):
         return None
     return used_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
                        RepeatedNames(distinct, image), measures, ~out)  # fmt: skip

@@ -11,7 +11,7 @@ from mgsgraph.control.messages import NULL, UNSET, messages
 from mgsgraph.control.record import AprioriSource, ControlMeasure, ControlPoint, MeasureType, PointType
 from mgsgraph.errors import InputError
 
-_LARGEST = 1e300
+LARGEST = 1e300
 """Larger numbers are none, here as in PVL: ISIS's special values begin there."""
 _POINT_TYPES = {0: PointType.FREE, 1: PointType.FIXED} | {int(kind): kind for kind in PointType}
 """By number in the file; 0 and 1 are Tie and Ground of old."""
@@ -172,14 +172,14 @@ def encoded(text: str) -> bytes | None:
 
 def finite(value: float, key: str) -> float:
     """The number, if it is one."""
-    if not -_LARGEST < value < _LARGEST:
+    if not -LARGEST < value < LARGEST:
         raise InputError(key, f"{value}", "a finite number")
     return value
 
 
 def _optional(value: float, key: str) -> float | None:
     """A number; None for the special values by which ISIS says that it was never set."""
-    if -_LARGEST < value < _LARGEST:
+    if -LARGEST < value < LARGEST:
         return value
     if NULL <= value < 0.0:
         return None

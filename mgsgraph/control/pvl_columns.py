@@ -131,7 +131,7 @@ def _tie_points(
     covariances[into.of_matrix[:c]] = upper
     kinds, ignored, first = into.kinds[:n], into.ignored[:n], into.first[: n + 1]
     names = names_at(content, into.ids[:n])
-    if names.first_repeated() is not None or np.all(ignored):
+    if names.first_repeated is not None or np.all(ignored):
         return None
     taken = ~into.flags[:k]
     counted = measures[taken & ~np.repeat(ignored, np.diff(first))]

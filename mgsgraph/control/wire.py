@@ -10,16 +10,15 @@ at which point; then the file is for protobuf's own reader and `control.point_me
 import numpy as np
 
 from mgsgraph.compiled import cached_kernel, compiled
+from mgsgraph.control.point_messages import LARGEST
+from mgsgraph.control.ties import FARTHEST
 
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 """Kinds of fields on the wire."""
-_LARGEST = 1e300
 _MOST_MEASURES = 5000
 """Of a point; among more, images measured twice would be sought for too long."""
 TEXTS = 500
 """Bytes of the longest name."""
-FARTHEST = 1e12
-"""m from a body's centre: no point on it."""
 
 
 @compiled
@@ -49,7 +48,7 @@ def _number(data, at, bits, number):
 @compiled
 def _kept(value):
     """A number as it is, NaN for those of ISIS's special values that say that none was set, inf for what is none."""
-    if -_LARGEST < value < _LARGEST:
+    if -LARGEST < value < LARGEST:
         return value
     return np.nan if value < 0.0 and value > -np.inf else np.inf
 
@@ -61,6 +60,13 @@ def _plain(data, at, end):
     for k in range(at, end):
         plain &= 32 <= data[k] <= 126
     return plain
+
+
+@compiled
+def _name_at(data, at, end, spans, row):
+    """Whether a text can be a name; where it lies goes to a row of `spans`."""
+    spans[row, 0], spans[row, 1] = at, end
+    return 0 < end - at <= TEXTS and _plain(data, at, end)
 
 
 @compiled
@@ -129,8 +135,7 @@ def _read_measure(data, at, end, bits, number, k, measures, flags, serial):
     while at < end:
         field, kind, value, at = _field(data, at, end)
         if field == 1 and kind == _BYTES:
-            there = 0 < at - value <= TEXTS and _plain(data, value, at)
-            serial[k, 0], serial[k, 1] = value, at
+            there = _name_at(data, value, at, serial, k)
             if not there:
                 return False
         elif field == 2 and kind == _VARINT:
@@ -238,55 +243,37 @@ def read_points(data, begin, end, first_measure, table, images, points, ids, mar
     """
     bits = np.zeros(1, dtype=np.uint64)
     number = bits.view(np.float64)
-    place, seen = np.empty(6), np.empty(6, dtype=np.bool_)
+    place, upper, other, seen = np.empty(6), np.empty(6), np.empty(6), np.empty(2, dtype=np.bool_)
     for i in range(begin.size):
         at, k = begin[i], first_measure[i]
-        kind_of_point, there, reference = -1, False, -1
+        there, reference = False, -1
+        points[i] = -1
         marks[i] = False
-        covariances[i] = np.nan
         seen[:] = False
-        place[:] = np.nan
-        given = False
+        place[:], upper[:] = np.nan, np.nan
         while at < end[i]:
             field, kind, value, at = _field(data, at, end[i])
             if field == 1 and kind == _BYTES:
-                there = 0 < at - value <= TEXTS and _plain(data, value, at)
-                ids[i, 0], ids[i, 1] = value, at
+                there = _name_at(data, value, at, ids, i)
                 if not there:
                     return i
-            elif field == 2 and kind == _VARINT:
-                kind_of_point = value
-                if value > 4:
-                    return i
-            elif (field == 3 or field == 4 or field == 10 or field == 12) and kind == _BYTES:
-                if not _is_ascii(data, value, at):
-                    return i
-            elif (5 <= field <= 7 or 13 <= field <= 15) and kind == _VARINT:
-                if value > 1:
-                    return i
-                if field == 6:
-                    marks[i] = value == 1
+            elif field == 2 and kind == _VARINT and value <= 4:
+                points[i] = value
+            elif field == 6 and kind == _VARINT and value <= 1:
+                marks[i] = value == 1
             elif field == 8 and kind == _VARINT:
                 reference = value
-            elif (field == 9 or field == 11) and kind == _VARINT:
-                if value > 7:
-                    return i
             elif (16 <= field <= 18 or 20 <= field <= 22) and kind == _FIXED64:
                 column = field - 16 if field < 19 else field - 17
                 place[column] = _kept(_number(data, value, bits, number))
                 if np.isinf(place[column]):
                     return i
-            elif (field == 19 or field == 23) and kind == _BYTES:
-                if at != value and (at - value != 48 or seen[field - 19]):
+            elif field == 19 and kind == _BYTES:
+                if not _read_covariance(data, value, at, bits, number, upper, seen, 0):
                     return i
-                for c in range((at - value) // 8):
-                    found = _number(data, value + 8 * c, bits, number)
-                    if not -_LARGEST < found < _LARGEST:
-                        return i
-                    if field == 19:
-                        covariances[i, c] = found
-                seen[field - 19] |= at != value
-                given |= field == 19 and at != value
+            elif field == 23 and kind == _BYTES:
+                if not _read_covariance(data, value, at, bits, number, other, seen, 1):
+                    return i
             elif field == 25 and kind == _BYTES:
                 if not _read_measure(data, value, at, bits, number, k, measures, flags, serial):
                     return i
@@ -294,20 +281,52 @@ def read_points(data, begin, end, first_measure, table, images, points, ids, mar
                 if image[k] < 0:
                     return i
                 k += 1
-            else:
+            elif not _is_unused(data, field, kind, value, at):
                 return i
-        if not there or kind_of_point < 0 or reference >= k - first_measure[i]:
+        covariances[i] = upper
+        if not there or points[i] < 0 or reference >= k - first_measure[i]:
             return i
-        points[i] = kind_of_point
-        for part in (0, 3):
-            missing = np.isnan(place[part]) + np.isnan(place[part + 1]) + np.isnan(place[part + 2])
-            if missing != 0 and missing != 3:
-                return i
-        if not _usable(i, kind_of_point, given, marks, place, places, covariances):
+        if not (_is_whole(place[:3]) and _is_whole(place[3:])):
+            return i
+        if not _usable(i, points[i], seen[0], marks, place, places, covariances):
             return i
         if not marks[i] and measured_twice(first_measure[i], k, flags, image):
             return i
     return begin.size
+
+
+@compiled
+def _is_unused(data, field, kind, value, at):
+    """Whether a field of a point, of no use here, is one that can be: texts, marks and sources of places."""
+    if kind == _BYTES:
+        return (field == 3 or field == 4 or field == 10 or field == 12) and _is_ascii(data, value, at)
+    if kind != _VARINT:
+        return False
+    if field == 9 or field == 11:
+        return value <= 7
+    return (field == 5 or field == 7 or 13 <= field <= 15) and value <= 1
+
+
+@compiled
+def _read_covariance(data, at, end, bits, number, upper, seen, which):
+    """Six numbers to `upper`, and that they were seen; False for another count, numbers that are none, or twelve."""
+    if end == at:
+        return True
+    if end - at != 48 or seen[which]:
+        return False
+    seen[which] = True
+    for c in range(6):
+        upper[c] = _number(data, at + 8 * c, bits, number)
+        if not -LARGEST < upper[c] < LARGEST:
+            return False
+    return True
+
+
+@compiled
+def _is_whole(place):
+    """Whether all three coordinates of a place are there, or none."""
+    missing = np.isnan(place[0]) + np.isnan(place[1]) + np.isnan(place[2])
+    return missing == 0 or missing == 3
 
 
 @compiled

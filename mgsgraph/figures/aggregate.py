@@ -133,7 +133,7 @@ class Rows:
 
     @property
     def number(self) -> int:
-        """Rows."""
+        """How many rows there are."""
         return len(self.names)
 
     @property

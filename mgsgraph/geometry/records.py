@@ -145,7 +145,7 @@ def require_names(ids: Sequence[str], source: str) -> None:
             if not name.isprintable() or len(name) > LONGEST_NAME:
                 expected = f"at most {LONGEST_NAME} characters that can be printed"
                 raise InputError(source, f"the name {name[:60]!r}", expected, "rename it")
-    if (again := names.first_repeated()) is not None:
+    if (again := names.first_repeated) is not None:
         raise InputError(source, f"the id {names[again]!r} twice", "each id once", "rename or remove one of the two")
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
@@ -301,10 +300,8 @@ def _columns(rows: Iterable[tuple[NDArray[Any], ...]]) -> list[NDArray[Any]]:
 
 def _joined_points(networks: Sequence[Network]) -> tuple[list[Index], GroundPoints]:
     """Place of each network's points among all, and all points, each once."""
-    every = Names.concatenated([net.points.ids for net in networks])
-    ids = Names.of(pc.unique(every.arrow))
-    where = ids.find(every)
-    place_of = np.split(where, np.cumsum([len(net.points) for net in networks])[:-1])
+    ids, place_of = Names.united([net.points.ids for net in networks])
+    where = np.concatenate(place_of)
     classes, kinds, places, covariances = _columns(
         (net.points.classes, net.points.kinds, net.points.places, net.points.covariances) for net in networks
     )

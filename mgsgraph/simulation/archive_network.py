@@ -13,14 +13,12 @@ from typing import BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.control.messages import messages
-from mgsgraph.control.pvl_writing import Value, keyword_lines, text_value
-from mgsgraph.control.record import MeasureType, PointType
+from mgsgraph.control.binary import LABEL_BYTES, network_header, network_label
+from mgsgraph.control.record import ControlNetwork, MeasureType, PointType
 from mgsgraph.geometry.records import Index
 from mgsgraph.simulation.archive_ties import Region
 from mgsgraph.units import ISIS_OFFSET
 
-_LABEL_BYTES = 65536
 _DIGITS = 8
 """Of a point's number in its id."""
 _WRITTEN = "2000-01-01T00:00:00"
@@ -45,18 +43,19 @@ class NetworkWriter:
 
     def __init__(self, path: Path, network_id: str, target: str, names: Sequence[str]) -> None:
         """`names` of all images, of one length."""
-        self._path, self._id, self._target = path, network_id, target
+        self._path = path
+        self._head = ControlNetwork(
+            network_id=network_id, target_name=target, points=(), user_name="mgsgraph", created=_WRITTEN,
+            last_modified=_WRITTEN, description="Simulated archive",
+        )  # fmt: skip
         encoded = np.array([name.encode() for name in names])
         self._names = encoded.view(np.uint8).reshape(len(names), -1)
         self.points, self.measures, self._bytes = 0, 0, 0
-        self._header = messages().header(
-            networkId=network_id.encode(), targetName=target.encode(), created=_WRITTEN.encode(),
-            lastModified=_WRITTEN.encode(), description=b"Simulated archive", userName=b"mgsgraph",
-        ).SerializeToString()  # fmt: skip
+        self._header = network_header(self._head)
 
     def __enter__(self) -> Self:
         self._file: BinaryIO = self._path.open("wb")
-        self._file.write(bytes(_LABEL_BYTES))
+        self._file.write(bytes(LABEL_BYTES))
         self._file.write(self._header)
         return self
 
@@ -65,7 +64,7 @@ class NetworkWriter:
     ) -> None:
         if kind is None:
             self._file.seek(0)
-            self._file.write(self._label().encode())
+            self._file.write(network_label(self._head, self.points, self.measures, len(self._header), self._bytes))
         self._file.close()
 
     def add(self, region: Region) -> None:
@@ -112,32 +111,6 @@ class NetworkWriter:
         length = sum(row.shape[1] for row in rows)
         begin = np.frombuffer(_MEASURES + bytes([length]), dtype=np.uint8)
         return np.hstack([np.tile(begin, (len(names), 1)), *rows])
-
-    def _label(self) -> str:
-        start, header = _LABEL_BYTES, len(self._header)
-        core: list[tuple[str, Value]] = [
-            ("HeaderStartByte", f"{start}"), ("HeaderBytes", f"{header}"), ("PointsStartByte", f"{start + header}"),
-            ("PointsBytes", f"{self._bytes}"),
-        ]  # fmt: skip
-        words = {
-            "NetworkId": self._id, "TargetName": self._target, "UserName": "mgsgraph", "Created": _WRITTEN,
-            "LastModified": _WRITTEN, "Description": "Simulated archive",
-        }  # fmt: skip
-        info: list[tuple[str, Value]] = [(key, text_value(text, "label")) for key, text in words.items()]
-        info += [("NumberOfPoints", f"{self.points}"), ("NumberOfMeasures", f"{self.measures}"), ("Version", "5")]
-        return "\n".join([
-            "Object = ProtoBuffer",
-            "  Object = Core",
-            *keyword_lines(core, 4),
-            "  End_Object",
-            "",
-            "  # This group is for informational purposes only",
-            "  Group = ControlNetworkInfo",
-            *keyword_lines(info, 4),
-            "  End_Group",
-            "End_Object",
-            "End\n",
-        ])
 
 
 def _float_bytes(values: NDArray[np.float64]) -> Bytes:

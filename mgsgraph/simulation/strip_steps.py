@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
@@ -227,9 +226,7 @@ def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
 
 def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
     """Tie points of several steps as one: points in the order in which they come up, measures by point."""
-    every = Names.concatenated([part.ids for part in parts])
-    ids = Names.of(pc.unique(every.arrow))
-    of_part = [ids.find(part.ids) for part in parts]
+    ids, of_part = Names.united([part.ids for part in parts])
     point = np.concatenate([own[part.measure_point] for own, part in zip(of_part, parts, strict=True)])
     order = np.argsort(point, kind="stable")
     first = np.full(len(ids), -1)
