@@ -5,11 +5,12 @@ seconds TDB past J2000. The user version is a checksum (`checksum.py`): whoever 
 Numbers stand in columns without a type: one of type REAL loses the sign of zero. NaN is NULL.
 Blobs named so hold float64, little-endian, row by row; the others are NumPy archives (.npz).
 
-The points, rays and ranges of a bundle are written together, one after the other: their numbers are a run without gaps,
-by which they are read and removed, so that only names need an index.
+Points, rays, ranges and stereo heights, of which there are millions, stand in packed columns (`columns.py`): a row of
+their tables holds those of one bundle, a cell one column of them. A cell with one number alone means that number for
+all; NULL means zeros.
 """
 
-FORMAT = 6
+FORMAT = 7
 """Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -22,12 +23,73 @@ _STEREO = (
     second INTEGER NOT NULL REFERENCES image,
     record BLOB NOT NULL -- .npz: places in the second image of nodes in the first
 )""",
+)
+PACKED = (
+    """CREATE TABLE point_names ( -- names of the points of a bundle
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    text BLOB NOT NULL, -- UTF-8, one after another
+    ends BLOB NOT NULL -- int32 (n), byte of the text where each ends
+)""",
+    """CREATE TABLE point_columns ( -- points of a bundle, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    class BLOB, -- int8 (n), 0 tie, 1 laser, 2 control
+    kind BLOB, -- int8 (n), 0 free, 1 constrained, 2 fixed
+    profile BLOB, -- int32 (n), laser profile whose shift it shares; 0 for none
+    surface_sigma BLOB, -- float64 (n), m, of its height above the terrain model; Inf for none
+    place BLOB, -- float64 (n, 3), m, body-fixed, a-priori; NaN where unknown
+    covariance BLOB -- float64 (n, 3, 3), m^2, a-priori
+)""",
+    """CREATE TABLE adjusted_columns ( -- where they are after the adjustment
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL,
+    place BLOB, -- float64 (n, 3), m, body-fixed; NaN where undetermined or not adjusted yet
+    covariance BLOB -- float64 (n, 3, 3), m^2, for sigma0 = 1; NaN where the place is
+)""",
+    """CREATE TABLE ray_columns ( -- image coordinates of them, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    point BLOB, -- int32 (k), of the bundle, from 0 on
+    image BLOB, -- int32 (k), position in the bundle (bundle_image)
+    place BLOB, -- float64 (k, 2), line and sample in pixels, the first pixel's centre at (0.5, 0.5)
+    sigma BLOB, -- float64 (k, 2), pixels
+    back_projected BLOB, -- int8 (k), 1: a projection with the nominal orientation
+    rejected BLOB -- int8 (k), 1: a blunder to the last batch adjustment
+)""",
+    """CREATE TABLE range_columns ( -- laser ranges to them, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    point BLOB, -- int32 (r), of the bundle, from 0 on
+    image BLOB, -- int32 (r), position in the bundle of the image whose orientation carries it
+    time BLOB, -- float64 (r), s TDB past J2000
+    value BLOB, -- float64 (r), m, one-way
+    sigma BLOB, -- float64 (r), m
+    rejected BLOB -- int8 (r), 1: a blunder to the last batch adjustment
+)""",
+    """CREATE TABLE height_columns ( -- heights of them above stereo surfaces, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    point BLOB, -- int32 (h), of the bundle, from 0 on
+    surface BLOB, -- int32 (h), number of the stereo surface
+    sigma BLOB, -- float64 (h), m, of the height above it
+    rejected BLOB, -- int8 (h), 1: a blunder to the last batch adjustment
+    level BLOB -- int8 (h), 1: as if the ground were level, for its horizontal position isn't found
+)""",
+    """CREATE TABLE bundle_surface ( -- stereo surfaces that points of a bundle lie on
+    bundle INTEGER NOT NULL REFERENCES bundle,
+    surface INTEGER NOT NULL REFERENCES stereo_surface,
+    PRIMARY KEY (bundle, surface)
+) WITHOUT ROWID""",
+)
+"""Tables of packed columns."""
+_OF_FORMAT_3 = (
     """CREATE TABLE stereo_height ( -- points that lie on them
     point INTEGER PRIMARY KEY REFERENCES point,
     surface INTEGER NOT NULL REFERENCES stereo_surface,
-    sigma NOT NULL, -- m, of the height above it
-    rejected INTEGER NOT NULL DEFAULT 0, -- 1: a blunder to the last batch adjustment
-    level INTEGER NOT NULL DEFAULT 0 -- 1: as if the ground were level, for its horizontal position isn't found
+    sigma NOT NULL,
+    rejected INTEGER NOT NULL DEFAULT 0,
+    level INTEGER NOT NULL DEFAULT 0
 )""",
 )
 _COMMON = (
@@ -87,9 +149,9 @@ TABLES = (
     """CREATE TABLE bundle ( -- all points that feel the same shared unknowns
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     members TEXT NOT NULL UNIQUE, -- JSON: [kind, name] of these unknowns, in order
-    first_point INTEGER NOT NULL, points INTEGER NOT NULL, -- number of the first, and how many
-    first_ray INTEGER NOT NULL, rays INTEGER NOT NULL,
-    first_range INTEGER NOT NULL, ranges INTEGER NOT NULL,
+    points INTEGER NOT NULL, -- how many
+    rays INTEGER NOT NULL,
+    ranges INTEGER NOT NULL,
     terrain INTEGER REFERENCES terrain, -- model that its points lie on
     terrain_shift_sigma, -- m, a-priori, of that model
     terrain_considered INTEGER NOT NULL DEFAULT 0, -- 1: that shift is not estimated
@@ -108,39 +170,8 @@ TABLES = (
     PRIMARY KEY (image, bundle)
 ) WITHOUT ROWID""",
     "CREATE INDEX image_of_bundle ON bundle_image (bundle, position)",
-    """CREATE TABLE point (
-    id INTEGER PRIMARY KEY,
-    name TEXT NOT NULL UNIQUE,
-    bundle INTEGER NOT NULL REFERENCES bundle,
-    class INTEGER NOT NULL, -- 0 tie, 1 laser, 2 control
-    kind INTEGER NOT NULL, -- 0 free, 1 constrained, 2 fixed
-    x, y, z, -- m, body-fixed, a-priori; NULL where unknown
-    covariance BLOB, -- float64 (3, 3), m^2, a-priori; NULL for zero
-    profile INTEGER REFERENCES profile, -- laser profile whose shift it shares
-    surface_sigma, -- m, of its height above the terrain model; Inf for none
-    adjusted_x, adjusted_y, adjusted_z, -- m; NULL where undetermined or not adjusted yet
-    sigma_x, sigma_y, sigma_z, -- m, of the adjusted place, for sigma0 = 1
-    adjusted_covariance BLOB -- float64 (3, 3), m^2, for sigma0 = 1; NULL where the place is
-)""",
-    """CREATE TABLE ray ( -- image coordinates
-    id INTEGER PRIMARY KEY,
-    point INTEGER NOT NULL REFERENCES point,
-    image INTEGER NOT NULL REFERENCES image,
-    line NOT NULL, sample NOT NULL, -- pixels, the first pixel's centre at (0.5, 0.5)
-    sigma_line NOT NULL, sigma_sample NOT NULL, -- pixels
-    back_projected INTEGER NOT NULL, -- 1: a projection with the nominal orientation
-    rejected INTEGER NOT NULL DEFAULT 0 -- 1: a blunder to the last batch adjustment
-)""",
-    """CREATE TABLE range ( -- laser ranges
-    id INTEGER PRIMARY KEY,
-    point INTEGER NOT NULL REFERENCES point,
-    image INTEGER NOT NULL REFERENCES image, -- whose orientation carries it
-    time NOT NULL, -- s TDB past J2000
-    value NOT NULL, -- m, one-way
-    sigma NOT NULL, -- m
-    rejected INTEGER NOT NULL DEFAULT 0 -- 1: a blunder to the last batch adjustment
-)""",
     *_STEREO,
+    *PACKED,
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
@@ -162,9 +193,6 @@ TABLES = (
     kind TEXT NOT NULL DEFAULT 'batch' -- batch or incremental
 )""",
     *_COMMON,
-    """CREATE VIEW measures AS -- for reading: rays with the names of their points and images
-    SELECT point.name AS point, image.name AS image, line, sample, sigma_line, sigma_sample, back_projected
-    FROM ray JOIN point ON point.id = ray.point JOIN image ON image.id = ray.image""",
 )
 """Statements that make an empty project."""
 
@@ -174,7 +202,7 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
         "ALTER TABLE ray ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",  # nothing was rejected
         "ALTER TABLE range ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",
     ),
-    2: _STEREO,  # nothing lay on a stereo surface
+    2: (*_STEREO, *_OF_FORMAT_3),  # nothing lay on a stereo surface
     3: (  # every unknown was estimated
         "ALTER TABLE shared ADD COLUMN considered INTEGER NOT NULL DEFAULT 0",
         "ALTER TABLE profile ADD COLUMN considered INTEGER NOT NULL DEFAULT 0",
@@ -182,5 +210,6 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
     ),
     4: (),  # had no checksum, which every change writes
     5: _COMMON,  # every image had an orientation of its own, and nothing was shared
+    6: PACKED,  # points and their rows had a row each, which `migration.py` packs
 }
 """Statements by which a format becomes the next one."""

@@ -32,9 +32,9 @@ def _lines(project: Project) -> list[str]:
 
 
 def _contents(project: Project) -> list[str]:
-    classes = project.counts("point", "class")
+    classes = project.store.point_classes()
     points = ", ".join(f"{count} {PointClass(number).name.lower()}" for number, count in classes.items())
-    rays, ranges = (sum(project.counts(table, "image").values()) for table in ("ray", "range"))
+    rays, ranges = project.store.measures()
     held = project.counts("image", "held").get(1, 0)
     terrain = project.store.terrain
     model = "none" if terrain is None else f"{terrain[0].source}, {' x '.join(map(str, terrain[0].radii.shape))} posts"

@@ -2,6 +2,7 @@
 
 import hashlib
 import sqlite3
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -9,80 +10,72 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.network import Network
 from mgsgraph.network.stereo_control import StereoControl
-from mgsgraph.project.rows import Run, index_among
+from mgsgraph.project.columns import HEIGHTS, Cells, Run, index_among, rows_of
 from mgsgraph.reports.archive_arrays import pack, unpack
-
-_HEIGHTS = "SELECT point, surface, sigma, rejected, level FROM stereo_height"
 
 
 class StoredStereo:
     """The tables of stereo surfaces and of heights above them, on an open connection."""
 
     def __init__(self, connection: sqlite3.Connection, where: str) -> None:
-        self._connection, self._where = connection, where
+        self._connection, self._where, self._cells = connection, where, Cells(connection)
         self._surfaces = dict[int, StereoSurface]()
         self._numbers = dict[int, tuple[StereoSurface, int]]()
 
     @property
     def there(self) -> bool:
         """Whether any point lies on a stereo surface."""
-        return self._connection.execute("SELECT 1 FROM stereo_height LIMIT 1").fetchone() is not None
+        return self._connection.execute("SELECT 1 FROM height_columns LIMIT 1").fetchone() is not None
 
-    def control(self, run: Run | None, points: Index, images: Index, starts: Array) -> StereoControl | None:
-        """Heights of a run of points, or of all points; None without any.
+    def control(
+        self, bundle: int | None, runs: Mapping[int, Run], images: Index, starts: Array
+    ) -> StereoControl | None:
+        """Heights of the points of a bundle, or of all; None without any.
 
         Parameters
         ----------
-        run : Run, optional
-            Of the points' table.
-        points, images : (n,), (m,)
+        runs : mapping
+            Of each bundle, which of the network's points are its.
+        images : (m,)
             Numbers that the network's indices stand for.
         starts : (n, 3)
             m, where the points lie.
         """
-        chosen = (_HEIGHTS, ()) if run is None else (f"{_HEIGHTS} WHERE point BETWEEN ? AND ?", run.limits)
-        rows = self._connection.execute(*chosen).fetchall()
-        if not rows:
+        mine, surface, sigma, rejected_, level_ = rows_of(self._cells, "height_columns", HEIGHTS, bundle, runs)
+        if mine.size == 0:
             return None
-        point, surface, sigma, *marks = (np.array(column) for column in zip(*rows, strict=True))
         used, inside = np.unique(surface, return_inverse=True)
         pairs = [
             self._connection.execute("SELECT first, second FROM stereo_surface WHERE id = ?", (number,)).fetchone()
             for number in used.tolist()
         ]
-        of_point, sigmas = np.full(points.size, -1), np.full(points.size, np.inf)
-        mine, (rejected, level) = index_among(point, points), np.zeros((2, points.size), dtype=bool)
-        of_point[mine], sigmas[mine], rejected[mine], level[mine] = inside, sigma, *(one != 0 for one in marks)
+        of_point, sigmas = np.full(len(starts), -1), np.full(len(starts), np.inf)
+        rejected, level = np.zeros((2, len(starts)), dtype=bool)
+        of_point[mine], sigmas[mine], rejected[mine], level[mine] = inside, sigma, rejected_ != 0, level_ != 0
         shown = tuple(self._surface(number) for number in used.tolist())
         sides = index_among(np.array(pairs), images)
         return StereoControl(shown, sides, of_point, sigmas, starts, rejected, level)
 
-    def put(self, network: Network, first_point: int, images: Index) -> None:
-        """Write the heights of a bundle whose points are written; `images` are numbers as for `control`."""
+    def put(self, bundle: int, network: Network, images: Index) -> None:
+        """Write the heights of a bundle; `images` are numbers as for `control`."""
         control = network.stereo
         if control is None:
             return
         on = np.flatnonzero(control.surface >= 0)
-        numbers = [
+        numbers = np.array([
             self._number(one, images[pair]) for one, pair in zip(control.surfaces, control.images, strict=True)
-        ]
-        marks = [np.zeros(on.size) if one is None else one[on] for one in (control.rejected, control.level)]
+        ], dtype=np.int64)  # fmt: skip
+        marks = [None if one is None else one[on] for one in (control.rejected, control.level)]
+        surface = numbers[control.surface[on]]
+        self._cells.put("height_columns", bundle, on.size, HEIGHTS, (on, surface, control.sigmas[on], *marks))
         self._connection.executemany(
-            "INSERT INTO stereo_height VALUES (?, ?, ?, ?, ?)",
-            zip(
-                (on + first_point).tolist(), (numbers[s] for s in control.surface[on].tolist()),
-                control.sigmas[on].tolist(), *(one.astype(int).tolist() for one in marks), strict=True,
-            ),
-        )  # fmt: skip
-
-    def drop(self, run: Run) -> None:
-        """Take out the heights of a run of points."""
-        self._connection.execute("DELETE FROM stereo_height WHERE point BETWEEN ? AND ?", run.limits)
+            "INSERT INTO bundle_surface VALUES (?, ?)", [(bundle, number) for number in np.unique(surface).tolist()]
+        )
 
     def sweep(self) -> None:
         """Take out surfaces on which no point lies any longer."""
         gone = self._connection.execute(
-            "SELECT id FROM stereo_surface WHERE id NOT IN (SELECT surface FROM stereo_height)"
+            "SELECT id FROM stereo_surface WHERE id NOT IN (SELECT surface FROM bundle_surface)"
         ).fetchall()
         self._connection.executemany("DELETE FROM stereo_surface WHERE id = ?", gone)
         for (number,) in gone:

@@ -13,29 +13,32 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared
+from mgsgraph.names import Names
 from mgsgraph.network import TERRAIN, Network, ProfileShifts, Surface
 from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, with_definitions
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
-from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
-from mgsgraph.project.grids import StoredGrids
-from mgsgraph.project.rows import (
-    Run,
+from mgsgraph.project.columns import (
+    POINTS,
+    Cells,
     StoredPoints,
+    index_among,
     points_of,
+    put_adjusted,
     put_points,
     put_ranges,
     put_rays,
     ranges_of,
     rays_of,
-    renew_points,
 )
+from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
+from mgsgraph.project.grids import StoredGrids
 from mgsgraph.project.stereo_rows import StoredStereo
 from mgsgraph.reports.archive_arrays import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
 """Columns of a reduced system; NULL in a bundle that has none."""
 _BUNDLE = (
-    "id", "first_point", "points", "first_ray", "rays", "first_range", "ranges",
+    "id", "points", "rays", "ranges",
     "terrain", "terrain_shift_sigma", "terrain_considered", "areoid", *_REDUCED,
 )  # fmt: skip
 _AT_HAND = 100
@@ -43,6 +46,11 @@ _AT_HAND = 100
 _COMMON: dict[str, Any] = {"pass": NamedPass, "shared_by_images": NamedShared}
 """Records of passes and of unknowns that images share, by table."""
 _SHARED = ("prior", "motion", "ground", "value", "covariance")
+_PACKED = (
+    "point_names", "point_columns", "adjusted_columns", "ray_columns", "range_columns", "height_columns",
+    "bundle_surface", "bundle_image",
+)  # fmt: skip
+"""Tables with what a bundle holds."""
 
 
 @guarded_readings
@@ -54,6 +62,7 @@ class ProjectStore:
 
     def __init__(self, connection: sqlite3.Connection, where: str) -> None:
         self._connection, self._where = connection, where
+        self._cells = Cells(connection)
         self._images = dict[str, KnownImage]()
         self._grids = StoredGrids(connection, where)
         self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
@@ -161,16 +170,13 @@ class ProjectStore:
 
     def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
         """For those of the points that are there: their bundle."""
-        rows = self._ask(
-            "SELECT point.name, bundle.id, bundle.members FROM json_each(?) AS wanted "
-            "JOIN point ON point.name = wanted.value JOIN bundle ON bundle.id = point.bundle",
-            json.dumps(list(ids)),
-        )
-        known = dict[int, Members]()
-        for _, number, text in rows:
-            if number not in known:
-                known[number] = _members(text)
-        return {name: known[number] for name, number, _ in rows}
+        wanted = list(ids)
+        names, bundles, sizes = self._cells.names()
+        found = Names.of(wanted).find(names)
+        there = np.flatnonzero(found >= 0)
+        of_point = np.repeat(bundles, sizes)[there].tolist()
+        members = {number: _members(text) for number, text in self._ask("SELECT id, members FROM bundle")}
+        return {wanted[k]: members[number] for k, number in zip(found[there].tolist(), of_point, strict=True)}
 
     def seen_by(self, image: str) -> list[Members]:
         """Bundles with points that have a ray or a range from an image."""
@@ -192,21 +198,25 @@ class ProjectStore:
 
     def _read(self, members: Members) -> Bundle:
         row = self._one(f"SELECT {', '.join(_BUNDLE)} FROM bundle WHERE members = ?", _text(members))
-        number, first, points, first_ray, rays, first_range, ranges, terrain, shift_sigma, stays, areoid, *reduced = row
+        number, points, rays, ranges, terrain, shift_sigma, stays, areoid, *reduced = row
         names, numbers = self._images_of(number)
-        read = points_of(self._connection, Run(first, points))
+        read, places = points_of(self._cells, number), {number: np.arange(len(names))}
         known = [self.image(name) for name in names]
         network = Network(
             *image_columns(known),
             read.points,
-            rays_of(self._connection, Run(first_ray, rays), read.numbers, numbers),
-            ranges_of(self._connection, Run(first_range, ranges), read.numbers, numbers),
+            rays_of(self._cells, number, read.runs, places),
+            ranges_of(self._cells, number, read.runs, places),
             self._shifts(read),
             None if terrain is None else Surface(self._grids.grid(terrain), read.surface_sigmas, shift_sigma),
             None if areoid is None else self._grids.grid(areoid),
-            stereo=self._stereo.control(Run(first, points), read.numbers, numbers, read.places),
+            stereo=self._stereo.control(number, read.runs, numbers, read.places),
         ).considering([*self._considered_profiles, *([TERRAIN] if stays else [])])
         network = with_definitions(network, self.definitions())
+        self._require(
+            (points, rays, ranges) == (len(read.points), network.rays.point.size, network.ranges.point.size),
+            f"a bundle of other points or measures than it says ({_text(members)})",
+        )
         system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
         return Bundle(network, system, read.places, read.covariances)
 
@@ -224,21 +234,15 @@ class ProjectStore:
         for members, bundle in bundles.items():
             self._bundles.pop(members, None)
             text = _text(members)
-            run = Run(*self._one("SELECT first_point, points FROM bundle WHERE members = ?", text))
-            renew_points(self._connection, run, bundle.places, bundle.covariances)
+            (number,) = self._one("SELECT id FROM bundle WHERE members = ?", text)
+            put_adjusted(self._cells, number, bundle.places, bundle.covariances)
             change = ", ".join(f"{name} = ?" for name in _REDUCED)
             row = (*_reduced_row(bundle.reduced), text)
             self._connection.execute(f"UPDATE bundle SET {change} WHERE members = ?", row)
 
     def _drop(self, members: Members) -> None:
-        number, *runs = self._one(
-            "SELECT id, first_point, points, first_ray, rays, first_range, ranges FROM bundle WHERE members = ?",
-            _text(members),
-        )
-        self._stereo.drop(Run(*runs[:2]))
-        for table, first, count in zip(("point", "ray", "range"), runs[::2], runs[1::2], strict=True):
-            self._connection.execute(f"DELETE FROM {table} WHERE id BETWEEN ? AND ?", Run(first, count).limits)
-        self._connection.execute("DELETE FROM bundle_image WHERE bundle = ?", (number,))
+        (number,) = self._one("SELECT id FROM bundle WHERE members = ?", _text(members))
+        self._cells.drop(_PACKED, number)
         self._connection.execute("DELETE FROM bundle WHERE id = ?", (number,))
 
     def _put(self, members: Members, bundle: Bundle) -> None:
@@ -246,14 +250,16 @@ class ProjectStore:
         surface = network.surface
         (number,) = self._one("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
         images = self._numbers_of(tuple(image.name for image in network.images))
-        points = put_points(connection, number, network, self._profiles(network), (bundle.places, bundle.covariances))
-        rays = put_rays(connection, network, points.first, images)
-        ranges = put_ranges(connection, network, points.first, images)
-        self._stereo.put(network, points.first, images)
+        sigmas = None if surface is None else surface.sigmas
+        put_points(self._cells, number, network.points, self._profiles(network), sigmas)
+        put_adjusted(self._cells, number, bundle.places, bundle.covariances)
+        put_rays(self._cells, number, network.rays)
+        put_ranges(self._cells, number, network.ranges)
+        self._stereo.put(number, network, images)
         connection.execute(
             f"INSERT INTO bundle (members, {', '.join(_BUNDLE)}) VALUES ({', '.join('?' * (1 + len(_BUNDLE)))})",
             (
-                _text(members), number, *points, *rays, *ranges,
+                _text(members), number, len(network.points), network.rays.point.size, network.ranges.point.size,
                 None if surface is None else self._grids.number(surface.grid),
                 None if surface is None else surface.shift_sigma,
                 int(TERRAIN in network.considered),
@@ -271,17 +277,17 @@ class ProjectStore:
     def network(self) -> Network:
         """Everything as one network, images in the order in which they came, points bundle by bundle."""
         names = self.image_names()
-        images, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
-        read = points_of(self._connection, None, adjusted=self._stereo.there)
+        numbers, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
+        read, images = points_of(self._cells, None, adjusted=self._stereo.there), self._images_by_bundle(numbers)
         network = Network(
             *image_columns(known),
             read.points,
-            rays_of(self._connection, None, read.numbers, images),
-            ranges_of(self._connection, None, read.numbers, images),
+            rays_of(self._cells, None, read.runs, images),
+            ranges_of(self._cells, None, read.runs, images),
             self._shifts(read),
             self._surface(read),
             self.areoid,
-            stereo=self._stereo.control(None, read.numbers, images, read.places),
+            stereo=self._stereo.control(None, read.runs, numbers, read.places),
         ).considering(self.considered)
         return with_definitions(network, self.definitions())
 
@@ -299,8 +305,7 @@ class ProjectStore:
         terrain = self.terrain
         if terrain is None:
             return None
-        sigmas = np.where(np.isnan(read.surface_sigmas), np.inf, read.surface_sigmas)
-        return Surface(terrain[0], sigmas, terrain[1])
+        return Surface(terrain[0], read.surface_sigmas, terrain[1])
 
     @property
     def terrain(self) -> tuple[TerrainGrid, float] | None:
@@ -329,6 +334,19 @@ class ProjectStore:
 
     # --- numbers and names
 
+    def point_classes(self) -> dict[int, int]:
+        """Number of points of each class that there is (`mgsgraph.network.PointClass`)."""
+        found = np.zeros(128, dtype=np.int64)
+        for _, size, (classes,) in self._cells.read("point_columns", {"class": POINTS["class"]}, None):
+            found += np.bincount(classes, minlength=found.size) if classes.strides[0] else 0
+            found[classes[0]] += 0 if classes.strides[0] else size
+        return {number: count for number, count in enumerate(found.tolist()) if count}
+
+    def measures(self) -> tuple[int, int]:
+        """Numbers of rays and of ranges."""
+        (counts,) = self._ask("SELECT coalesce(sum(rays), 0), coalesce(sum(ranges), 0) FROM bundle")
+        return counts[0], counts[1]
+
     def _images_of(self, bundle: int) -> tuple[list[str], Index]:
         rows = self._ask(
             "SELECT image.name, image.id FROM bundle_image JOIN image ON image.id = bundle_image.image "
@@ -340,11 +358,19 @@ class ProjectStore:
     def _numbers_of(self, names: tuple[str, ...]) -> Index:
         return np.array([self._one("SELECT id FROM image WHERE name = ?", name)[0] for name in names], dtype=np.int64)
 
-    def _profiles(self, network: Network) -> list[int]:
-        """Numbers of a network's profiles, which are written where they aren't known."""
+    def _images_by_bundle(self, numbers: Index) -> dict[int, Index]:
+        """Of each bundle, the places of its images among those of some `numbers`."""
+        rows = np.array(self._ask("SELECT bundle, image FROM bundle_image ORDER BY bundle, position"), dtype=np.int64)
+        bundle, image = rows.reshape(-1, 2).T
+        edges = np.flatnonzero(np.diff(bundle)) + 1
+        parts = np.split(index_among(image, numbers), edges)
+        return dict(zip(bundle[np.concatenate([[0], edges])].tolist(), parts, strict=True)) if bundle.size else {}
+
+    def _profiles(self, network: Network) -> Index | None:
+        """(n,) number of each point's profile in its table, 0 for none; unknown profiles are written."""
         if network.shifts is None:
-            return []
-        numbers = []
+            return None
+        numbers = list[int]()
         for name, sigma in zip(network.shifts.names, network.shifts.sigmas.tolist(), strict=True):
             self._connection.execute(
                 "INSERT INTO profile (name, sigma, considered) VALUES (?, ?, ?) "
@@ -352,7 +378,7 @@ class ProjectStore:
                 (name, sigma, int(name in network.considered)),
             )
             numbers.append(self._one("SELECT id FROM profile WHERE name = ?", name)[0])
-        return numbers
+        return np.array([*numbers, 0], dtype=np.int64)[network.shifts.profile]  # -1, no profile, is the last one
 
     def _shifts(self, read: StoredPoints) -> ProfileShifts | None:
         used, profile = np.unique(read.profiles, return_inverse=True)
