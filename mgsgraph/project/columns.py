@@ -58,7 +58,9 @@ class Cells:
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
 
-    def put(self, table: str, bundle: int, count: int, columns: _Columns, values: Iterable[NDArray[Any] | None]) -> None:
+    def put(
+        self, table: str, bundle: int, count: int, columns: _Columns, values: Iterable[NDArray[Any] | None]
+    ) -> None:
         """Write the columns of a bundle."""
         cells = [
             None if one is None else packed(one, kind) for one, (kind, _) in zip(values, columns.values(), strict=True)
@@ -163,8 +165,8 @@ def _marks(marks: Mask | None) -> Mask | None:
 def points_of(cells: Cells, bundle: int | None, adjusted: bool = True) -> StoredPoints:
     """Points of a bundle, or all points."""
     names, bundles, sizes = cells.names(bundle)
-    ends = np.cumsum(sizes)
-    runs = {b: Run(end - size, size) for b, end, size in zip(*(x.tolist() for x in (bundles, ends, sizes)), strict=True)}
+    rows = np.stack([bundles, np.cumsum(sizes) - sizes, sizes], axis=1).tolist()
+    runs = {number: Run(first, size) for number, first, size in rows}
     class_, kind, profile, sigma, place, covariance = _of_points(cells, "point_columns", POINTS, bundle, runs)
     points = GroundPoints(names, class_.astype(np.int64), kind.astype(np.int64), place, covariance)
     if adjusted:

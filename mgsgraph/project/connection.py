@@ -18,6 +18,7 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.io.files import read_json, understood
 from mgsgraph.io.writing import write_file
 from mgsgraph.project.checksum import checksum, held_open, note, noted, sign
+from mgsgraph.project.migration import LAST_WITH_ROWS, pack_rows
 from mgsgraph.project.schema import APPLICATION, FORMAT, MIGRATIONS, TABLES
 
 FILE = "project.sqlite"
@@ -266,6 +267,8 @@ def _migrate(connection: sqlite3.Connection, version: int) -> None:
     for step in range(version, FORMAT):
         for statement in MIGRATIONS[step]:
             connection.execute(statement)
+        if step == LAST_WITH_ROWS:
+            pack_rows(connection)
     if version < FORMAT:
         connection.execute("UPDATE meta SET value = ? WHERE key = 'format'", (str(FORMAT),))
 
