@@ -77,12 +77,16 @@ def _decoded(content: np.ndarray, begin: Index, end: Index, source: str) -> TieP
         if images[-1, 0] <= slots // 2 or slots >= MOST_SLOTS:
             return None
         slots *= 16
-    names = names_at(content, ids)
-    distinct = tuple(names_at(content, images[: images[-1, 0]]))
-    if names.first_repeated is not None or np.all(ignored):
+    names, distinct = names_at(content, ids), names_at(content, images[: images[-1, 0]])
+    if names.first_repeated is not None or np.all(ignored) or not (_can_be_shown(names) and _can_be_shown(distinct)):
         return None
     return used_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
-                       RepeatedNames(distinct, image), measures, ~out)  # fmt: skip
+                       RepeatedNames(tuple(distinct), image), measures, ~out)  # fmt: skip
+
+
+def _can_be_shown(names: Names) -> bool:
+    """Whether `record.with_names` takes them; ASCII ones that can't be printed have been left out before."""
+    return int(names.data.max(initial=0)) < 128 or names.text.isprintable()
 
 
 def names_at(content: np.ndarray, spans: Index) -> Names:

@@ -2,9 +2,9 @@
 
 The wire format is protobuf's: a field is its number and kind, then a whole number in sevens of bits, eight bytes of a
 float64, or a size and so many bytes. What is decoded is what an adjustment takes of a point (`control.messages` has the
-fields). The decoder takes only what it wholly understands: ASCII names, choices that exist, numbers that are finite or
-ISIS's special values, places that are whole, measures that an adjustment can use. At anything else it stops, and says
-at which point; then the file is for protobuf's own reader and `control.point_messages`, which know what is wrong.
+fields). The decoder takes only what it wholly understands: texts in UTF-8, choices that exist, numbers that are finite
+or ISIS's special values, places that are whole, measures that an adjustment can use. At anything else it stops, and
+says at which point; then the file is for protobuf's own reader and `control.point_messages`, which know what is wrong.
 """
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.control.point_messages import LARGEST
 from mgsgraph.control.ties import FARTHEST
+from mgsgraph.control.utf8 import is_utf8
 
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 """Kinds of fields on the wire."""
@@ -54,27 +55,13 @@ def _kept(value):
 
 
 @compiled
-def _plain(data, at, end):
-    """Whether a text is ASCII that can be printed."""
-    plain = True
-    for k in range(at, end):
-        plain &= 32 <= data[k] <= 126
-    return plain
-
-
-@compiled
 def _name_at(data, at, end, spans, row):
-    """Whether a text can be a name; where it lies goes to a row of `spans`."""
+    """Whether a text can be a name, as far as bytes tell; where it lies goes to a row of `spans`."""
     spans[row, 0], spans[row, 1] = at, end
-    return 0 < end - at <= TEXTS and _plain(data, at, end)
-
-
-@compiled
-def _is_ascii(data, at, end):
     plain = True
     for k in range(at, end):
-        plain &= data[k] <= 127
-    return plain
+        plain &= data[k] >= 32 and data[k] != 127
+    return 0 < end - at <= TEXTS and plain and is_utf8(data, at, end)
 
 
 @compiled
@@ -150,7 +137,7 @@ def _read_measure(data, at, end, bits, number, k, measures, flags, serial):
             if column >= 0:
                 measures[k, column] = found
         elif (field == 7 or field == 8) and kind == _BYTES:
-            if not _is_ascii(data, value, at):
+            if not is_utf8(data, value, at):
                 return False
         elif (field == 9 or field == 10 or field == 11) and kind == _VARINT:
             if value > 1:
@@ -299,7 +286,7 @@ def read_points(data, begin, end, first_measure, table, images, points, ids, mar
 def _is_unused(data, field, kind, value, at):
     """Whether a field of a point, of no use here, is one that can be: texts, marks and sources of places."""
     if kind == _BYTES:
-        return (field == 3 or field == 4 or field == 10 or field == 12) and _is_ascii(data, value, at)
+        return (field == 3 or field == 4 or field == 10 or field == 12) and is_utf8(data, value, at)
     if kind != _VARINT:
         return False
     if field == 9 or field == 11:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from isis_networks import assert_same, grid, networks
 from msgspec.structs import replace
 
@@ -13,6 +14,7 @@ from mgsgraph.control.binary_columns import binary_tie_points
 from mgsgraph.control.network_file import read_control_network
 from mgsgraph.control.record import ControlNetwork, with_names
 from mgsgraph.control.ties import tie_points
+from mgsgraph.control.utf8 import is_utf8
 from mgsgraph.errors import InputError
 from mgsgraph.ties import TiePoints
 
@@ -108,3 +110,66 @@ def test_a_body_without_a_proper_name_is_refused_after_its_points() -> None:
     head = replace(grid(2, 3), target_name="a\tb")
     assert "TargetName" in str(by_protobuf(binary_network(head)))
     assert binary_tie_points(binary_network(head), "x.net") is None
+
+
+TEXT_WITH_ACCENTS = {"chooser_name": "José Núñez", "date_time": "2026‑11‑24", "apriori_source_file": "мола.cub"}
+
+
+def with_accents() -> ControlNetwork:
+    """Texts of points and measures, an id and an image's name in UTF-8."""
+    points = list(grid(4, 3).points)
+    named = replace(points[2].measures[1], chooser_name="Jürgen 🛰", date_time="昨日", serial_number="MGS/é")
+    points[2] = replace(points[2], id="Krater Ø", measures=(points[2].measures[0], named), **TEXT_WITH_ACCENTS)
+    return replace(grid(4, 3), points=tuple(points))
+
+
+def test_texts_and_names_in_utf8_are_decoded() -> None:
+    data = binary_network(with_accents())
+    assert assert_as_the_reference(data)
+    found = binary_tie_points(data, "x.net")
+    assert found is not None
+    assert found.ids[2] == "Krater Ø"
+    assert "MGS/é" in found.measure_image
+
+
+@pytest.mark.parametrize("name", ["a\u2028b", "a\u0085", "a\x7f", "a\tb", "\ufeff"])
+def test_names_that_cannot_be_shown_are_for_the_reference(name: str) -> None:
+    points = list(grid(2, 3).points)
+    for odd in (replace(points[1], id=name), replace(points[1], measures=(replace(points[1].measures[0],
+                serial_number=name),))):  # fmt: skip
+        assert binary_tie_points(binary_network(replace(grid(2, 3), points=(points[0], odd))), "x.net") is None
+
+
+def test_mutated_networks_with_accents_are_as_protobuf_has_them() -> None:
+    rng, data = np.random.default_rng(26), binary_network(with_accents())
+    decoded = sum(assert_as_the_reference(mutated(data, rng)) for _ in range(400))
+    assert 0 < decoded < 400
+
+
+def is_text(data: bytes) -> bool:
+    """What Python's strict decoder says."""
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def is_text_compiled(data: bytes) -> bool:
+    """With other bytes around it, which must not matter."""
+    return bool(is_utf8(np.frombuffer(b"\x80" + data + b"\x80", dtype=np.uint8), 1, 1 + len(data)))
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.lists(st.binary(max_size=3) | st.text(max_size=3).map(str.encode), max_size=4).map(b"".join))
+def test_utf8_is_what_python_decodes(data: bytes) -> None:
+    assert is_text_compiled(data) == is_text(data)
+
+
+def test_all_beginnings_of_a_character_are_as_python_decodes_them() -> None:
+    """All pairs of bytes, alone and with one or two bytes behind that can follow: bounds of every kind of character."""
+    for first in range(0x80, 0x100):
+        for second in range(0x100):
+            for rest in (b"", b"\x80", b"\xbf\xbf", b"\x80a"):
+                data = bytes([first, second]) + rest
+                assert is_text_compiled(data) == is_text(data), data
