@@ -222,6 +222,8 @@ def keep_number(data, begin, end, span):
 @compiled
 def keep_matrix(data, at, known, spans):
     """Keep where six numbers in brackets are, (6, 2); the next line, or -1 where there are no such."""
+    if at >= data.size or data[at] != _EQUALS:
+        return -1
     at = _along(data, at + 1)
     if at >= data.size or data[at] != _OPEN:
         return -1

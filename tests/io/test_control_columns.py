@@ -170,6 +170,6 @@ def test_all_beginnings_of_a_character_are_as_python_decodes_them() -> None:
     """All pairs of bytes, alone and with one or two bytes behind that can follow: bounds of every kind of character."""
     for first in range(0x80, 0x100):
         for second in range(0x100):
-            for rest in (b"", b"\x80", b"\xbf\xbf", b"\x80a"):
+            for rest in (b"", b"\x80", b"\xbf\xbf", b"\xc0\x80", b"\x80a"):
                 data = bytes([first, second]) + rest
                 assert is_text_compiled(data) == is_text(data), data

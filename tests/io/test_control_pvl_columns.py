@@ -1,5 +1,6 @@
 """Tie points scanned out of PVL text by compiled code: as the reader of whole networks has them, or left to it."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,13 @@ def test_what_is_odd_is_said_as_before(tmp_path: Path) -> None:
 
 def test_a_hundred_thousand_digits_are_for_the_reader() -> None:
     assert pvl_tie_points(RICH.replace(b"    Line ", b"    Line = 1" + b"0" * 300 + b"\n#", 1), "x.pvl") is None
+
+
+@pytest.mark.parametrize("between", ["\n", "#", "x", "( "])
+def test_a_matrix_without_an_equals_sign_is_for_the_reader(between: str) -> None:
+    text = re.sub(r"(AprioriCovarianceMatrix) *= *", rf"\1 {between}", RICH.decode(), count=1)
+    assert f"AprioriCovarianceMatrix {between}(" in text
+    assert pvl_tie_points(text.encode(), "x.pvl") is None
 
 
 def test_more_images_than_the_first_table_has(tmp_path: Path) -> None:
