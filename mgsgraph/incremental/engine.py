@@ -15,6 +15,7 @@ import numpy as np
 
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.shared import image_motion
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, StateStore, stretches
@@ -22,8 +23,8 @@ from mgsgraph.incremental.sweep import Sweep, probes
 from mgsgraph.incremental.trajectories import expected, prior_rows
 from mgsgraph.incremental.tree import TOGETHER, PriorRows, Tree
 from mgsgraph.network import Network
-from mgsgraph.network.definitions import Definitions
-from mgsgraph.network.parts import Members, Unknown, known_images, part
+from mgsgraph.network.definitions import Definitions, definitions
+from mgsgraph.network.parts import Members, Unknown, bundles, known_images, part
 from mgsgraph.ties import PointKind
 
 _MOST_UPDATES = 12
@@ -89,20 +90,28 @@ class Engine:
         """Stand as unknowns, systems and definitions say, with no points laid out."""
         self.shared, self.systems, self.known = shared, systems, known
         self._lay_nothing_out()
-        self._grow()
+        self._plant()
         self._take_values()
 
     def _lay_nothing_out(self) -> None:
         self._sweeps, self._probes = _Kept[Sweep](_KEPT), _Kept[tuple[Index, Sweep]](_KEPT)
         self._changing = dict[Members, Sweep]()
 
-    def _grow(self) -> None:
-        """The tree of all unknowns and systems: from reduced systems, never from points."""
-        self._tree, self.value = Tree(), {unknown: one.value for unknown, one in self.shared.items()}
+    def _plant(self) -> None:
+        """Take the values of the unknowns as they are; the tree grows when it is asked for first."""
+        self._grown: Tree | None = None
+        self.value = {unknown: one.value for unknown, one in self.shared.items()}
         self._holding: defaultdict[Unknown, set[Members]] = defaultdict(set)
-        units = {unknown: one.prior_sigmas for unknown, one in self.shared.items()}
-        self._tree.change(units, self.systems, rows=prior_rows(self.known) if self.shared else ())
         self._hold(self.systems)
+
+    @property
+    def _tree(self) -> Tree:
+        """The tree of all unknowns and systems: from reduced systems, never from points."""
+        if self._grown is None:
+            self._grown = Tree()
+            units = {unknown: one.prior_sigmas for unknown, one in self.shared.items()}
+            self._grown.change(units, self.systems, rows=prior_rows(self.known) if self.shared else ())
+        return self._grown
 
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
@@ -132,7 +141,7 @@ class Engine:
         SolverError
             When iSAM2 can't eliminate the change.
         """
-        before = dict(self.value)
+        tree, before = self._tree, dict(self.value)  # of what was there before
         self.shared |= new
         rows = None if known is None else prior_rows(known)
         self.known = self.known if known is None else known
@@ -144,7 +153,7 @@ class Engine:
         systems = self._made(networks)
         dropped = [*dropped, *self._unfelt(gone, networks)]
         units = {unknown: one.prior_sigmas for unknown, one in new.items()}
-        self._tree.change(units, systems, gone, dropped, rows)
+        tree.change(units, systems, gone, dropped, rows)
         for unknown in dropped:
             del self.shared[unknown], self.value[unknown]
         self._take(systems)
@@ -163,21 +172,31 @@ class Engine:
         likely = expected(rows, nodes, self.value) if nodes else {}
         return {unknown: likely.get(unknown, one.value) for unknown, one in new.items()}
 
-    def adopted(
-        self,
-        shared: Mapping[Unknown, Shared],
-        networks: Mapping[Members, Network],
-        places: Mapping[str, Array],
-        known: Definitions,
-    ) -> dict[Members, Bundle]:
-        """Begin again from values of the unknowns and all bundles; places (3,) of points by name, as far as known."""
+    def adopted(self, shared: Mapping[Unknown, Shared], solution: Solution, network: Network) -> dict[Members, Bundle]:
+        """Begin again from a batch solution of a network: its values of the unknowns, and all bundles."""
         self._lay_nothing_out()
-        self.shared, self.known, kept = dict(shared), known, dict[Members, Bundle]()
+        self.shared, self.known, every = dict(shared), definitions(network), bundles(network)
         self.value = {unknown: one.value for unknown, one in shared.items()}
+        if network.passes or network.stereo is not None:
+            return self._adopted_one_by_one(every, dict(zip(network.points.ids, solution.places, strict=True)))
+        places = np.where((network.points.kinds == PointKind.FIXED)[:, None], np.nan, solution.places)
+        sweep = Sweep(network, self._settings, places)
+        kept = sweep.of_bundles(self.value, solution.joint_covariance, every, self._motion)
+        self.systems = {members: one.reduced for members, one in kept.items() if one.reduced is not None}
+        self._plant()
+        return kept
+
+    def _adopted_one_by_one(
+        self, networks: Mapping[Members, Network], places: Mapping[str, Array]
+    ) -> dict[Members, Bundle]:
+        """Bundles whose points feel other orientation images than are about their measured lines, or whose rows of
+        stereo surfaces are made anew; places (3,) of points by name, as far as known.
+        """
         sweeps = {m: Sweep(network, self._settings, _places_of(network, places)) for m, network in networks.items()}
         found = {m: sweep.system(self.value, self._motion(m, sweep.network)) for m, sweep in sweeps.items()}
         self.systems = {members: system for members, system in found.items() if system is not None}
-        self._grow()
+        self._plant()
+        kept = dict[Members, Bundle]()
         for members, sweep in sweeps.items():
             system = found[members]
             joint = None if system is None else self.joint(system.unknowns)

@@ -48,8 +48,6 @@ from mgsgraph.network.parts import (
     Members,
     Unknown,
     alone,
-    bundles,
-    joined,
     known_images,
     pass_unknowns,
     require_separable,
@@ -173,15 +171,9 @@ class IncrementalAdjustment:
 
     def _everything(self) -> tuple[Network, Array]:
         """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
-        read = map(self.store.bundle, sorted(self.store.members()))
-        parts = [(one.network, one.places) for one in read]  # covariances, nine numbers a point, aren't kept meanwhile
-        if not parts:
+        if not self.store.members():
             raise InputError("incremental adjustment", "no points", "observations in at least one image")
-        networks, places = zip(*parts, strict=True)
-        images = [self.store.image(name) for name in self.images]
-        known = self.store.definitions()
-        networks = tuple(with_definitions(one, known) for one in networks)
-        return with_definitions(with_images(joined(networks), images), known), np.concatenate(places)
+        return self.store.everything()
 
     # --- what may be done
 
@@ -263,20 +255,18 @@ class IncrementalAdjustment:
         rejected = solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected
         network = solution.network.with_rejected(*rejected)
         there = set(self.images)
-        known = definitions(network)
         with engine.all_or_nothing():
             for one, own in zip(known_images(network), network.with_polynomial.tolist(), strict=True):
                 if own:
                     _require_finite_prior(one)
-            places = dict(zip(network.points.ids, solution.places, strict=True))
-            kept = engine.adopted(shared_of(solution), bundles(network), places, known)
+            kept = engine.adopted(shared_of(solution), solution, network)
             for one in known_images(network):
                 if one.image.name not in there or not _alike(one, self.store.image(one.image.name)):
                     self.store.put_image(one)
             self.store.replace(self.store.members(), kept)
             for name in there - {image.name for image in network.images}:
                 self.store.drop_image(name)
-            self.store.put_definitions(known)
+            self.store.put_definitions(engine.known)
             self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
             self.store.put_shared(engine.shared)
 

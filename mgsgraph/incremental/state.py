@@ -18,7 +18,7 @@ from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import Network
 from mgsgraph.network.definitions import Definitions, with_definitions
 from mgsgraph.network.parts import KnownImage as KnownImage
-from mgsgraph.network.parts import Members, Unknown, bundles, joined, without_images
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images, without_images
 from mgsgraph.units import KM
 
 NOTICEABLE = 0.01
@@ -157,6 +157,9 @@ class StateStore(Protocol):
     def members(self) -> list[Members]:
         """Members of all bundles."""
 
+    def everything(self) -> tuple[Network, Array]:
+        """All of it as one network, images in the order in which they came, and places (n, 3) in m of its points."""
+
     def put_image(self, known: KnownImage) -> None:
         """Add an image."""
 
@@ -243,6 +246,13 @@ class InMemory:
     def members(self) -> list[Members]:
         """Members of all bundles."""
         return list(self._bundles)
+
+    def everything(self) -> tuple[Network, Array]:
+        """All of it as one network, and places (n, 3) in m of its points."""
+        parts, known = [self._bundles[members] for members in sorted(self._bundles)], self._definitions
+        networks = [with_definitions(one.network, known) for one in parts]
+        whole = with_images(joined(networks), list(self._images.values()))
+        return with_definitions(whole, known), np.concatenate([one.places for one in parts])
 
     def put_image(self, known: KnownImage) -> None:
         """Add an image."""

@@ -1,7 +1,7 @@
 """One bundle laid out for the kernel: its points solved and eliminated, placed, and their covariances."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +9,8 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.graph.stereo import heights_at, linear_rows
+from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.posterior import point_covariances as joint_point_covariances
 from mgsgraph.adjustment.predicted_lines import NEAR, NEAR_ENOUGH, about_predicted_lines
 from mgsgraph.adjustment.rounds import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
@@ -18,6 +20,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.state import Bundle, ReducedSystem, stretches
 from mgsgraph.kernel.reduction import Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.names import Names
 from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.network.parts import Members, Unknown, unknowns
 
@@ -164,6 +167,46 @@ class Sweep:
         allowed = slack(self.network, self._settings, motion, self._spread, self._relief)
         return ReducedSystem(names, at, normal, gradient, found.cost, allowed)
 
+    def of_bundles(
+        self, values: Mapping[Unknown, Array], joint: JointCovariance, bundles: Mapping[Members, Network],
+        motion: Callable[[Members, Network], Array],
+    ) -> dict[Members, Bundle]:  # fmt: skip
+        """All bundles of the network, each with its reduced system and its points, by one pass over all points.
+
+        Parameters
+        ----------
+        joint : JointCovariance
+            Of all unknowns of the network, in the order of its variables.
+        bundles : mapping
+            The network by bundle; without passes and stereo surfaces, for whose points groups of the layout are others.
+        motion : function
+            As in `slack`, of each bundle.
+        """
+        found, layout = self.reduce(values), self._layout
+        places, free = self._ordered(found.points), np.trace(self._covariances(found, None, {}), axis1=1, axis2=2)
+        covariances = self._ordered(
+            joint_point_covariances(layout, self._rows, found.orientation, found.points, joint)
+        )
+        piece_group = self._rows.pattern_group[self._rows.piece[:, 0]]
+        costs = np.bincount(piece_group, found.piece_cost, len(layout.group_variables))
+        group = layout.network_order(np.repeat(piece_group, self._rows.piece[:, 2]))
+        kept = dict[Members, Bundle]()
+        for members, (network, mine) in zip(bundles, _with_points(bundles, self.network), strict=True):
+            (own,) = np.unique(group[mine]).tolist()
+            system: ReducedSystem | None = None
+            if members and np.any(np.isfinite(places[mine, 0])):
+                names, at, normal, gradient = self._of_group(found, own)
+                allowed = slack(network, self._settings, motion(members, network), free[mine], np.zeros((0, 2)))
+                system = ReducedSystem(names, at, normal, gradient, float(costs[own]), allowed)
+            kept[members] = Bundle(network, system, places[mine], covariances[mine])
+        return kept
+
+    def _of_group(self, found: Reduction, group: int) -> tuple[Members, Array, Array, Array]:
+        """Unknowns that the points of a group feel, values (d,), normal matrix (d, d) and gradient (d,)."""
+        layout, felt = self._layout, self._layout.group_variables[group]
+        at = np.concatenate([found.orientation[layout.columns_of(v)] for v in felt])
+        return tuple(self._names[v] for v in felt), at, *dense(found, layout.groups, self._blocks, group)
+
     def _joined(self, found: Reduction) -> tuple[Members, Array, Array, Array]:
         """Unknowns that the points feel, values (d,), normal matrix (d, d) and gradient (d,): one set of unknowns, or
         several where rays are seen about other orientation images than thought before.
@@ -268,6 +311,14 @@ class Sweep:
         ordered = self._layout.network_order(values)
         ordered[~self._layout.network_order(determined_points(self._rows))] = np.nan
         return ordered
+
+
+def _with_points(bundles: Mapping[Members, Network], network: Network) -> Iterator[tuple[Network, Index]]:
+    """Networks of bundles, each with the numbers of its points in the whole network."""
+    every = Names.concatenated([one.points.ids for one in bundles.values()])
+    numbers = network.points.ids.find(every)
+    ends = np.cumsum([len(one.points) for one in bundles.values()])
+    return zip(bundles.values(), np.split(numbers, ends[:-1]), strict=True)
 
 
 def probes(bundle: Bundle) -> Index:

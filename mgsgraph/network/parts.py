@@ -125,6 +125,11 @@ def part(network: Network, points: Index) -> Network:
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
+    return _part(network, points, rays, ranges, place)
+
+
+def _part(network: Network, points: Index, rays: Index, ranges: Index, place: Index) -> Network:
+    """The same, of points whose rays and ranges are known; `place` (n,) has the new number of each of these points."""
     stereo = None if network.stereo is None else network.stereo.chosen(points)
     pairs = [] if stereo is None else [stereo.images.ravel()]
     images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges], *pairs)
@@ -149,7 +154,7 @@ def part(network: Network, points: Index) -> Network:
     )
     if network.passes or network.shared:
         return with_definitions(found.considering(network.considered), definitions(network))
-    return found.considering(network.considered)
+    return found.considering(network.considered) if network.considered else found
 
 
 def _renumbered(*used: Index) -> tuple[Index, Index]:
@@ -179,6 +184,26 @@ def _surface_of(network: Network, points: Index) -> Surface | None:
 
 def bundles(network: Network) -> dict[Members, Network]:
     """A network by bundle; points that no ray, no range and no stereo surface holds are left out."""
+    require_separable(network)
+    found = points_of_bundles(network)
+    place, of_point = np.full((2, len(network.points)), -1)
+    for number, mine in enumerate(found.values()):
+        place[mine], of_point[mine] = np.arange(mine.size), number
+    rays, ranges = (_by_bundle(of_point[rows.point], len(found)) for rows in (network.rays, network.ranges))
+    return {
+        members: _part(network, mine, ray, shot, place)
+        for (members, mine), ray, shot in zip(found.items(), rays, ranges, strict=True)
+    }
+
+
+def _by_bundle(bundle: Index, count: int) -> list[Index]:
+    """The rows of each bundle, ascending; -1 for rows of none."""
+    order = np.argsort(bundle, kind="stable")
+    return np.split(order, np.searchsorted(bundle[order], np.arange(count + 1)))[1:-1]
+
+
+def points_of_bundles(network: Network) -> dict[Members, Index]:
+    """Points (n,) of each bundle; those that no ray, no range and no stereo surface holds are in none."""
     names = unknowns(network)
     unknown, owner, seen = _unknowns_of_points(network)
     marks = np.random.default_rng(0).integers(0, 2**64, len(names), dtype=np.uint64)
@@ -188,10 +213,10 @@ def bundles(network: Network) -> dict[Members, Network]:
     order = order[seen[order]]
     edges = np.flatnonzero(np.diff(signature[order])) + 1
     first = np.searchsorted(owner, np.arange(len(network.points) + 1))
-    found = dict[Members, Network]()
+    found = dict[Members, Index]()
     for mine in np.split(order, edges) if order.size else []:
         members = unknown[first[mine[0]] : first[mine[0] + 1]]
-        found[tuple(sorted(names[v] for v in members.tolist()))] = part(network, mine)
+        found[tuple(sorted(names[v] for v in members.tolist()))] = mine
     return found
 
 

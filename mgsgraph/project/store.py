@@ -276,9 +276,16 @@ class ProjectStore:
 
     def network(self) -> Network:
         """Everything as one network, images in the order in which they came, points bundle by bundle."""
+        return self._whole(adjusted=self._stereo.there)[0]
+
+    def everything(self) -> tuple[Network, Array]:
+        """The same, and the places (n, 3) in m of its points, NaN where undetermined."""
+        return self._whole(adjusted=True)
+
+    def _whole(self, adjusted: bool) -> tuple[Network, Array]:
         names = self.image_names()
         numbers, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
-        read, images = points_of(self._cells, None, adjusted=self._stereo.there), self._images_by_bundle(numbers)
+        read, images = points_of(self._cells, None, adjusted), self._images_by_bundle(numbers)
         network = Network(
             *image_columns(known),
             read.points,
@@ -289,7 +296,7 @@ class ProjectStore:
             self.areoid,
             stereo=self._stereo.control(None, read.runs, numbers, read.places),
         ).considering(self.considered)
-        return with_definitions(network, self.definitions())
+        return with_definitions(network, self.definitions()), read.places
 
     @property
     def considered(self) -> list[str]:
