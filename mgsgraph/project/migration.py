@@ -47,8 +47,8 @@ def _pack_bundle(
     first = runs[0]
     name, class_, kind, profile, sigma, *rest = _columns(connection, _POINT, "point", "id", *runs[:2])
     places, adjusted = (np.stack([_floats(column) for column in rest[k : k + 3]], axis=1) for k in (0, 4))
-    kinds = (np.array(column, dtype=np.int64) for column in (class_, kind))
-    points = GroundPoints(Names.of(name), *kinds, places, _matrices(rest[3], _ZERO))
+    classes, kinds = (np.array(column, dtype=np.int64) for column in (class_, kind))
+    points = GroundPoints(Names.of(name), classes, kinds, places, _matrices(rest[3], _ZERO))
     profiles = np.array([p or 0 for p in profile], dtype=np.int64)
     put_points(cells, number, points, profiles, np.array([np.inf if s is None else s for s in sigma], dtype=float))
     put_adjusted(cells, number, adjusted, _matrices(rest[7], _NAN))
@@ -58,10 +58,10 @@ def _pack_bundle(
         _numbers(point) - first, index_among(_numbers(image), images), np.stack(ray[:2], axis=1),
         np.stack(ray[2:4], axis=1), *marks,
     ))  # fmt: skip
-    point, image, *shot, rejected = map(_floats, _columns(connection, _RANGE, "range", "id", *runs[4:]))
+    point, image, time, value, range_sigma, rejected = map(_floats, _columns(connection, _RANGE, "range", "id", *runs[4:]))
     if point.size:
         of_image = index_among(_numbers(image), images)
-        put_ranges(cells, number, Ranges(_numbers(point) - first, of_image, *shot, rejected.astype(bool)))
+        put_ranges(cells, number, Ranges(_numbers(point) - first, of_image, time, value, range_sigma, rejected.astype(bool)))
     point, surface, *height = map(_floats, _columns(connection, _HEIGHT, "stereo_height", "point", *runs[:2]))
     if point.size:
         cells.put("height_columns", number, point.size, HEIGHTS, (_numbers(point) - first, surface, *height))
