@@ -58,10 +58,11 @@ def _pack_bundle(
         _numbers(point) - first, index_among(_numbers(image), images), np.stack(ray[:2], axis=1),
         np.stack(ray[2:4], axis=1), *marks,
     ))  # fmt: skip
-    point, image, time, value, range_sigma, rejected = map(_floats, _columns(connection, _RANGE, "range", "id", *runs[4:]))
+    ranges = map(_floats, _columns(connection, _RANGE, "range", "id", *runs[4:]))
+    point, image, time, value, range_sigma, rejected = ranges
     if point.size:
-        of_image = index_among(_numbers(image), images)
-        put_ranges(cells, number, Ranges(_numbers(point) - first, of_image, time, value, range_sigma, rejected.astype(bool)))
+        indices = _numbers(point) - first, index_among(_numbers(image), images)
+        put_ranges(cells, number, Ranges(*indices, time, value, range_sigma, rejected.astype(bool)))
     point, surface, *height = map(_floats, _columns(connection, _HEIGHT, "stereo_height", "point", *runs[:2]))
     if point.size:
         cells.put("height_columns", number, point.size, HEIGHTS, (_numbers(point) - first, surface, *height))
