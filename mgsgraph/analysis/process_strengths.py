@@ -224,13 +224,6 @@ def estimated_strengths(
     )
 
 
-def asks_for_strengths(network: Network) -> bool:
-    """Whether some process of a pass is to be estimated."""
-    priors = [one.prior for one in network.passes]
-    mine = [prior for prior in priors if isinstance(prior, ProcessPrior)]
-    return any(one.estimated for prior in mine for one in (*prior.position, *prior.attitude))
-
-
 def _sought(network: Network, by_axis: bool) -> list[Strength]:
     """What is to be found: processes alike in part, kind and frequency, and along the same axes, are one."""
     found = dict[tuple[str, str, float, int, tuple[int, ...]], list[Member]]()

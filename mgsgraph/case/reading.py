@@ -6,16 +6,13 @@ Paths are relative to the case file.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.altimetry.shots import read_shots
-from mgsgraph.analysis.process_strengths import asks_for_strengths, estimated_strengths
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
@@ -41,6 +38,10 @@ from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
 from mgsgraph.registration.carriers import Members
 from mgsgraph.ties import TiePoints
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.batch import Iteration
+    from mgsgraph.adjustment.solution import Solution
 
 _LEAST_SHOTS = 12
 """Over the terrain model, by whose heights it is compared with the laser."""
@@ -80,7 +81,7 @@ class Case:
     def __repr__(self) -> str:
         return f"Case({self.name!r}: {self.network!r})"
 
-    def require_images_of(self, solution: Solution) -> None:
+    def require_images_of(self, solution: "Solution") -> None:
         """Raise InputError where it has none of a solution's images: then it is another one's case."""
         own, others = (sorted(image.name for image in net.images) for net in (self.network, solution.network))
         if not set(own) & set(others):
@@ -247,11 +248,14 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
         )
 
 
-def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:
+def adjust(case: Case, progress: "Callable[[Iteration], None]" = lambda _: None) -> "Solution":
     """Adjust a case, strengths of processes that it wants estimated found on the way; see
     `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.process_strengths.estimated_strengths`.
     """
-    if asks_for_strengths(case.network):
+    from mgsgraph.adjustment.adjust import adjust_network
+    from mgsgraph.analysis.process_strengths import estimated_strengths
+
+    if any(one.asks_for_strengths for one in case.network.passes):
         return estimated_strengths(
             case.network, case.settings, rays=False, name=case.name, progress=progress
         ).solution

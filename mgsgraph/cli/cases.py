@@ -88,7 +88,7 @@ def adjust(
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.adjustment.cluster import open_cluster, parse_cluster
-    from mgsgraph.analysis.process_strengths import asks_for_strengths, estimated_strengths
+    from mgsgraph.analysis.process_strengths import estimated_strengths
     from mgsgraph.analysis.soundness import is_result
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import iteration_bar
@@ -105,7 +105,7 @@ def adjust(
     read = read_case(case, overrides.laser, ties)
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
-    estimating = asks_for_strengths(read.network)
+    estimating = any(one.asks_for_strengths for one in read.network.passes)
     if estimating and (relief or two_steps or cluster is not None):
         raise click.UsageError("estimated strengths of processes go with none of --relief, --two-steps and --cluster")
     if relief:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import click
 from tqdm import tqdm
 
-from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.compiled import is_compiling
 from mgsgraph.stages import Stages
 
 if TYPE_CHECKING:
+    from mgsgraph.adjustment.batch import Iteration
     from mgsgraph.campaign import CampaignEntry
 
 _EXPLAIN_AFTER = 4.0
@@ -112,7 +112,7 @@ class IterationBar:
         self._verbose, self._count = verbose, 0
         self._bar = tqdm(total=most, desc="adjusting", unit="iteration", leave=False, disable=None)
 
-    def __call__(self, now: Iteration) -> None:
+    def __call__(self, now: "Iteration") -> None:
         """Show one step that was tried."""
         self._count += 1
         if self._verbose:

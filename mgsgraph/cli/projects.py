@@ -80,14 +80,13 @@ def add(
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
     from mgsgraph.project.addition import parse_image, read_addition
-    from mgsgraph.project.changes import add as put
-    from mgsgraph.project.changes import check as compare
     from mgsgraph.project.project import open_project
-    from mgsgraph.reports.impact import require_writable
 
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     if table is not None:
+        from mgsgraph.reports.impact import require_writable
+
         require_writable(table, project)
     wanted = [parse_image(text) for text in images]
     closing = None
@@ -97,6 +96,9 @@ def add(
                 opened.store, opened.settings, str(project), wanted, ties, shots, of_pass, shares
             )
         if not dry_run:
+            from mgsgraph.project.changes import add as put
+            from mgsgraph.project.changes import check as compare
+
             with stages.stage("adjusting"):
                 impact = put(opened, addition)
             if check and impact is not None:

@@ -12,10 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.variables import HELD
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.network import Network
+from mgsgraph.network import HELD, Network
 from mgsgraph.network.definitions import Definitions, with_definitions
 from mgsgraph.network.parts import KnownImage as KnownImage
 from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images, without_images

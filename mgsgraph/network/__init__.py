@@ -8,6 +8,7 @@ from mgsgraph.network.node_priors import PolynomialPrior as PolynomialPrior
 from mgsgraph.network.node_priors import ProcessPrior as ProcessPrior
 from mgsgraph.network.passes import Pass as Pass
 from mgsgraph.network.processes import Process as Process
+from mgsgraph.network.records import HELD as HELD
 from mgsgraph.network.records import TERRAIN as TERRAIN
 from mgsgraph.network.records import GroundPoints as GroundPoints
 from mgsgraph.network.records import ImageRays as ImageRays

@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
-from mgsgraph.network.node_priors import PassPrior
+from mgsgraph.network.node_priors import PassPrior, ProcessPrior
 
 _NO_ROTATION = 1e-6
 """Of a product of a matrix with its transpose, off the unit matrix."""
@@ -66,6 +66,12 @@ class Pass:
         """A-priori sigmas of each of them, m and rad, by itself."""
         own = list(self.prior.own_sigmas(self.nodes))
         return own + ([self.prior.trend_sigmas] if self.prior.trend_sigmas.size else [])
+
+    @property
+    def asks_for_strengths(self) -> bool:
+        """Whether the strength of one of its processes is to be estimated."""
+        prior = self.prior
+        return isinstance(prior, ProcessPrior) and any(one.estimated for one in (*prior.position, *prior.attitude))
 
     def part(self, unknown: int, inside: int) -> tuple[str, int]:
         """What a column of one of its unknowns belongs to, in words, and its component."""

@@ -134,6 +134,8 @@ def _chosen(marks: Mask | None, rows: Index | Mask) -> Mask | None:
     return None if marks is None else marks[rows]
 
 
+HELD = 1e-4
+"""A-priori sigmas to which a considered unknown is held: it moves by 1e-8 of what the observations would have it."""
 TERRAIN = "terrain model"
 """Name of the shift of the terrain model on which tie points lie."""
 

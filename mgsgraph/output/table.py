@@ -274,14 +274,15 @@ class Table:
         units : bool
             Whether units stand in a line of their own under the headings.
         """
-        shown = [column for column in self.columns if column.text]
+        rows = len(self) if most is None else min(most, len(self))
+        shown = [column for column in self.take(np.arange(rows)).columns if column.text]
         lines = []
         for k, (first, *others) in enumerate(zip(*(column.titles(units) for column in shown), strict=True)):
             begin = " " * indent + first if k else f"{first.rstrip():<{indent + len(first)}}"
             lines.append(begin + "".join(" " * c.gap + word for c, word in zip(shown[1:], others, strict=True)))
         lines = [line.rstrip() for line in lines if line.strip()]
         texts = [column.aligned() for column in shown]
-        for row in range(len(self) if most is None else min(most, len(self))):
+        for row in range(rows):
             stop, words = self.instead.get(row, ("", ""))
             line = ""
             for column, cells in zip(shown, texts, strict=True):

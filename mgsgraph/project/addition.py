@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.altimetry.shots import read_shots
-from mgsgraph.analysis.process_strengths import asks_for_strengths
 from mgsgraph.case.assembly import laser_profile, shots_in_images
 from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.groups import in_images, with_sigmas
@@ -214,7 +213,7 @@ def _names(new: Sequence[NewImage]) -> list[str]:
 def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Case]:
     """Images of a case file, and the case; `ties` are taken in place of its own."""
     case, wanted = read_case(path, ties=ties), decode(path)
-    if asks_for_strengths(case.network):
+    if any(one.asks_for_strengths for one in case.network.passes):
         found, remedy = "strengths of processes to be estimated", "state the numbers that `mgsgraph adjust` finds"
         raise InputError(f"{path}, passes", found, "numbers: a project takes them as known", remedy)
     new = []

@@ -4,13 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.rounds import Progress
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.incremental.closing import Closing
@@ -25,7 +22,10 @@ from mgsgraph.project.addition import Addition, NewImage, images_alone, images_o
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.reports.results import write_results
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.rounds import Progress
+    from mgsgraph.adjustment.solution import Solution
 
 Stages = Callable[[str], AbstractContextManager[None]]
 
@@ -103,7 +103,7 @@ def _closing_facts(closing: Closing | None) -> dict[str, Any]:
 class SolvedProject:
     """Result of `solve`."""
 
-    solution: Solution
+    solution: "Solution"
     """Batch solution of all images."""
     closing: Closing | None
     """How far the incremental result was off; None where there was none."""
@@ -111,8 +111,11 @@ class SolvedProject:
     """Folder of the products."""
 
 
-def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
+def solve(project: Project, figures: bool = True, progress: "Progress" = lambda _: None) -> SolvedProject:
     """Adjust everything by batch, compare it with the incremental result, and keep its products."""
+    from mgsgraph.adjustment.adjust import adjust_network
+    from mgsgraph.reports.results import write_results
+
     name, settings, store = project.name, project.settings.solver.settings, project.store
     if not store.members():
         found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"

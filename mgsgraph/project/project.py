@@ -10,11 +10,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.aside import made_beside, resolved
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import sha256_of, understood
@@ -22,6 +21,9 @@ from mgsgraph.io.writing import writing_to
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
 
 SOLUTIONS = "solutions"
 """Folder of the results, one folder each, in a project's folder."""
@@ -250,7 +252,7 @@ class Project:
         images = len(self.store.image_names())
         return self._insert_solution((converged, message, None, None, None, images, points, None, "incremental"))
 
-    def keep_solution(self, solution: Solution, write: Callable[[Path], object]) -> Path:
+    def keep_solution(self, solution: "Solution", write: Callable[[Path], object]) -> Path:
         """Write a batch solution's products to a folder of their own, by a function of it, and note it; that folder."""
         self._sweep()
         (number,) = self._connection.execute(
@@ -261,7 +263,7 @@ class Project:
         self.record_batch(solution, folder)
         return self.folder / folder
 
-    def record_batch(self, solution: Solution, folder: str | None = None) -> int:
+    def record_batch(self, solution: "Solution", folder: str | None = None) -> int:
         """Note a batch solution of everything, and the folder of its products, if it has any; its number."""
         network = solution.network
         return self._insert_solution(

@@ -160,6 +160,7 @@ def nobody() -> Iterator[Path]:
     path = Path(tempfile.mkdtemp())
     with Project.create(path / "project", "kept", ProjectSettings()) as project:
         change(project.store, 1)
+    state(path / "project")  # imports what reading needs: Python's own files may be closed to that somebody
     for one in (path / "project" / "project.sqlite", path / "project", path):
         one.chmod(0o444 if one.is_file() else 0o555)
     root = os.geteuid() == 0

@@ -12,7 +12,7 @@ from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import IMAGE
-from mgsgraph.network import Network
+from mgsgraph.network import HELD, Network
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,10 +71,6 @@ class Variables:
             vector[self.columns_of(v)] if first >= 0 else np.zeros(int(self.width[v]))
             for v, first in enumerate(self.first.tolist())
         ]
-
-
-HELD = 1e-4
-"""A-priori sigmas to which a considered unknown is held: it moves by 1e-8 of what the observations would have it."""
 
 
 def make_variables(network: Network) -> Variables:
