@@ -92,9 +92,7 @@ def add(
     closing = None
     with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
-            addition = read_addition(
-                opened.store, opened.settings, str(project), wanted, ties, shots, of_pass, shares
-            )
+            addition = read_addition(opened, wanted, ties, shots, of_pass, shares)
         if not dry_run:
             from mgsgraph.project.changes import add as put
             from mgsgraph.project.changes import check as compare

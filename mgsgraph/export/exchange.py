@@ -32,7 +32,7 @@ from mgsgraph.export.earlier import earlier_network
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.io.writing import fresh_file, require_free
-from mgsgraph.network.connectivity import groups
+from mgsgraph.network.links import groups
 from mgsgraph.wording import many, some
 
 Paths = str | Path | Iterable[str | Path]

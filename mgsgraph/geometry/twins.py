@@ -1,16 +1,48 @@
 """Images that are one and the same: taken at the same times from the same places in the same directions."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
 
 _LINES = 0.5
 """Lines by which the times of their first and last edges may differ."""
 _PIXELS = 1.0
 """By which what they see may differ: one image read by two roads differs by thousandths."""
+
+
+class ImageTimes(NamedTuple):
+    """When the lines of an image were taken."""
+
+    epoch: float
+    """s TDB past J2000, that of the image's trajectory."""
+    timing: LineTiming
+    """Times of the lines past it."""
+
+    @classmethod
+    def of(cls, image: PushbroomImage) -> "ImageTimes":
+        """Of an image."""
+        return cls(image.trajectory.epoch, image.timing)
+
+    @property
+    def start(self) -> float:
+        """Time of the first line's first edge, s TDB past J2000."""
+        return self.epoch + float(self.timing.at(np.zeros(1))[0][0])
+
+
+def begun_together(times: Sequence[ImageTimes]) -> list[tuple[int, int]]:
+    """Pairs of images, by their numbers, whose first lines were taken at the same time; they alone can be twins."""
+    starts = [one.start for one in times]
+    order, found = np.argsort(starts, kind="stable").tolist(), []
+    for k, first in enumerate(order):
+        for second in order[k + 1 :]:
+            if starts[second] - starts[first] > _LINES * float(times[first].timing.periods.max()):
+                break
+            found.append((first, second))
+    return found
 
 
 def twins(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
@@ -19,16 +51,8 @@ def twins(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
     Cameras that take images at the same time (LROC's left and right one, the channels of HRSC) look elsewhere, and are
     told apart by that: the ground on the ellipsoid under a grid of pixels is compared.
     """
-    starts = [image.trajectory.epoch + float(image.timing.at(np.zeros(1))[0][0]) for image in images]
-    order, found = np.argsort(starts, kind="stable").tolist(), []
-    for k, first in enumerate(order):
-        for second in order[k + 1 :]:
-            period = float(images[first].timing.periods.max())
-            if starts[second] - starts[first] > _LINES * period:
-                break
-            if _same(images[first], images[second]):
-                found.append((min(first, second), max(first, second)))
-    return sorted(found)
+    near = begun_together([ImageTimes.of(image) for image in images])
+    return sorted((min(pair), max(pair)) for pair in near if _same(images[pair[0]], images[pair[1]]))
 
 
 def require_distinct(images: Sequence[PushbroomImage], where: str) -> None:

@@ -20,7 +20,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
-from mgsgraph.geometry.twins import require_distinct
+from mgsgraph.geometry.twins import ImageTimes, begun_together, require_distinct
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.lidar import read_lidar
@@ -30,6 +30,7 @@ from mgsgraph.network.joining import seconds
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.network.terrain_control import over_terrain
+from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.ties import PointKind, TiePoints
@@ -93,20 +94,15 @@ def parse_image(text: str) -> ImageArgument:
 
 
 def read_addition(
-    store: ProjectStore, settings: ProjectSettings, where: str,
-    images: Sequence[ImageArgument], ties: Sequence[Path], shots: Sequence[Path],
-    of_pass: str = "", shares: Sequence[str] = (),
+    project: Project, images: Sequence[ImageArgument], ties: Sequence[Path], shots: Sequence[Path], of_pass: str = "",
+    shares: Sequence[str] = (),
 ) -> Addition:  # fmt: skip
     """Read everything that is to be added.
 
     Parameters
     ----------
-    store : ProjectStore
-        Of the project, for what is there already.
-    settings : ProjectSettings
-        Its settings.
-    where : str
-        What to call it in messages.
+    project : Project
+        To which it is to be added, for its settings and what is there already.
     images : sequence of ImageArgument
         Support data (.json, .isd), MOC labels (.img, .lbl, .cub) or case files (.toml), which bring everything that
         they name.
@@ -123,6 +119,7 @@ def read_addition(
         An image that is there already; measures in unknown images alone, or along with a new image that no tie names;
         a file that can't be used.
     """
+    store, settings, where = project.store, project.settings, str(project.folder)
     there = store.image_names()
     networks, new, sources, notes = list[Network](), list[NewImage](), list(ties), list[str]()
     brought, unmeasured = list[Definitions](), list[NewImage]()
@@ -150,8 +147,7 @@ def read_addition(
     brought += [joining(known_passes, name, of_pass, shares, where) for name in _names(joins)]
     notes += [] if of_pass else _taken_along(known_passes, [one.known.image for one in joins], store)
     _require_new(_names(new), there, where)
-    if new:
-        require_distinct([*(store.image(name).image for name in there), *(one.known.image for one in new)], where)
+    require_distinct_from(project, [one.known for one in new])
     known = [*there, *_names(new)]
     if not {name for one in tie_points for name in one.measure_image}.issuperset(_names(alone)):
         _require_known(tie_points, known)  # an image that the ties don't name may be one that they call otherwise
@@ -297,6 +293,17 @@ def _require_new(names: Sequence[str], there: Sequence[str], where: str) -> None
             raise InputError(where, f"the image {name!r} is in the project already", "a new image", remedy)
         if name in names[:k]:
             raise InputError(where, f"the image {name!r} is given twice", "each image once", "name them: NAME=FILE")
+
+
+def require_distinct_from(project: Project, new: Sequence[KnownImage]) -> None:
+    """Raise InputError for a new image that the project, or the addition, has under another name. Of the project's
+    images those alone are read whole that begin together with a new one.
+    """
+    times = project.image_times() if new else {}
+    pairs = begun_together([*times.values(), *(ImageTimes.of(one.image) for one in new)])
+    near = {j for pair in pairs if max(pair) >= len(times) for j in pair}
+    there = [project.store.image(name).image for j, name in enumerate(times) if j in near]
+    require_distinct([*there, *(one.image for one in new)], str(project.folder))
 
 
 def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:

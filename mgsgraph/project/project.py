@@ -16,11 +16,14 @@ import msgspec
 
 from mgsgraph.aside import made_beside, resolved
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import LineTiming
+from mgsgraph.geometry.twins import ImageTimes
 from mgsgraph.io.files import sha256_of, understood
 from mgsgraph.io.writing import writing_to
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
+from mgsgraph.reports.archive_arrays import unpack_parts
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
@@ -30,6 +33,8 @@ SOLUTIONS = "solutions"
 MATCHES = "matches"
 """Folder of the tie points found in its images, in a project's folder."""
 _ANOTHER = "choose another one"
+_TIMES = {"image.trajectory.epoch": float, "image.timing": LineTiming}
+"""Of an image's record, what says when it was taken."""
 _Kind = TypeVar("_Kind")
 _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of these, whole or left over by a process that was killed."""
@@ -168,6 +173,11 @@ class Project:
     def take_settings(self, settings: ProjectSettings) -> None:
         """Settings in place of those that it had, before anything has been adjusted by them."""
         self._connection.execute("UPDATE meta SET value = ? WHERE key = 'settings'", (settings_to_json(settings),))
+
+    def image_times(self) -> dict[str, ImageTimes]:
+        """When each image was taken, in the order in which they came; the rest of their records stays unread."""
+        rows = self._connection.execute("SELECT name, record FROM image ORDER BY id")
+        return {name: ImageTimes(*unpack_parts(data, _TIMES, f"{self.folder}, image {name}")) for name, data in rows}
 
     # --- where images come from
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.io.files import understood
 from mgsgraph.network import PointClass
-from mgsgraph.network.connectivity import groups
+from mgsgraph.network.links import groups
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
 from mgsgraph.project.project import Change, Project, SolutionRow
 from mgsgraph.wording import many, some

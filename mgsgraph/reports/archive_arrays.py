@@ -10,10 +10,11 @@ import math
 import re
 import types
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
-from functools import cache
+from functools import cache, reduce
+from operator import getitem
 from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -75,6 +76,31 @@ def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
         return record
 
 
+def unpack_parts(data: bytes, kinds: Mapping[str, Any], where: str) -> list[Any]:
+    """Parts of the record that `pack` made the bytes of, without its other arrays.
+
+    Parameters
+    ----------
+    data : bytes
+        All of the record.
+    kinds : mapping
+        Type of each part by the path of fields that leads to it ("image.timing").
+    where : str
+        What to call the record in messages.
+
+    Raises
+    ------
+    InputError
+        For anything else, and a part that is not there.
+    """
+    with errors_from(where), understood(where, f"a record with {', '.join(kinds)}", _ANEW):
+        arrays = read_members(io.BytesIO(data), lambda name: name == _RECORD or name.startswith(tuple(kinds)))
+        record = json_object(arrays[_RECORD].tobytes(), _RECORD)
+        return [
+            from_arrays(reduce(getitem, path.split("."), record), kind, path, arrays) for path, kind in kinds.items()
+        ]
+
+
 def record_of(arrays: Arrays) -> dict[str, Any]:
     """What the text in an archive says; InputError where an array is there that it does not name."""
     record = json_object(arrays[_RECORD].tobytes(), _RECORD)
@@ -95,9 +121,9 @@ def _named(value: Any) -> Iterator[str]:
             yield from _named(item)
 
 
-def read_members(file: BinaryIO) -> Arrays:
-    """All arrays of an archive, read-only, each after its checksum; InputError for members that are none, or that say
-    they hold more than the file has, before anything of them is read.
+def read_members(file: BinaryIO, wanted: Callable[[str], bool] = lambda _: True) -> Arrays:
+    """Arrays of an archive, all or those whose names are wanted, read-only, each after its checksum; InputError for
+    members that are none, or that say they hold more than the file has, before anything of them is read.
     """
     size = file.seek(0, io.SEEK_END)
     with zipfile.ZipFile(file) as archive:
@@ -109,6 +135,8 @@ def read_members(file: BinaryIO) -> Arrays:
         arrays = dict[str, NDArray[Any]]()
         for member in members:
             name = member.filename.removesuffix(".npy")
+            if not wanted(name):
+                continue
             try:
                 arrays[name] = _from_npy(archive.read(member), name)
             except zipfile.BadZipFile as error:

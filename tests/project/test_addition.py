@@ -9,13 +9,24 @@ import pytest
 from projects import StopHere, four_images, images
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.geometry.twins import ImageTimes
 from mgsgraph.network import TERRAIN, Network, PointClass
-from mgsgraph.network.parts import bundles, joined, part, without_images
-from mgsgraph.project.addition import Addition, ImageArgument, NewImage, on_terrain, parse_image, unknown_alone
+from mgsgraph.network.parts import KnownImage, bundles, joined, part, without_images
+from mgsgraph.project.addition import (
+    Addition,
+    ImageArgument,
+    NewImage,
+    on_terrain,
+    parse_image,
+    require_distinct_from,
+    unknown_alone,
+)
 from mgsgraph.project.changes import put_in
-from mgsgraph.project.project import Project
+from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
+from mgsgraph.reports.archive_arrays import pack
 from mgsgraph.ties import PointKind
 
 
@@ -103,3 +114,43 @@ def test_names_before_paths(tmp_path: Path) -> None:
     assert parse_image("MOC/1=x.isd") == ImageArgument(Path("x.isd"), "MOC/1")
     with pytest.raises(InputError, match="empty or unprintable name"):
         parse_image("=x.isd")
+
+
+def later(known: KnownImage, name: str, seconds: float) -> KnownImage:
+    """The image under a name, so many seconds after it was taken."""
+    image, trajectory = known.image, known.image.trajectory
+    assert isinstance(trajectory, Trajectory)
+    moved = replace(trajectory, epoch=trajectory.epoch + seconds)
+    return replace(known, image=replace(image, name=name, trajectory=moved))
+
+
+def test_times_of_images_are_those_of_their_records(tmp_path: Path) -> None:
+    """Epoch and line timing, bit for bit, in the order in which the images came."""
+    with Project.create(tmp_path / "p", "p", ProjectSettings()) as project:
+        put_in(project.store, Addition(tuple(NewImage(known, ()) for known in images()), None))
+    with open_project(tmp_path / "p") as project:
+        times = project.image_times()
+        assert list(times) == project.store.image_names()
+        for name, found in times.items():
+            whole = ImageTimes.of(project.store.image(name).image)
+            assert found.epoch == whole.epoch
+            assert pack(found.timing) == pack(whole.timing)
+
+
+def test_images_that_begin_with_a_new_one_are_compared_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = images()[0]
+    there = [later(first, f"image {k}", 100.0 * k) for k in range(5)]
+    with Project.create(tmp_path / "p", "p", ProjectSettings()) as project:
+        put_in(project.store, Addition(tuple(NewImage(known, ()) for known in there), None))
+    with open_project(tmp_path / "p") as project:
+        read, image = list[str](), project.store.image
+        monkeypatch.setattr(project.store, "image", lambda name: (read.append(name), image(name))[1])
+        require_distinct_from(project, [later(first, "new", 150.0)])
+        assert read == []
+        with pytest.raises(InputError, match="image 3 and again"):
+            require_distinct_from(project, [later(first, "new", 150.0), later(first, "again", 300.0)])
+        assert read == ["image 3"]
+        with pytest.raises(InputError, match="new and again"):
+            require_distinct_from(project, [later(first, "new", 150.0), later(first, "again", 150.0)])

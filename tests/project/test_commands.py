@@ -48,6 +48,33 @@ def other_image(case_file: Path, lines: int = 1) -> Path:
     return path
 
 
+COMPILER = {"numba", "llvmlite", "scipy"}
+"""What compiles the poses of an image that is read."""
+HEAVY = COMPILER | {"gtsam", "matplotlib", "jinja2", "shapely", "rasterio", "spiceypy", "dask", "cv2"}
+"""Libraries that take a tenth of a second or more to load, or that solving and drawing alone need."""
+
+
+def loaded(*arguments: str | Path) -> set[str]:
+    """Packages that a process has loaded after a command."""
+    code = (
+        "import sys; from mgsgraph.cli import group; group(sys.argv[1:], standalone_mode=False);"
+        "print(*sys.modules, file=sys.stderr)"
+    )
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "80"})
+    return set(done.stderr.split())
+
+
+def test_looking_at_a_project_loads_no_solver(project: Path, case_file: Path) -> None:
+    new = f"x={other_image(case_file)}"
+    for command, needed in ((("status", project), set[str]()), (("add", project, new, "--dry-run"), COMPILER)):
+        there = loaded(*command)
+        assert "mgsgraph.project.store" in there
+        assert {name.split(".")[0] for name in there} & HEAVY == needed
+        assert not [name for name in there if name.startswith(("mgsgraph.kernel", "mgsgraph.figures"))]
+        assert {name for name in there if name.startswith("mgsgraph.adjustment.")} == {"mgsgraph.adjustment.settings"}
+
+
 def refused(project: Path, said: str, *arguments: str | Path) -> None:
     """One line, and nothing has changed."""
     before = state(project)

@@ -24,12 +24,14 @@ from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.distortion import CahvorDistortion, KaguyaDistortion, LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable
 from mgsgraph.network import ImageRays
 from mgsgraph.reports.archive import FORMAT, read_solution, write_archive
-from mgsgraph.reports.archive_arrays import pack, unpack
+from mgsgraph.reports.archive_arrays import pack, unpack, unpack_parts
 from mgsgraph.reports.results import solution_json
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -444,3 +446,26 @@ def test_a_solution_with_polynomials_is_archived(tmp_path: Path) -> None:
     for one, other in zip(got, want, strict=True):
         np.testing.assert_array_equal(one.pose(lines).matrix, other.pose(lines).matrix)
         np.testing.assert_array_equal(one.pose(lines).position, other.pose(lines).position)
+
+
+def test_parts_of_a_record_are_those_of_the_whole_and_read_alone() -> None:
+    """An array of another part may be damaged; one of theirs may not."""
+    table = PositionTable(np.arange(3.0), np.eye(3), np.eye(3))
+    data = pack(FixedTrajectory(7.25, table, AttitudeTable(np.arange(2.0), np.eye(4)[[0, 0]], np.eye(3))))
+    parts = {"epoch": float, "position": PositionTable}
+    epoch, position = unpack_parts(data, parts, "here")
+    assert epoch == 7.25
+    assert pack(position) == pack(table)
+
+    def flipped(name: str) -> bytes:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            at = archive.getinfo(f"{name}.npy")
+        last = at.header_offset + 30 + int.from_bytes(data[at.header_offset + 26 :][:2], "little")
+        last += int.from_bytes(data[at.header_offset + 28 :][:2], "little") + at.file_size - 1
+        return data[:last] + bytes([data[last] ^ 1]) + data[last + 1 :]
+
+    assert pack(unpack_parts(flipped("camera.quaternions"), parts, "here")[1]) == pack(table)
+    with pytest.raises(InputError, match=r"here.*checksum"):
+        unpack_parts(flipped("position.positions"), parts, "here")
+    with pytest.raises(InputError, match=r"here.*speed"):
+        unpack_parts(data, {"position.speed": float}, "here")
