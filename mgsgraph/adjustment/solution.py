@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -26,7 +27,7 @@ _TOGETHER = 1024
 """Images whose orientation is put together at a time: 31 lines of each take some 60 MB."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Adjusted orientation, ground points, residuals and covariances of one network."""
 
@@ -138,7 +139,7 @@ class Solution:
         """Number of steps tried."""
         return len(self.history)
 
-    @property
+    @cached_property
     def values(self) -> list[Array]:
         """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns, then the
         nodes and the trend of each strip.

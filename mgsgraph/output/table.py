@@ -6,7 +6,8 @@ as cells for the report page (`headings`, `rows`). Values come in SI units and l
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TextIO
@@ -208,13 +209,6 @@ class Table:
         """Write a CSV file, or to a stream; numbers read back bit for bit, what is not known is an empty field."""
         csv_json.write_csv(out, self.arrow)
 
-    def write_parquet(self, path: Path, metadata: Mapping[str, str] | None = None) -> None:
-        """Write an Apache Parquet file of the same columns, with further metadata of the file."""
-        from pyarrow import parquet
-
-        table = self.arrow
-        parquet.write_table(table.replace_schema_metadata(dict(metadata or {})), path, compression="zstd")
-
     @property
     def arrow(self) -> pa.Table:
         """The columns that files have, first those that are no decimal numbers; null for what is not known."""
@@ -296,6 +290,22 @@ class Table:
             noun, _, where = more.partition(":")
             lines.append(f"{' ' * indent}and {many(len(self) - most, noun)}:{where}")
         return lines
+
+
+def write_parquet(path: Path, pieces: Iterable[Table], metadata: Mapping[str, str] | None = None) -> None:
+    """Write an Apache Parquet file of the columns that files have, with further metadata of the file; the rows come in
+    one table or more, so that a long one need not be in memory as a whole.
+    """
+    from pyarrow import parquet
+
+    with ExitStack() as open_files:
+        writer = None
+        for piece in pieces:
+            rows = piece.arrow
+            if writer is None:
+                schema = rows.schema.with_metadata(dict(metadata or {}))
+                writer = open_files.enter_context(parquet.ParquetWriter(path, schema, compression="zstd"))
+            writer.write_table(rows)
 
 
 def _arrow(values: Sequence[Any] | np.ndarray) -> pa.Array:

@@ -5,6 +5,7 @@ latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -88,10 +89,13 @@ def classes_table(solution: Solution) -> Table:
     )  # fmt: skip
 
 
-def points_table(solution: Solution) -> Table:
-    """One row per ground point: adjusted place, sigmas, covariance, rays and correction; unknown where undetermined."""
-    network, sigmas, places = solution.network, solution.sigmas, solution.places
-    moved, rejected = places - solution.places_before, rejected_points(solution)
+def points_table(solution: Solution, rows: slice = slice(None)) -> Table:
+    """One row per ground point: adjusted place, sigmas, covariance, rays and correction; unknown where undetermined.
+    Some of the `rows` alone where the table is made in pieces.
+    """
+    network, places, covariances = solution.network, solution.places[rows], solution.covariances[rows]
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    moved, rejected = places - solution.places_before[rows], rejected_points(solution)[rows]
     longitude, latitude, radius = planetocentric(places).T
     xyz, local = ("x", "y", "z"), ("east", "north", "up")
     a, b = np.triu_indices(3)
@@ -99,14 +103,15 @@ def points_table(solution: Solution) -> Table:
         Column("height_above_areoid", radius - network.areoid.at(places), "m", "where the case has topography")
     ]  # fmt: skip
     return Table("points", "Ground points", (
-        Column("id", network.points.ids, meaning="of the point", head="point", page="s"),
-        Column("class", _names(PointClass, network.points.classes), meaning="tie, laser or control", head="kind",
+        Column("id", network.points.ids[rows], meaning="of the point", head="point", page="s"),
+        Column("class", _names(PointClass, network.points.classes[rows]), meaning="tie, laser or control", head="kind",
                page="s"),
-        Column("kind", _names(PointKind, network.points.kinds), meaning="what is known beforehand", head="known",
+        Column("kind", _names(PointKind, network.points.kinds[rows]), meaning="what is known beforehand", head="known",
                page="s"),
         Column("rejected", rejected, meaning="all its rays, as blunders"),
-        Column("rays", network.ray_counts, meaning="images in which it is measured"),
-        Column("rays_used", used_ray_counts(solution), meaning="those that took part", head="rays used", page="s"),
+        Column("rays", network.ray_counts[rows], meaning="images in which it is measured"),
+        Column("rays_used", used_ray_counts(solution)[rows], meaning="those that took part", head="rays used",
+               page="s"),
         Column("{}", places, "m", "body-fixed", xyz),
         Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, 0 .. 360 east", head="east longitude",
                page=".5f", scale=1.0),
@@ -115,10 +120,10 @@ def points_table(solution: Solution) -> Table:
         Column("height", geodetic(places, network.images[0].body)[:, 2], "m", "above the ellipsoid", page=".2f"),
         *areoid,
         Column("sigma_{}", sigmas, "m", "for sigma0 = 1, body-fixed", xyz),
-        Column("sigma_{}", local_sigmas(solution.covariances, solution.places), "m", "for sigma0 = 1", local, "σ {}",
+        Column("sigma_{}", local_sigmas(covariances, places), "m", "for sigma0 = 1", local, "σ {}",
                ".2f"),
         Column("scaled_sigma_{}", sigmas * solution.sigma0, "m", "times sigma0", xyz),
-        Column("cov_{}", solution.covariances[:, a, b], "m2", "for sigma0 = 1, body-fixed",
+        Column("cov_{}", covariances[:, a, b], "m2", "for sigma0 = 1, body-fixed",
                tuple(f"{xyz[i]}{xyz[j]}" for i, j in zip(a, b, strict=True))),
         Column("correction_{}", moved, "m", "adjusted minus before, body-fixed", xyz),
         Column("moved_{}", np.einsum("nij,nj->ni", east_north_up(places), moved), "m", "adjusted minus before", local,
@@ -155,24 +160,30 @@ def orientation_table(solution: Solution) -> Table:
     ))  # fmt: skip
 
 
-def residuals_table(solution: Solution) -> Table:
+def residuals_table(solution: Solution, rows: slice = slice(None)) -> Table:
     """One row per ray, per range and per height above a stereo surface: residuals (measured minus predicted) before and
-    after.
+    after; some of the `rows` alone where the table is made in pieces.
 
     A normalised residual is the residual over its a-priori sigma. A range has the line at which its shot was taken. A
     height, of which zero is measured, belongs to no image alone, and to no nominal orientation.
     """
     network, rays, ranges = solution.network, solution.network.rays, solution.network.ranges
     on, heights, height_sigmas = _stereo_heights(solution)
-    point = np.concatenate([rays.point, ranges.point, on])
-    image = np.concatenate([rays.image, ranges.image, np.full(on.size, -1)])
-    used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
-    shots, before, after = _shot_lines(solution), solution.residuals_before, solution.residuals
-    k, r, h = rays.point.size, ranges.point.size, on.size
-    tested, dimensions = list[Column](), solution.test_dimensions
-    if dimensions is not None:
+    sizes = rays.point.size, ranges.point.size, on.size
+    of_rays, of_ranges, of_heights = parts = _parts(rows, sizes)
+    on, heights, height_sigmas = on[of_heights], heights[of_heights], height_sigmas[of_heights]
+    k, r, h = (part.stop - part.start for part in parts)
+    point = np.concatenate([rays.point[of_rays], ranges.point[of_ranges], on])
+    image = np.concatenate([rays.image[of_rays], ranges.image[of_ranges], np.full(on.size, -1)])
+    used = np.concatenate([solution.rays_used[of_rays], solution.ranges_used[of_ranges], solution.stereo_used[on]])
+    before, after, places = (one[of_rays] for one in (solution.residuals_before, solution.residuals, rays.places))
+    range_residuals, range_sigmas = solution.range_residuals[of_ranges], ranges.sigmas[of_ranges]
+    sigmas, shots, tested, dimensions = rays.sigmas[of_rays], _shot_lines(solution)[of_ranges], list[Column](), None
+    if solution.test_dimensions is not None:
+        first, second, third = np.split(solution.test_dimensions, np.cumsum(sizes[:2]))
+        dimensions = np.concatenate([first[of_rays], second[of_ranges], third[on]])
         tested.append(Column(
-            "tested", np.concatenate([dimensions[: k + r], dimensions[k + r :][on]]),
+            "tested", dimensions,
             meaning="where blunders were sought: in how many directions others check the measure, 0 for none",
         ))  # fmt: skip
 
@@ -182,9 +193,8 @@ def residuals_table(solution: Solution) -> Table:
                    head=f"{way} before", page=".2f"),
             Column(f"residual_{way}", padded(after[:, c], 0, r + h), "px", "adjusted", head=f"{way} after",
                    page=".2f"),
-            Column(f"sigma_{way}", padded(rays.sigmas[:, c], 0, r + h), "px", "a priori", head=f"σ {way}",
-                   page=".2f"),
-            Column(f"normalised_{way}", padded(after[:, c] / rays.sigmas[:, c], 0, r + h),
+            Column(f"sigma_{way}", padded(sigmas[:, c], 0, r + h), "px", "a priori", head=f"σ {way}", page=".2f"),
+            Column(f"normalised_{way}", padded(after[:, c] / sigmas[:, c], 0, r + h),
                    meaning="residual over its sigma"),
         ]
 
@@ -198,21 +208,33 @@ def residuals_table(solution: Solution) -> Table:
                meaning="of a range: that carries it", page="s"),
         Column("used", used, meaning="false for blunders that were rejected"),
         *tested,
-        Column("isis_line", padded(np.concatenate([rays.places[:, 0], shots]), 0, h) + ISIS_OFFSET,
+        Column("isis_line", padded(np.concatenate([places[:, 0], shots]), 0, h) + ISIS_OFFSET,
                meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
-        Column("isis_sample", padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
+        Column("isis_sample", padded(places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
                head="sample", page=".2f"),
         *of_ray(0, "line"), *of_ray(1, "sample"),
-        Column("range", padded(ranges.values, k, h), "m", "measured"),
-        Column("residual_before_range", padded(solution.range_residuals_before, k, h), "m", "nominal orientation"),
-        Column("residual_range", padded(solution.range_residuals, k, h), "m", "adjusted"),
-        Column("sigma_range", padded(ranges.sigmas, k, h), "m", "a priori"),
-        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, h),
-               meaning="residual over its sigma"),
+        Column("range", padded(ranges.values[of_ranges], k, h), "m", "measured"),
+        Column("residual_before_range", padded(solution.range_residuals_before[of_ranges], k, h), "m",
+               "nominal orientation"),
+        Column("residual_range", padded(range_residuals, k, h), "m", "adjusted"),
+        Column("sigma_range", padded(range_sigmas, k, h), "m", "a priori"),
+        Column("normalised_range", padded(range_residuals / range_sigmas, k, h), meaning="residual over its sigma"),
         Column("residual_height", padded(-heights, k + r, 0), "m", "adjusted, along the stereo surface's normal"),
         Column("sigma_height", padded(height_sigmas, k + r, 0), "m", "a priori"),
         Column("normalised_height", padded(-heights / height_sigmas, k + r, 0), meaning="residual over its sigma"),
     ))  # fmt: skip
+
+
+def residual_rows(solution: Solution) -> int:
+    """Rows of `residuals_table`: rays, ranges, heights above stereo surfaces."""
+    return solution.network.rays.point.size + solution.network.ranges.point.size + _stereo_heights(solution)[0].size
+
+
+def _parts(rows: slice, sizes: Sequence[int]) -> list[slice]:
+    """Which of several arrays' elements some rows are, where these stand one after another."""
+    first, last, _ = rows.indices(sum(sizes))
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(min(max(first - a, 0), b - a), min(max(last - a, 0), b - a)) for a, b in pairwise(ends)]
 
 
 def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:

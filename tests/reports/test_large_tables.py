@@ -12,8 +12,9 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.reports import large_tables
-from mgsgraph.reports.large_tables import form_of, projjson
+from mgsgraph.reports.large_tables import form_of, projjson, write_large_tables
 from mgsgraph.reports.results import write_results
+from mgsgraph.reports.tables import points_table, residuals_table
 
 
 @pytest.fixture(scope="module")
@@ -52,3 +53,16 @@ def test_the_longer_table_decides(solution: Solution, monkeypatch: pytest.Monkey
     monkeypatch.setattr(large_tables, "MOST_CSV_ROWS", 10)
     assert form_of(solution) == "parquet"
     assert form_of(solution, "csv") == "csv"
+
+
+@pytest.mark.parametrize("piece", [1, 7, 1000])
+def test_tables_in_pieces_are_the_whole_ones(
+    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int
+) -> None:
+    whole = (table(solution).arrow for table in (points_table, residuals_table))
+    monkeypatch.setattr(large_tables, "_PIECE", piece)
+    for name, expected in zip(write_large_tables(solution, tmp_path, "parquet"), whole, strict=True):
+        found = parquet.ParquetFile(tmp_path / name)
+        assert found.metadata.num_row_groups == -(-expected.num_rows // piece)
+        for column in expected.column_names:
+            assert found.read()[column].to_pylist() == expected[column].to_pylist(), column
