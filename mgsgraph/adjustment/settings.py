@@ -47,6 +47,10 @@ class SolverSettings:
     """Stop when a step lowers the cost, or promises to, by less than this share of it."""
     step_tolerance: float = 1e-6
     """Stop when the step is shorter than this many posterior sigmas."""
+    memory_gb: float | None = None
+    """GB of memory that the adjustment may take: where the constants of its rows would take more than a quarter of it,
+    they lie in a mapped file of the temporary folder (TMPDIR), of which the system keeps in memory what there is room
+    for; results are the same. None: all that the machine, or the container, has."""
 
     def __post_init__(self) -> None:
         for name, kind in (("form", Form), ("method", Method), ("line", Line), ("angles", Angles), ("loss", Loss)):
@@ -61,6 +65,8 @@ class SolverSettings:
             raise InputError("solver, starts", f"{self.starts}", "0 (none) or more")
         if self.max_iterations < 1:
             raise InputError("solver, max_iterations", f"{self.max_iterations}", "at least 1")
+        if self.memory_gb is not None and not (math.isfinite(self.memory_gb) and self.memory_gb > 0.0):
+            raise InputError("solver, memory_gb", f"{self.memory_gb}", "a positive number of gigabytes")
         for name in ("cost_tolerance", "step_tolerance"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise InputError(f"solver, {name}", f"{getattr(self, name)}", "a number between 0 and 1")

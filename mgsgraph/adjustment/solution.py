@@ -140,13 +140,13 @@ class Solution:
         return len(self.history)
 
     @cached_property
-    def values(self) -> list[Array]:
+    def values(self) -> tuple[Array, ...]:
         """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns, then the
         nodes and the trend of each strip.
         """
         strips = [[*nodes, trend] for nodes, trend in zip(self.nodes, self.trends, strict=True)]
         own = [one.ravel() for one in self.coefficients]
-        return [*own, *self.shift_values, *self.shared, *(one for strip in strips for one in strip if one.size)]
+        return (*own, *self.shift_values, *self.shared, *(one for strip in strips for one in strip if one.size))
 
     def image(self, image: int) -> PushbroomImage:
         """One image with its adjusted interior orientation; its trajectory is the nominal one (`correction`)."""

@@ -195,7 +195,7 @@ def heights_off(network: Network, fitted: Solution, rays_alone: RaysAlone, limit
 
 def orientation_values(network: Network, fitted: Solution) -> list[Array]:
     """Values of the shared unknowns but for the terrain model's, as the network without it numbers them."""
-    values = fitted.values
+    values = list(fitted.values)
     if network.terrain_moves:
         del values[network.first_shared - 1]
     return values

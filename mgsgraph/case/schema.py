@@ -271,6 +271,7 @@ class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     reject: float = _DEFAULTS.reject
     starts: Annotated[int, msgspec.Meta(ge=0)] | None = _DEFAULTS.starts
     max_iterations: Annotated[int, msgspec.Meta(ge=1)] = _DEFAULTS.max_iterations
+    memory_gb: Positive | None = _DEFAULTS.memory_gb
 
     @property
     def settings(self) -> SolverSettings:

@@ -5,10 +5,12 @@ incremental elimination and nothing else; what is not linear is mended by taking
 one that was made at the present values (`incremental`). Unknowns are held in units of their a-priori sigmas: numbers of
 order one, for which the wildfire threshold means the same everywhere.
 
-The tree is eliminated by QR, from rows whose square each reduced system is. GTSAM's Cholesky refuses a pivot below
-2^-24 of the diagonal that it began with (measured, 4.3): hundreds of ties good to a tenth of a pixel bring that about
-under priors of some hundred metres, though the priors themselves keep every direction determined. QR has no such limit.
-It needs the rows: what GTSAM makes of quadratic factors itself is Cholesky's again.
+The tree is eliminated by Cholesky's method as long as GTSAM takes it, and from then on by QR, which takes seven times
+as long and more memory on a block of images. GTSAM's Cholesky refuses a pivot below 2^-24 of the diagonal that it
+began with (measured, 4.3): hundreds of ties good to a tenth of a pixel bring that about under priors of some hundred
+metres, though the priors themselves keep every direction determined. Where it doesn't refuse, no more than 24 of 53
+bits are lost: 1e-8 of a sigma. QR has no such limit. It needs the rows: what GTSAM makes of quadratic factors itself is
+Cholesky's again.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,6 +21,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph.bundle_factors import square_root
+from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.state import ReducedSystem, stretches
@@ -58,16 +61,19 @@ class PriorRows:
         return hash(self._content)
 
 
+_Owner = Unknown | Members | PriorRows
+"""Whose a factor is: the prior of an unknown, the reduced system of a bundle, what is known of some unknowns."""
+
+
 class Tree:
     """Unknowns with their priors, and reduced systems on them."""
 
     def __init__(self) -> None:
-        self._isam = _isam()
+        self._isam, self._by_qr = _isam("CHOLESKY"), False
         self._keys = dict[Unknown, int]()
         self._scale = dict[Unknown, Array]()
-        self._slots = dict[Members, int]()
-        self._priors = dict[Unknown, int]()
-        self._rows = dict[PriorRows, int]()
+        self._factors = dict[_Owner, gtsam.NonlinearFactor]()
+        self._slots = dict[_Owner, int]()
         self._next = 0
         self._taken = dict[Unknown, Array]()
 
@@ -88,42 +94,61 @@ class Tree:
 
         Raises SolverError when the sum can't be eliminated; the tree is of no use after that.
         """
-        systems, dropped = dict(systems or {}), list(dropped)
-        removed = [self._slots.pop(members) for members in {*gone, *systems} if members in self._slots]
-        removed += [self._priors.pop(unknown) for unknown in dropped if unknown in self._priors]
-        known = self._rows if rows is None else dict.fromkeys(rows)
-        removed += [self._rows.pop(one) for one in list(self._rows) if one not in known]
-        factors, values, of_slot = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[Members | Unknown | PriorRows]()
-        for unknown, sigmas in (new or {}).items():
-            key = self._keys[unknown] = self._next
+        new, systems, dropped = dict(new or {}), dict(systems or {}), list(dropped)
+        known = [one for one in self._slots if isinstance(one, PriorRows)]
+        kept = known if rows is None else list(dict.fromkeys(rows))
+        leaving = [*({*gone, *systems} & self._slots.keys()), *(one for one in dropped if one in self._slots)]
+        leaving += [one for one in known if one not in kept]
+        for unknown, sigmas in new.items():
+            self._keys[unknown], self._scale[unknown] = self._next, sigmas
             self._next += 1
-            self._scale[unknown] = sigmas
-            values.insert(key, np.zeros(sigmas.size))
-            if unknown.kind in TOGETHER:
-                continue
-            factors.add(
-                gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Unit.Create(sigmas.size))
-            )
-            of_slot.append(unknown)
         with _solvable("eliminate the change"):
-            for one in known:
-                if one not in self._rows:
-                    factors.add(self._linear(one.unknowns, one.whitened, np.zeros(one.whitened[0].shape[0])))
-                    of_slot.append(one)
-            for members, system in systems.items():
-                factors.add(self._factor(system))
-                of_slot.append(members)
-            result = self._isam.update(factors, values, removed)
-        for owner, slot in zip(of_slot, result.getNewFactorsIndices(), strict=True):
-            if isinstance(owner, Unknown):
-                self._priors[owner] = int(slot)
-            elif isinstance(owner, PriorRows):
-                self._rows[owner] = int(slot)
-            else:
-                self._slots[owner] = int(slot)
+            self._replace(leaving, self._factors_of(new, [one for one in kept if one not in self._slots], systems), new)
         for unknown in dropped:
             del self._keys[unknown], self._scale[unknown]
             self._taken.pop(unknown, None)
+
+    def _factors_of(
+        self, new: Iterable[Unknown], rows: Iterable[PriorRows], systems: Mapping[Members, ReducedSystem]
+    ) -> dict[_Owner, gtsam.NonlinearFactor]:
+        """Factors of unknowns that are known by themselves, of rows on several, and of reduced systems."""
+        found = dict[_Owner, gtsam.NonlinearFactor]()
+        for unknown in new:
+            if unknown.kind not in TOGETHER:
+                size = self._scale[unknown].size
+                unit = gtsam.noiseModel.Unit.Create(size)
+                found[unknown] = gtsam.PriorFactorVector(self._keys[unknown], np.zeros(size), unit)
+        for one in rows:
+            found[one] = self._linear(one.unknowns, one.whitened, np.zeros(one.whitened[0].shape[0]))
+        return found | {members: self._factor(system) for members, system in systems.items()}
+
+    def _replace(
+        self, leaving: Sequence[_Owner], coming: Mapping[_Owner, gtsam.NonlinearFactor], new: Iterable[Unknown]
+    ) -> None:
+        """Factors in the place of others, on new unknowns, too; the whole tree by QR where Cholesky's method fails."""
+        removed = [self._slots.pop(owner) for owner in leaving]
+        for owner in leaving:
+            del self._factors[owner]
+        self._factors |= coming
+        try:
+            self._update(coming, new, removed)
+        except RuntimeError as error:
+            if self._by_qr or not is_indeterminate(error):
+                raise
+            self._isam, self._by_qr = _isam("QR"), True
+            felt = {key for factor in self._factors.values() for key in factor.keys()}  # noqa: SIM118
+            self._update(self._factors, [unknown for unknown, key in self._keys.items() if key in felt], [])
+
+    def _update(
+        self, coming: Mapping[_Owner, gtsam.NonlinearFactor], new: Iterable[Unknown], removed: list[int]
+    ) -> None:
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for unknown in new:
+            values.insert(self._keys[unknown], np.zeros(self._scale[unknown].size))
+        for factor in coming.values():
+            factors.add(factor)
+        found = self._isam.update(factors, values, removed).getNewFactorsIndices()
+        self._slots |= {owner: int(slot) for owner, slot in zip(coming, found, strict=True)}
 
     def _factor(self, system: ReducedSystem) -> gtsam.LinearContainerFactor:
         """A reduced system as GTSAM factor on whitened unknowns: rows (A, b) with the error |A x - b|^2 / 2."""
@@ -179,10 +204,10 @@ def _nothing(size: int) -> Array:
     return np.full(size, np.nan)
 
 
-def _isam() -> gtsam.ISAM2:
+def _isam(factorisation: str) -> gtsam.ISAM2:
     parameters = gtsam.ISAM2Params()
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(_WILDFIRE))
-    parameters.setFactorization("QR")
+    parameters.setFactorization(factorisation)
     parameters.enableRelinearization = False
     parameters.findUnusedFactorSlots = True
     return gtsam.ISAM2(parameters)

@@ -426,6 +426,7 @@ def test_what_the_tree_cannot_solve_is_an_error_of_ours(monkeypatch: pytest.Monk
 
     tree = Tree()
     monkeypatch.setattr(tree, "_isam", Failing())
+    monkeypatch.setattr(tree, "_by_qr", True)
     for asked in (tree.change, tree.values):
         with pytest.raises(SolverError):
             asked()

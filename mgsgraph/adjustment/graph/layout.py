@@ -12,7 +12,7 @@ from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rays import RayConstants
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows, with_stereo
-from mgsgraph.adjustment.graph.scratch import copied
+from mgsgraph.adjustment.graph.scratch import Storage
 from mgsgraph.adjustment.graph.shared import bends
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
@@ -73,6 +73,8 @@ class Layout:
     of the others it says nothing."""
     rays: RayConstants
     """What renews the constants of image rays."""
+    storage: Storage
+    """Where these constants go."""
 
     @cached_property
     def cholesky(self) -> SparseCholesky:
@@ -149,7 +151,7 @@ class Layout:
         anew = anew._replace(steps=steps)
         if not np.array_equal(anew.sides, self.stereo.sides):
             return replace(self, stereo=anew)._sorted_anew(self.lines, self.bent)
-        rows = with_stereo(self.network, self.patterns, self.rows, anew)
+        rows = with_stereo(self.network, self.patterns, self.rows, anew, self.storage)
         return self._with(stereo=anew, rows=rows)
 
     def with_loss(self, loss: Loss) -> "Layout":
@@ -172,14 +174,14 @@ class Layout:
         terms = Terms(self.network, self.variables, lines)
         if self.model.line != PREDICTED or not self.rays.renewable(terms):
             return self._sorted_anew(lines, bent)
-        rows = self.rows if own else self.rows._replace(data=copied(self.rows.data))
+        rows = self.rows if own else self.rows._replace(data=self.storage.copied(self.rows.data))
         self.rays.renew(rows.data, terms, bent)
         return self._with(rows=rows, lines=lines, bent=bent)
 
     def _sorted_anew(self, lines: Array, bent: Array) -> "Layout":
         """The same about other lines, where rays come to depend on other nodes: they have other patterns."""
         like = self.network_order(self.rows.start), self.network_order(self.rows.kind)
-        return _lay_out(self.network, self.model, self.variables, None, lines, like, self.stereo, bent)
+        return _lay_out(self.network, self.model, self.variables, None, lines, like, self.stereo, bent, self.storage)
 
     def _with(self, **changes: Any) -> "Layout":
         """The same with other rows of the same observations; the order of elimination stays."""
@@ -233,7 +235,8 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     stereo = linear_rows(network, model, variables, np.zeros(variables.sigmas.size), points)
     known = None if model.line == MEASURED else places
     bent = np.zeros(variables.sigmas.size)
-    return _lay_out(network, model, variables, known, network.rays.places[:, 0], None, stereo, bent)
+    storage = Storage.within(settings.memory_gb)
+    return _lay_out(network, model, variables, known, network.rays.places[:, 0], None, stereo, bent, storage)
 
 
 def _lay_out(
@@ -245,13 +248,14 @@ def _lay_out(
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
     bent: Array,
+    storage: Storage,
 ) -> Layout:
     """The same with rays laid out about lines (k,), slopes of detector lines about shared unknowns (columns,); `like`
     are starting positions and kinds to keep, network order.
     """
     terms = Terms(network, variables, lines)
     patterns, slot = sort_points(network, terms, stereo)
-    laid = lay_out_rows(network, model, variables, patterns, slot, terms, known, like, stereo, bent)
+    laid = lay_out_rows(network, model, variables, patterns, slot, terms, known, like, stereo, bent, storage)
     observations, rows, rays = laid
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
@@ -259,5 +263,5 @@ def _lay_out(
     information = prior.information(blocks)
     return Layout(
         network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo,
-        bent, rays,
+        bent, rays, storage,
     )  # fmt: skip

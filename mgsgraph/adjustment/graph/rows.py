@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.rays import Crossing, RayConstants
-from mgsgraph.adjustment.graph.scratch import room
+from mgsgraph.adjustment.graph.scratch import Storage
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.adjustment.graph.stereo import StereoRows
@@ -99,15 +99,17 @@ def lay_out_rows(
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
     bent: Array,
+    storage: Storage,
 ) -> tuple[ObservationRows, Rows, RayConstants]:
     """Rows of a network in the kernel's order, where each is, and what renews those of image rays.
 
     `slot` (k,) is each ray's index among its point's observations, `known` (n, 3) positions at which to
     begin; `like` starting positions (n, 3) and kinds (n,) to keep as they are, network order. `bent` (columns,) are the
-    shared unknowns with which the slopes of detector lines are those of adjusted interior orientations.
+    shared unknowns with which the slopes of detector lines are those of adjusted interior orientations. `storage` is
+    where the constants go.
     """
     tables = _observation_tables(network, model, variables, patterns)
-    store = _make_store(patterns, tables["observation_numbers"])
+    store = _make_store(patterns, tables["observation_numbers"], storage)
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
     crossing = None if like else _begin_crossing(network, known)
     rays = RayConstants(network, model, variables, patterns, slot, store.piece, store.before)
@@ -134,15 +136,15 @@ def lay_out_rows(
     return observation_rows, laid, rays
 
 
-def with_stereo(network: Network, patterns: Patterns, rows: Rows, stereo: StereoRows) -> Rows:
+def with_stereo(network: Network, patterns: Patterns, rows: Rows, stereo: StereoRows, storage: Storage) -> Rows:
     """Rows with other heights above stereo surfaces, of the same points, which depend on the same unknowns."""
-    store, weight = _make_store(patterns, rows.observation_numbers), rows.weight.copy()
+    store, weight = _make_store(patterns, rows.observation_numbers, storage), rows.weight.copy()
     store.data[:] = rows.data
     _fill_stereo(network, store, stereo, weight)
     return rows._replace(data=store.data, weight=weight)
 
 
-def _make_store(patterns: Patterns, stored: Index) -> _Store:
+def _make_store(patterns: Patterns, stored: Index, storage: Storage) -> _Store:
     """Room for everything; each observation of the patterns stores so many numbers (s,)."""
     count = np.diff(patterns.first)
     before = np.zeros((count.size, int(count.max(initial=0))), dtype=np.int64)
@@ -156,7 +158,8 @@ def _make_store(patterns: Patterns, stored: Index) -> _Store:
     first = patterns.piece_first[:-1]
     begins = [np.cumsum(counts) - counts for counts in (numbers, observations)]
     piece = np.stack([of_piece, first, size, *begins], axis=1)
-    return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), room(int(numbers.sum())))
+    data = storage.room(int(numbers.sum()))
+    return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), data)
 
 
 def _observation_tables(network: Network, model: Model, variables: Variables, patterns: Patterns) -> dict[str, Any]:
