@@ -97,7 +97,8 @@ class Tree:
         new, systems, dropped = dict(new or {}), dict(systems or {}), list(dropped)
         known = [one for one in self._slots if isinstance(one, PriorRows)]
         kept = known if rows is None else list(dict.fromkeys(rows))
-        leaving = [*({*gone, *systems} & self._slots.keys()), *(one for one in dropped if one in self._slots)]
+        leaving: list[_Owner] = [one for one in {*gone, *systems} if one in self._slots]
+        leaving += [unknown for unknown in dropped if unknown in self._slots]
         leaving += [one for one in known if one not in kept]
         for unknown, sigmas in new.items():
             self._keys[unknown], self._scale[unknown] = self._next, sigmas

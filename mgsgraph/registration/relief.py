@@ -78,7 +78,7 @@ def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Pla
     return network, _Placed(places, shifts, _horizontal_sigma(before))
 
 
-def _begin(network: Network, before: Solution, placed: _Placed) -> list[Array]:
+def _begin(network: Network, before: Solution, placed: _Placed) -> Sequence[Array]:
     """Value of each variable of the network with posts, as it is without them; zero where there was none."""
     values, n, k = before.values, len(before.coefficients), len(before.shared)
     shifts = [*placed.shifts, *before.shift_values[-1:]] if network.surface is not None else [*placed.shifts]
