@@ -9,6 +9,7 @@
     python scripts/benchmark.py analysis [L] [--queries 20]            # what it costs to ask an adjustment
     python scripts/benchmark.py incremental [--equality 40] [--cost 10 100 500] [--ties 2000]   # adding an image
     python scripts/benchmark.py project [10 100 498] [--ties 2000]     # the same as a command, `mgsgraph add`
+    python scripts/benchmark.py archive --work WORK [block kaguya dense ctx]   # from files to results, archives
     python scripts/benchmark.py COMMAND --help                         # all options
 
 Each writes its page into docs, or where --out says (`speed` and `stages`: --markdown). Exit status: 0 done, 1 a limit
@@ -20,7 +21,7 @@ from importlib import import_module
 
 from study import command
 
-COMMANDS = ("speed", "scaling", "stages", "strips", "analysis", "incremental", "project")
+COMMANDS = ("speed", "scaling", "stages", "strips", "analysis", "incremental", "project", "archive")
 
 
 def main() -> int:

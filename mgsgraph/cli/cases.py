@@ -102,7 +102,9 @@ def adjust(
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
+    begin = time.perf_counter()
     read = read_case(case, overrides.laser, ties)
+    reading = {"reading": time.perf_counter() - begin}
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
     estimating = any(one.asks_for_strengths for one in read.network.passes)
@@ -120,6 +122,7 @@ def adjust(
             solution, words = found.solution, found.words()
         else:
             solution, words = adjust_network(read.network, settings, read.name, bar, workers), ""
+    solution = replace(solution, seconds=reading | dict(solution.seconds))
     written = write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution)
     if words:
