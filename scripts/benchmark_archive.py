@@ -147,7 +147,7 @@ def archive_of(job: Job, work: Path) -> Path:
     if job.pvl:
         case = folder / "case-pvl.toml"
         if not case.is_file():
-            watched(_mgsgraph("network", "convert", folder / "network.net", "--out", folder / "network.pvl"))
+            watched(_mgsgraph("convert", folder / "network.net", "--out", folder / "network.pvl"))
             text = (folder / "case.toml").read_text(encoding="utf-8").replace("network.net", "network.pvl")
             case.write_text(text, encoding="utf-8")
     if job.memory_gb is not None:

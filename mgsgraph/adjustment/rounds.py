@@ -12,6 +12,7 @@ from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.parallel import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.posterior import orientation_covariance
@@ -345,12 +346,14 @@ def determined_points(rows: Rows) -> Mask:
 
 
 def without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> Selection:
-    """Leave out points that their rays don't determine; refuse points behind a camera."""
+    """Leave out points that their rays don't determine, among them those whose rays are nearly parallel and part;
+    refuse other points behind a camera.
+    """
     behind = np.flatnonzero(reduction.states == BEHIND)
-    if behind.size:
-        raise _behind(layout, int(behind[0]), reduction.points[behind[0]])
+    for index in behind[~nearly_parallel(layout.network, layout.point_order[behind])][:1].tolist():
+        raise _behind(layout, index, reduction.points[index])
     out = selection.out.copy()
-    out[layout.point_order[reduction.states == WEAK]] = True
+    out[layout.point_order[(reduction.states == WEAK) | (reduction.states == BEHIND)]] = True
     return replace(selection, out=out)
 
 

@@ -12,14 +12,16 @@ from normals import HandObservation, take_apart
 from odd_networks import random_network
 from strategies import along
 
-from mgsgraph.adjustment.graph import Layout, lay_out, patterns
-from mgsgraph.adjustment.graph.parallel import parallel
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
+from mgsgraph.adjustment.graph.parallel import nearly_parallel, parallel
 from mgsgraph.adjustment.graph.patterns import Observation, group_blocks
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.rows import FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
+from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
+from mgsgraph.names import Names
 from mgsgraph.network import Network, Ranges
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
@@ -127,6 +129,36 @@ def test_points_of_parallel_rays_stay_out_unless_something_else_places_them() ->
     stereo = observed(both, [apart])
     assert stereo is not None
     assert not np.any(lay_out(stereo, SolverSettings()).rows.kind == OUT)
+
+
+def test_points_whose_nearly_parallel_rays_part_stay_out() -> None:
+    """A camera beside the first looks a tenth of a degree ahead: what it sees 100 lines before the other, or after it,
+    lies where their rays cross, or behind them, by more than is said of their pointing.
+    """
+    drawn = simulate_pair(PairSettings(ties=12, shots=1))
+    one, other = drawn.images
+    n, ahead = len(drawn.ties.ids), np.array([1.5e-3 / one.pixel_angle, 0.0])
+    twin = replace(one, name="twin", interior=replace(one.interior, centre=one.interior.centre + ahead))
+    line, middle = 0.5 * one.lines, 0.5 * one.samples
+    odd = [(line, middle), (line + 100.0, middle), (line, middle), (line - 100.0, middle)]
+    ties = replace(
+        drawn.ties, ids=Names.of([*drawn.ties.ids, "before", "after"]), kinds=np.append(drawn.ties.kinds, [0, 0]),
+        places=np.vstack([drawn.ties.places, np.full((2, 3), np.nan)]),
+        covariances=np.zeros((n + 2, 3, 3)),
+        measure_point=np.append(drawn.ties.measure_point, [n, n, n + 1, n + 1]),
+        measure_image=[*drawn.ties.measure_image, one.name, "twin", one.name, "twin"],
+        measures=np.vstack([drawn.ties.measures, odd]), measure_sigmas=np.ones((drawn.ties.measures.shape[0] + 4, 2)),
+    )  # fmt: skip
+    prior = drawn.settings.noise.prior
+    net = observed({image.name: KnownImage(image, prior) for image in (one, other, twin)}, [ties])
+    assert net is not None
+    assert nearly_parallel(net, np.array([n + 1, 0, n])).tolist() == [True, False, True]
+    layout = lay_out(net, SolverSettings())
+    states = BundleGraph(layout, layout.rows).reduction(np.zeros(layout.columns)).states
+    behind = layout.point_order[states == BEHIND].tolist()
+    assert len(behind) == 1
+    assert behind[0] >= n
+    assert np.flatnonzero(~adjust_network(net, SolverSettings()).determined).tolist() == behind
 
 
 @settings(max_examples=25)

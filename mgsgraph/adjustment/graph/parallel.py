@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
@@ -19,16 +19,41 @@ def parallel(network: Network, angles: Array) -> Mask:
     anywhere between the camera and far below the ground; the equations, linear in the distance, have no meaning there.
     Two nadir images of one ground track are like that.
     """
-    rays = network.rays
-    free = (network.points.kinds == PointKind.FREE) & (network.ray_counts >= 2)
-    free[network.ranges.point] = False
-    if network.surface is not None:
-        free &= ~np.isfinite(network.surface.sigmas)
+    rays, free = network.rays, _held_by_rays(network)
     unsure = np.array([_pointing(network, j) for j in range(len(network.images))])[rays.image]
     pixel = np.array([image.pixel_angle for image in network.images])[rays.image]
     sigma = np.zeros(free.size)
     np.maximum.at(sigma, rays.point, np.hypot(unsure, pixel * np.maximum(rays.sigmas[:, 0], rays.sigmas[:, 1])))
     return np.asarray(free & (angles < np.minimum(_TIMES * np.sqrt(2.0) * sigma, _MOST)))
+
+
+def nearly_parallel(network: Network, points: Index) -> Mask:
+    """(m,) which of some points (m,) nothing but rays hold, the nominal rays of each within `_MOST` of its first: where
+    these part, they say no more of the point than that it is far away. `parallel` knows of directions alone, not of how
+    well the cameras' positions are known.
+    """
+    rays, found = network.rays, _held_by_rays(network)[points]
+    order = np.argsort(points)
+    mine = np.flatnonzero(np.isin(rays.point, points[found]))
+    number, looks = order[np.searchsorted(points, rays.point[mine], sorter=order)], np.empty((mine.size, 3))
+    for j in np.unique(rays.image[mine]).tolist():
+        own = rays.image[mine] == j
+        looks[own] = network.images[j].sightlines(*rays.places[mine[own]].T)[1]
+    looks /= np.linalg.norm(looks, axis=1)[:, None]
+    first = np.zeros((points.size, 3))
+    first[number[::-1]] = looks[::-1]
+    apart = np.linalg.norm(looks - first[number], axis=1)
+    found[number[apart > _MOST]] = False
+    return found
+
+
+def _held_by_rays(network: Network) -> Mask:
+    """(n,) free points with rays alone: two or more, no range, no terrain model."""
+    free = (network.points.kinds == PointKind.FREE) & (network.ray_counts >= 2)
+    free[network.ranges.point] = False
+    if network.surface is not None:
+        free &= ~np.isfinite(network.surface.sigmas)
+    return np.asarray(free)
 
 
 def _pointing(network: Network, image: int) -> float:
