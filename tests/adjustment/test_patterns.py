@@ -132,15 +132,15 @@ def test_points_of_parallel_rays_stay_out_unless_something_else_places_them() ->
 
 
 def test_points_whose_nearly_parallel_rays_part_stay_out() -> None:
-    """A camera beside the first looks a tenth of a degree ahead: what it sees 100 lines before the other, or after it,
+    """A camera beside the first looks a third of a degree ahead: what it sees some lines before the other, or after it,
     lies where their rays cross, or behind them, by more than is said of their pointing.
     """
     drawn = simulate_pair(PairSettings(ties=12, shots=1))
     one, other = drawn.images
-    n, ahead = len(drawn.ties.ids), np.array([1.5e-3 / one.pixel_angle, 0.0])
+    n, ahead = len(drawn.ties.ids), np.array([5e-3 / one.pixel_angle, 0.0])
     twin = replace(one, name="twin", interior=replace(one.interior, centre=one.interior.centre + ahead))
-    line, middle = 0.5 * one.lines, 0.5 * one.samples
-    odd = [(line, middle), (line + 100.0, middle), (line, middle), (line - 100.0, middle)]
+    line, middle, step = 0.5 * one.lines, 0.5 * one.samples, 0.05 * one.lines
+    odd = [(line, middle), (line + step, middle), (line, middle), (line - step, middle)]
     ties = replace(
         drawn.ties, ids=Names.of([*drawn.ties.ids, "before", "after"]), kinds=np.append(drawn.ties.kinds, [0, 0]),
         places=np.vstack([drawn.ties.places, np.full((2, 3), np.nan)]),
