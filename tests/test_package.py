@@ -165,6 +165,7 @@ DOOR = {
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
     "mgsgraph.project.project": {"json.loads"},
     # our own files, not a user's
+    "mgsgraph.adjustment.graph.scratch": {"read_text"},  # the system's: how much memory a container may take
     "mgsgraph.export.spice_back": {"spiceypy.furnsh"},
     "mgsgraph.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},

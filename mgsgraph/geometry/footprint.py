@@ -22,7 +22,7 @@ from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 _ALONG, _ACROSS = 32, 8
 """Places on each edge along and across the lines: the edges are curved, since the line turns and the body is round."""
 _CHUNK = 4000
-"""Pairs whose polygons are cut at a time."""
+"""Pairs whose boxes are compared and whose polygons are cut at a time."""
 _OBLONG = 10.0
 """How many times as long as the other an axis of a body may be."""
 _SLACK = 1e-7
@@ -161,7 +161,7 @@ def overlaps(footprints: Sequence[Footprint]) -> Overlaps:
     if len(footprints) < 2:
         return Overlaps(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0))
     outlines, radius = _directions(footprints)
-    pairs = np.argwhere(np.triu(_near(outlines, _there(footprints)), 1))
+    pairs = _near(outlines, _there(footprints))
     cut = np.zeros(pairs.shape[0])
     for first in range(0, pairs.shape[0], _CHUNK):
         one, other = _polygon_pairs(outlines, pairs[first : first + _CHUNK], radius)
@@ -271,18 +271,29 @@ def _polygon_pairs(outlines: Array, pairs: Index, radius: float) -> tuple[NDArra
     return _polygons(outlines[pairs[:, 0]], between, radius), _polygons(outlines[pairs[:, 1]], between, radius)
 
 
-def _near(outlines: Array, there: Mask) -> Mask:
-    """(m, m) True for pairs that may overlap: their caps meet, and so do the boxes along and across either one."""
+def _near(outlines: Array, there: Mask) -> Index:
+    """(p, 2) pairs that may overlap, the smaller index first, in order: their caps meet, and so do the boxes along and
+    across either one. Found about the one with the larger cap, so that a few wide images don't make all look far.
+    """
+    from scipy.spatial import cKDTree  # takes its time to load
+
     centres = _middles(outlines)
     reach = np.arccos(np.clip(np.einsum("mki,mi->mk", outlines, centres), -1.0, 1.0)).max(axis=1) + _SLACK
-    angle = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0))
-    near = (angle <= reach[:, None] + reach) & there[:, None] & there
-    boxes = _boxes_meet(outlines, centres, near)
-    return np.asarray(boxes & boxes.T)
+    mine = np.flatnonzero(there)
+    chords = 2.0 * np.sin(np.minimum(reach[mine], 0.5 * np.pi)) + _SLACK
+    around = cKDTree(centres[mine]).query_ball_point(centres[mine], chords)
+    one = np.repeat(mine, np.array([len(others) for others in around], dtype=np.int64))
+    other = mine[np.array([k for others in around for k in others], dtype=np.int64)]
+    kept = (reach[other] < reach[one]) | ((reach[other] == reach[one]) & (one < other))
+    pairs = np.sort(np.stack([one[kept], other[kept]], axis=1), axis=1)
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    cosine = np.einsum("pi,pi->p", centres[pairs[:, 0]], centres[pairs[:, 1]])
+    pairs = pairs[np.arccos(np.clip(cosine, -1.0, 1.0)) <= reach[pairs].sum(axis=1)]
+    return pairs[_boxes_meet(outlines, centres, pairs) & _boxes_meet(outlines, centres, pairs[:, ::-1])]
 
 
-def _boxes_meet(outlines: Array, centres: Array, near: Mask) -> Mask:
-    """(m, m) of near pairs, True where the second lies partly within the first's box along its own main axes.
+def _boxes_meet(outlines: Array, centres: Array, pairs: Index) -> Mask:
+    """(p,) True where the second of a pair (p, 2) lies partly within the first's box along its own main axes.
 
     The axes are square to the first one's centre: nowhere inside it is a coordinate larger than on its outline, and
     where it is inside the second one, that reaches beyond the box all the more.
@@ -294,9 +305,10 @@ def _boxes_meet(outlines: Array, centres: Array, near: Mask) -> Mask:
     axes = np.stack([first, second], axis=2) @ turned  # (m, 3, 2)
     own = outlines @ axes
     low, high = own.min(axis=1), own.max(axis=1)
-    meet = near.copy()
-    for j, row in enumerate(near):
-        others = np.flatnonzero(row)
-        along = outlines[others] @ axes[j]
-        meet[j, others] = np.all((along.min(axis=1) <= high[j]) & (along.max(axis=1) >= low[j]), axis=1)
+    meet = np.ones(len(pairs), dtype=bool)
+    for begin in range(0, len(pairs), _CHUNK):
+        j, k = pairs[begin : begin + _CHUNK].T
+        along = outlines[k] @ axes[j]
+        inside = (along.min(axis=1) <= high[j]) & (along.max(axis=1) >= low[j])
+        meet[begin : begin + _CHUNK] = np.all(inside, axis=1)
     return meet
