@@ -289,7 +289,7 @@ def _near(outlines: Array, there: Mask) -> Index:
     pairs = pairs[np.lexsort(pairs.T[::-1])]
     cosine = np.einsum("pi,pi->p", centres[pairs[:, 0]], centres[pairs[:, 1]])
     pairs = pairs[np.arccos(np.clip(cosine, -1.0, 1.0)) <= reach[pairs].sum(axis=1)]
-    return pairs[_boxes_meet(outlines, centres, pairs) & _boxes_meet(outlines, centres, pairs[:, ::-1])]
+    return np.asarray(pairs[_boxes_meet(outlines, centres, pairs) & _boxes_meet(outlines, centres, pairs[:, ::-1])])
 
 
 def _boxes_meet(outlines: Array, centres: Array, pairs: Index) -> Mask:
