@@ -201,7 +201,7 @@ def _solve_exactly(
     initial, history = solved.cost_initial, solved.history
     for _ in range(_MOST_LAYOUTS):
         own = solved.layout is not layout or settings.reject == 0.0  # a search looks at earlier passes again
-        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, own=own)
+        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, own=own, sweeper=sweeper)
         if anew is solved.layout or not solved.outcome.converged:
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
