@@ -129,7 +129,7 @@ class RayConstants:
         plain[[j for j in np.flatnonzero(plain).tolist() if self.effects.acts_on_rays(j)]] = False
         focal = np.array([image.interior.focal_length for image in network.images])
         size = np.array([image.lines for image in network.images], dtype=np.float64)
-        tables, polynomial = pose_tables(network.images, plain), np.asarray(network.with_polynomial)
+        tables, polynomial = pose_tables(network.images, plain), np.array(network.with_polynomial)
         return SampledRays(self._places, tables, focal, size, polynomial, np.asarray(network.rays.places))
 
     @property

@@ -181,7 +181,8 @@ def follow(
     pattern, first, size, _, begin = places.piece[of_piece].T
     point = first + (among - begin) % size
     image = places.image[places.observation[pattern] + (among - begin) // size]
-    ways, known = (among, rows.kind, _read_only(point), np.arange(rows.kind.size), _read_only(image)), lines
+    of_point, every, of_image = _read_only(point), np.arange(rows.kind.size), _read_only(image)
+    ways, known = (among.astype(np.int32), rows.kind, of_point, every, of_image), lines
     for turn in range(MOST_TURNS):
         found = np.empty(known.size)
         values = all_residuals(rows, groups, target, model, x, points)
