@@ -1,6 +1,7 @@
 """Rays of sampled trajectories laid out about other lines, in parts: the same numbers as by the whole layout."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def test_parts_follow_as_the_whole_does(layout: Layout, data: st.DataObject) -> 
     pieces = len(layout.rows.piece)
     cuts = [0, *sorted(data.draw(st.sets(st.integers(1, pieces - 1)))), pieces]
     found, seen = np.full(layout.lines.size, np.nan), list[np.ndarray]()
-    for first, last in zip(cuts, cuts[1:], strict=False):
+    for first, last in pairwise(cuts):
         rays, mine = layout.rays.sampled.part(first, last)
         rows, model = partition(layout.rows, first, last), layout.model
         at = int(layout.rows.piece[first, 1])
