@@ -9,12 +9,12 @@ from collections import OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.shared import image_motion
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, StateStore, stretches
@@ -25,6 +25,9 @@ from mgsgraph.network import Network
 from mgsgraph.network.definitions import Definitions, definitions
 from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images
 from mgsgraph.ties import PointKind
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
 
 _MOST_UPDATES = 12
 _REACH = 0.5 * NOTICEABLE
@@ -168,7 +171,9 @@ class Engine:
         likely = expected(rows, nodes, self.value) if nodes else {}
         return {unknown: likely.get(unknown, one.value) for unknown, one in new.items()}
 
-    def adopted(self, shared: Mapping[Unknown, Shared], solution: Solution, network: Network) -> dict[Members, Bundle]:
+    def adopted(
+        self, shared: Mapping[Unknown, Shared], solution: "Solution", network: Network
+    ) -> dict[Members, Bundle]:
         """Begin again from a batch solution of a network: its values of the unknowns, and all bundles."""
         self._lay_nothing_out()
         self.shared, self.known, every = dict(shared), definitions(network), bundles(network)
@@ -393,8 +398,8 @@ class Engine:
             yield from ((members, batch[members], now) for members, now in together.items())
 
     def _batches(self, bundles: Iterable[Members]) -> Iterator[dict[Members, Bundle]]:
-        """Bundles, as many together as may be laid out; alone those that are laid out already, and those with orientation
-        images or stereo surfaces.
+        """Bundles, as many together as may be laid out; alone those that are laid out already, and those with
+        orientation images or stereo surfaces.
         """
         batch, size = dict[Members, Bundle](), 0
         for members in bundles:

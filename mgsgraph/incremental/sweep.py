@@ -247,8 +247,8 @@ class Sweep:
         self, values: Mapping[Unknown, Array], bundles: Mapping[Members, Bundle],
         systems: Mapping[Members, ReducedSystem], joint: Mapping[Members, Array],
     ) -> dict[Members, Bundle]:  # fmt: skip
-        """All bundles of the network with their points where the unknowns put them, by one pass over all points; `joint`
-        are the covariances (d, d) of the unknowns of each system. Networks as of `of_bundles`.
+        """All bundles of the network with their points where the unknowns put them, by one pass over all points;
+        `joint` are the covariances (d, d) of the unknowns of each system. Networks as of `of_bundles`.
         """
         found, groups = self.reduce(values, COSTS), self._group_of_points()
         known: list[_Joint | None] = [None] * len(self._layout.group_variables)
