@@ -1,6 +1,5 @@
 """The command line: one thin verb each; nothing here computes. Verbs are imported when they are called."""
 
-import gc
 import os
 import signal
 import sys
@@ -50,9 +49,6 @@ _LATER = 0.01
 """s after which an interrupt tries again that came during an import."""
 _AGAIN = 0.2
 """s after which one tries again that a library's code, or a callback of it, may have swallowed."""
-_UNCOLLECTED = 10_000
-"""Objects made between two searches for cycles among them: libraries that are loaded make a million, which stay, and
-with Python's own 700 a short command spends a twentieth of its time on them."""
 _INTERRUPTED = "interrupted; results are as they were before, or whole"
 _OUT_OF_MEMORY = "error: out of memory; give the machine more or leave images out"
 _LONGEST = 700
@@ -110,7 +106,6 @@ def main() -> None:
 
     for number in _SIGNALS:  # so that nothing half-written stays behind
         signal.signal(number, interrupt)
-    gc.set_threshold(_UNCOLLECTED)
     sys.unraisablehook = _lost
     guard_streams()
     try:
