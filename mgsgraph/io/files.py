@@ -124,8 +124,13 @@ def read_text(
     path: Path, expected: str = "a text file", limit: int = LARGEST_TEXT, encoding: str = "utf-8-sig"
 ) -> str:
     """The whole of a text file, lines ended by line feeds; InputError as `opened` has them, or where it is not text."""
+    return decoded_text(read_bytes(path, limit), path, expected, encoding)
+
+
+def decoded_text(content: bytes, path: Path, expected: str = "a text file", encoding: str = "utf-8-sig") -> str:
+    """The content of a text file as `read_text` gives it; InputError where it is not text."""
     try:
-        return read_bytes(path, limit).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+        return content.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
 

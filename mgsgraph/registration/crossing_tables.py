@@ -51,7 +51,7 @@ def selection_table(over: ShotsOverImages) -> Table:
 
     return Table("shots", "Laser shots over images", (
         Column("altimeter", [shots.altimeter.name] * rows.size),
-        Column("profile", list(shots.profile_names()), meaning="orbit, or the minute (UTC) in which a crossing began"),
+        Column("profile", shots.profile_names(), meaning="orbit, or the minute (UTC) in which a crossing began"),
         Column("utc", [f"{utc_of_tdb(time + 0.5 * MILLISECOND):{_SECONDS}}"[:-3] for time in shots.times.tolist()]),
         Column("images", names(over.inside), meaning="in which the footprint falls"),
         Column("simultaneous", names(over.inside & (over.seconds == 0.0)), meaning="those taken while it was fired"),
