@@ -205,10 +205,8 @@ def _shots(table: _ShotTable, clock_bias: float) -> AltimeterShots:
     longitude = table.within("longitude", -360.0, 360.0) * DEG
     latitude = table.within("latitude", -90.0, 90.0) * DEG
     radius = table.within("radius", 3.3e6, 3.5e6)
-    if "time" in table.columns:
-        times = table.numbers("time")
-    else:
-        times = tdb_of_utc(table.texts("utc"), f"{table.path}, UTC")
+    in_utc = "time" not in table.columns
+    times = tdb_of_utc(table.texts("utc"), f"{table.path}, UTC") if in_utc else table.numbers("time")
     ranges = table.numbers("range")
     areoid = table.numbers("areoid")
     areoid = np.where(np.isnan(areoid), radius - table.numbers("topography"), areoid)

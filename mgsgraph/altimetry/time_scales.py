@@ -101,6 +101,19 @@ def utc_of_tdb(time: float) -> datetime:
     return _J2000 + timedelta(seconds=tai - max(int(leaps), 0) - _FIRST_LEAPS)
 
 
+def utc_texts(times: Array) -> Names:
+    """UTC of times (n,) in s TDB past J2000, from 1972 on, as year, month, day, hour, minute, second and thousandths of
+    it, cut off there.
+    """
+    tai = times - _yearly_term(times) - _TT_OF_TAI
+    leaps = np.searchsorted(_STARTS + np.arange(_STARTS.size) + _FIRST_LEAPS, tai, side="right") - 1
+    part, whole = np.modf(tai - np.maximum(leaps, 0) - _FIRST_LEAPS)
+    past = whole.astype(np.int64) * 10**6 + np.rint(part * 1e6).astype(np.int64)
+    since_1970 = past // 1000 + int(_J2000.timestamp()) * 1000
+    texts = pa.array(since_1970).cast(pa.timestamp("ms")).cast(pa.large_string())
+    return Names.of(pc.replace_substring(texts, " ", "T"))
+
+
 def require_years(times: Array, source: str) -> None:
     """Raise InputError unless times (n,) in s past J2000 (NaN where unknown) are those of spacecraft."""
     for k in np.flatnonzero((times < YEARS[0]) | (times > YEARS[1]))[:1]:

@@ -58,7 +58,7 @@ def convert(
     strict: bool,
 ) -> None:
     """Read IN... as one network and write it to OUT (the last file, or --out), each in the format of its ending: .pvl
-    and .net (ISIS), .csv and .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
+    and .net (ISIS), .csv, .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
     names begin with, and there is one for each pair of images), .gcp and .nvm.
 
     --only, --thin and --split, in this order, take parts of it. --thin keeps the best points of N cells of each image

@@ -155,8 +155,7 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
 
 
 def read_whole(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork:
-    """All of a table (by the ending .csv or .parquet) or of an ISIS control network; see `read_table`, `read_network`.
-    """
+    """All of a table (`is_table`) or of an ISIS control network; see `read_table`, `read_network`."""
     return read_table(path, ellipsoid) if is_table(path) else read_network(path)
 
 

@@ -81,12 +81,14 @@ def _column(name: str, chunks: pa.ChunkedArray, source: str) -> pa.Array:
     column = pa.chunked_array(chunks).combine_chunks() if chunks.num_chunks != 1 else chunks.chunk(0)
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
+    column.validate(full=True)  # texts that are none
     kind = column.type
     if pa.types.is_null(kind) or pa.types.is_string(kind) or pa.types.is_large_string(kind):
         return pc.utf8_trim_whitespace(column.cast(pa.large_string()).fill_null(""))
-    if pa.types.is_integer(kind) and name in (*TEXTS, *TRUTHS) or (pa.types.is_boolean(kind) and name in TRUTHS):
+    in_words = name in (*TEXTS, *TRUTHS)
+    if (pa.types.is_integer(kind) and in_words) or (pa.types.is_boolean(kind) and name in TRUTHS):
         return column.cast(pa.large_string()).fill_null("")
-    if (pa.types.is_integer(kind) or pa.types.is_floating(kind)) and name not in (*TEXTS, *TRUTHS):
+    if (pa.types.is_integer(kind) or pa.types.is_floating(kind)) and not in_words:
         values = column.cast(pa.float64())
         return pc.if_else(pc.is_nan(values), None, values)
     expected = "texts" if name in TEXTS else "truth values" if name in TRUTHS else "numbers"

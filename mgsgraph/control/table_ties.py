@@ -43,13 +43,11 @@ from mgsgraph.geometry.body import (
 )
 from mgsgraph.geometry.records import Array, Index, Mask, repeated
 from mgsgraph.io.csv_columns import PlainRows, numbers_of, plain_text, short_names
-from mgsgraph.io.files import name_of
+from mgsgraph.io.files import LARGEST_NUMBER, name_of
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG, ISIS_OFFSET
 
-_LARGEST = 1e300
-"""As `io.files.finite_number` has it."""
 _POLE = 90.0
 _FULL = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 """Elements of a symmetric matrix, of those in its upper triangle."""
@@ -185,12 +183,12 @@ def _filled(column: pa.Array) -> Mask:
 def _numbers(column: pa.Array) -> Array:
     """(n,) numbers, NaN for empty cells."""
     if not pa.types.is_floating(column.type):
-        found = numbers_of(column, _LARGEST)
+        found = numbers_of(column, LARGEST_NUMBER)
         if found is None:
             raise _Doubtful
         return found
     values = np.asarray(column.fill_null(0.0))
-    if not np.all(np.abs(values) < _LARGEST):
+    if not np.all(np.abs(values) < LARGEST_NUMBER):
         raise _Doubtful
     return np.where(_filled(column), values, np.nan)
 

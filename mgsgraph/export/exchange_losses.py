@@ -51,10 +51,9 @@ _OF_MEASURE = _KEYWORDS | {
     "apriori_sample": "AprioriSample", "apriori_line": "AprioriLine", "sample_sigma": "SampleSigma",
     "line_sigma": "LineSigma",
 }  # fmt: skip
+_OF_TABLE = {"ignore", "reference", "apriori", "apriori_covariance", "sample_sigma", "line_sigma"}
 _HELD = {
-    **dict.fromkeys(
-        _TABLES, {"ignore", "reference", "apriori", "apriori_covariance", "sample_sigma", "line_sigma"}
-    ),
+    Format.CSV: _OF_TABLE, Format.PARQUET: _OF_TABLE,
     Format.MATCH: {"sample_sigma", "line_sigma"},
     Format.MATCH_TEXT: {"sample_sigma", "line_sigma"},
     Format.GCP: {"apriori", "apriori_covariance", "sample_sigma", "line_sigma"},

@@ -75,9 +75,10 @@ class PlainRows:
         names = [str(k) for k in range(width)]
         kinds = {names[k]: pa.float64() for k in numbers} | {names[k]: pa.large_string() for k in texts}
         given = pa.BufferReader(pa.py_buffer(self.content).slice(self.start, self.end - self.start))
+        several = self.end - self.start > _BLOCK
         try:
             table = csv.read_csv(
-                given, csv.ReadOptions(column_names=names, block_size=_BLOCK),
+                given, csv.ReadOptions(column_names=names, block_size=_BLOCK, use_threads=several),
                 csv.ParseOptions(quote_char=False, double_quote=False),
                 csv.ConvertOptions(column_types=kinds, include_columns=list(kinds), null_values=[]),
             )  # fmt: skip

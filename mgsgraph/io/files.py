@@ -32,7 +32,7 @@ LARGEST_TEXT = 1 << 30
 DEEPEST = 100
 """Levels of brackets in JSON and TOML; support data has four."""
 _NUMBER = re.compile(r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?", re.ASCII)
-_NULL = 1e300
+LARGEST_NUMBER = 1e300
 """ISIS writes its Null as -1.797e308 where a number was never set: larger ones are no numbers."""
 _LARGEST_COUNT = 1 << 63
 """Whole numbers beyond are no counts, ticks or ids."""
@@ -261,7 +261,7 @@ def _too_deep(where: str) -> InputError:
 def finite_number(text: str) -> float:
     """The number a text spells in decimal; ValueError for anything else, NaN, infinity and ISIS's Null included."""
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
-    if not abs(value) < _NULL:
+    if not abs(value) < LARGEST_NUMBER:
         raise ValueError(text)
     return value
 

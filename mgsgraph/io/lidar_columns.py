@@ -52,7 +52,8 @@ class LidarColumns:
 
 def lidar_columns(content: bytes) -> LidarColumns | None:
     """Shots of a JSON text; None where it leaves a doubt: it is damaged, has other keys, one twice or not at all, other
-    kinds of values, numbers or names that can't be, or an image twice in a shot. Bounds of all but covariances are the caller's.
+    kinds of values, numbers or names that can't be, or an image twice in a shot. Bounds of all but covariances are for
+    the caller to check.
     """
     shots = _parsed(content)
     if shots is None or not len(shots):

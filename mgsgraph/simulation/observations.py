@@ -200,8 +200,8 @@ def profile(
     measures: Array,
     noise: NoiseSettings,
 ) -> LaserProfile:
-    """Laser shots as an adjustment is given them: n shots by name, those of `along` taken along with an image; k measures
-    of shot (k,) in images (k names) at lines and samples (k, 2); and the sigmas of the settings.
+    """Laser shots as an adjustment is given them: n shots by name, those of `along` taken with an image; k measures of
+    shot (k,) in images (k names) at lines and samples (k, 2); and the sigmas of the settings.
     """
     n = len(ids)
     return LaserProfile(
