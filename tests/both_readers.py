@@ -90,15 +90,17 @@ def readables() -> dict[str, Readable]:
     lola = "\n".join([_LOLA, *(_LOLA_ROW.format(k, k % 3) for k in range(5))]) + "\n"
     cloud = [_CLOUD_ROW.format(k, k // 4) for k in range(8)]
     plain = "\n".join(["id,longitude_deg,latitude_deg,radius_m,utc,profile,intensity,x", *cloud]) + "\n"
-    made = {
+    made: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
         "ODE": ("shots.csv", ode, read_shots), "ODE, CR LF": ("shots.csv", ode.replace("\n", "\r\n"), read_shots),
         "LOLA": ("lola.csv", lola, read_shots), "LOLA cloud": ("lola.csv", lola, read_altimetry_cloud),
         "cloud": ("cloud.csv", plain, lambda path: read_altimetry_cloud(path, MARS)),
         "selection": ("selection.csv", _selection(), read_shots),
         "PEDR2TAB": ("ap18933l.tab", _pedr2tab(" "), read_shots),
+        "PEDR2TAB, CR LF": ("ap18933l.tab", _pedr2tab(" ").replace("\n", "\r\n"), read_shots),
         "PEDR2TAB, blanks": ("ap18933l.tab", _pedr2tab("  "), read_shots),
         "lidar": ("lidar.json", _lidar(), read_lidar),
         "ties": ("ties.csv", _TIES, read_tie_points), "ties on Mars": ("ties.csv", _TIES, _on_mars),
+        "ties, CR LF": ("ties.csv", _TIES.replace("\n", "\r\n"), read_tie_points),
         "ties, radial": ("ties.csv", _RADIAL, read_tie_points), "ties, geodetic": ("ties.csv", _GEODETIC, _on_mars),
         "ties, matrix": ("ties.csv", _MATRIX, read_tie_points),
     }  # fmt: skip

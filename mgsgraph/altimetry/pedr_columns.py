@@ -60,9 +60,10 @@ class PlainTable:
         return (self.rows.end if end < 0 else min(end, self.rows.end)) - self.rows.start
 
     def _comma_separated(self) -> PlainRows | None:
-        """Rows with commas in place of blanks."""
+        """Rows with commas in place of blanks; None where a row is of blanks alone."""
         body = self.rows.content[self.rows.start : self.rows.end]
-        return None if b"," in body else PlainRows.of(_BETWEEN.sub(b",", _AROUND.sub(b"", body)), 0)
+        found = None if b"," in body else PlainRows.of(_BETWEEN.sub(b",", _AROUND.sub(b"", body)), 0)
+        return found if found and len(found) == len(self.rows) else None
 
     def _cut(
         self, edges: Sequence[int], numbers: Mapping[int, str], texts: Mapping[int, str]
@@ -106,15 +107,16 @@ def plain_table(content: bytes) -> PlainTable | None:
     if text is None or not header.strip():
         return None
     with_commas = "," in header
+    if not with_commas and b"\r" in text:
+        text = text.replace(b"\r\n", b"\n")
+        end = text.find(b"\n")
     begin, first = end + 1, 2
     if not with_commas and set(text[begin : max(text.find(b"\n", begin), begin)].decode()) - _RULE == set():
         begin, first = text.find(b"\n", begin) + 1, 3
         if begin == 0:
             return None
     rows = PlainRows.of(text, begin)
-    if rows is None:
-        return None
-    return PlainTable(names_of(header), with_commas, first, rows)
+    return PlainTable(names_of(header), with_commas, first, rows) if rows else None
 
 
 def names_of(header: str) -> list[str]:

@@ -16,24 +16,24 @@ from mgsgraph.geometry.records import LONGEST_NAME, Array
 from mgsgraph.names import Names
 
 _MARK = b"\xef\xbb\xbf"
-_PLAIN = bytes(byte for byte in range(32, 127) if byte != ord('"')) + b"\n"
+_PLAIN = bytes(byte for byte in range(32, 127) if byte != ord('"')) + b"\r\n"
+_ENDS = b"\r\n"
 _BLOCK = 1 << 24
 """bytes that Arrow parses at a time; no row is longer."""
 
 
 def plain_text(content: bytes) -> bytes | None:
-    """A text without byte order mark, lines ended by line feeds; None where it has quotation marks, or other characters
-    than printable ones.
+    """A text without byte order mark, lines ended by line feeds, before all of which a carriage return may stand; None
+    where it has quotation marks, or other characters than printable ones.
     """
     content = content.removeprefix(_MARK)
-    for mark in (b"\r\n", b"\r"):
-        if mark in content:
-            content = content.replace(mark, b"\n")
+    if (returns := content.count(b"\r")) and not returns == content.count(_ENDS) == content.count(b"\n"):
+        content = content.replace(_ENDS, b"\n").replace(b"\r", b"\n")
     if others := content.translate(None, _PLAIN):
         if min(others) < 128:
             return None
         try:
-            if not content.decode().replace("\n", "").isprintable():
+            if not content.decode().translate(dict.fromkeys(_ENDS)).isprintable():
                 return None
         except UnicodeDecodeError:
             return None
@@ -55,11 +55,10 @@ class PlainRows:
     def of(cls, content: bytes, start: int) -> "PlainRows | None":
         """Rows from a place on; None where there are none, or blank lines between them."""
         end = len(content)
-        while end > start and content[end - 1] == ord("\n"):
+        while end > start and content[end - 1] in _ENDS:
             end -= 1
-        if end <= start or content[start] == ord("\n") or content.find(b"\n\n", start, end) >= 0:
-            return None
-        return cls(content, start, end)
+        blank = any(content.find(b"\n" + one, start, end) >= 0 for one in (b"\n", _ENDS))
+        return None if end <= start or content[start] in _ENDS or blank else cls(content, start, end)
 
     def __len__(self) -> int:
         return self.content.count(b"\n", self.start, self.end) + 1

@@ -54,6 +54,19 @@ def test_damaged_files_are_as_line_by_line(tmp_path: Path, kind: str) -> None:
     assert 0 < read < 60
 
 
+@pytest.mark.parametrize("blank", ["", " ", "   "])
+@pytest.mark.parametrize("kind", ["ODE", "PEDR2TAB", "PEDR2TAB, blanks", "cloud", "ties"])
+@pytest.mark.parametrize("place", [2, 4, -1, -2])
+def test_lines_of_blanks_count_for_nothing(tmp_path: Path, kind: str, place: int, blank: str) -> None:
+    """Found by scripts/fuzz_columns.py: one at the end of a table with blanks between its columns."""
+    lines = FILES[kind].content.decode().split("\n")
+    path = put(tmp_path, FILES[kind], "\n".join([*lines[:place], blank, *lines[place:]]).encode())
+    found = outcome(FILES[kind].read, path)
+    assert not isinstance(found, str)
+    with by_lines():
+        assert found == outcome(FILES[kind].read, path)
+
+
 @pytest.mark.parametrize("digits", [1, 9, 15, 17, 25])
 def test_numbers_are_rounded_correctly(tmp_path: Path, digits: int) -> None:
     """Python's own float is the authority."""
