@@ -13,7 +13,7 @@ from mgsgraph.altimetry.csv_table import CsvTable
 from mgsgraph.altimetry.limits import require_possible_shots
 from mgsgraph.altimetry.lola import is_lola_rdr, lola_shots
 from mgsgraph.altimetry.pds_table import is_label, read_labelled_shots, require_whole
-from mgsgraph.altimetry.pedr import FRAME, read_pedr
+from mgsgraph.altimetry.pedr import FRAME, pedr_shots
 from mgsgraph.altimetry.pedr_text import PEDR_RADII, read_pedr_text
 from mgsgraph.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
 from mgsgraph.errors import InputError
@@ -77,7 +77,7 @@ def _as_read(
                 f"LOLA RDR (records of 256 bytes), PEDR (frames of {FRAME.itemsize} bytes) or text",
             )
         _require_unpacked(packed, path)
-        return read_pedr(path, clock_bias, version)
+        return pedr_shots(content, path, clock_bias, version)
     if content.lstrip().startswith(b"{"):
         raise InputError(str(path), "JSON", "a file of an altimeter's archive", "ISIS lidar data go into [laser]")
     if is_label(content):

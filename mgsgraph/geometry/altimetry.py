@@ -16,6 +16,8 @@ from mgsgraph.geometry.records import (
     frozen,
     frozen_index,
     frozen_mask,
+    of_kind,
+    read_only,
     require_covariances,
     require_names,
 )
@@ -222,7 +224,7 @@ class AltimeterShots:
     def chosen(self, which: Mask | Index) -> "AltimeterShots":
         """The shots of a mask (n,) or of indices, in their order."""
         names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
-        return replace(self, **{name: getattr(self, name)[which] for name in names})
+        return replace(self, **{name: read_only(getattr(self, name)[which]) for name in names})
 
     def moved(self, footprints: Array, spacecraft: Array) -> "AltimeterShots":
         """The same shots with other places (n, 3) in m, body-fixed, of footprints and spacecraft."""
@@ -371,8 +373,10 @@ class AltimetryCloud:
 
 
 def _with_gaps(value: Array, where: str, shape: tuple[int, ...]) -> Array:
-    """Copy to a read-only float64 array of a shape, in which NaN stands for what is not known."""
-    array = np.array(value, dtype=np.float64)
+    """Copy to a read-only float64 array of a shape, in which NaN stands for what is not known; what nobody can write to
+    is not copied.
+    """
+    array = of_kind(value, np.float64)
     if array.shape != shape:
         raise InputError(where, f"an array of shape {array.shape}", f"shape {shape}")
     if np.any(np.isinf(array)):
