@@ -1,7 +1,9 @@
 """All files of one adjustment, in one folder; and the record of all figures of merit, solution.json."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,7 @@ from mgsgraph.reports.soundness import soundness_json
 from mgsgraph.reports.summary import statements
 from mgsgraph.reports.tables import classes_table, connectivity_table, orientation_table
 from mgsgraph.units import ARCSEC
+from mgsgraph.workers import called_in_workers
 
 FORMAT = 1
 """Version of solution.json's layout."""
@@ -89,7 +92,27 @@ def write_into(
     known: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
     files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
     known |= {"networks": files} if files else {}
-    write_json(folder / RECORD, solution_json(solution, connected) | known)
+    with _drawn_meanwhile(solution, folder, connected, figures) as drawn:
+        write_json(folder / RECORD, solution_json(solution, connected) | known)
+        return [*_write_tables(solution, folder, connected, tables), *drawn()]
+
+
+@contextmanager
+def _drawn_meanwhile(
+    solution: Solution, folder: Path, connected: Connectivity, figures: bool
+) -> Iterator[Callable[[], list[str]]]:
+    """Let workers draw while the tables are written; yields what waits for them and gives the names of their files."""
+    if not figures:
+        yield list
+        return
+    from mgsgraph.figures import FIGURES_END, figure_tasks  # matplotlib takes its time; only those who draw wait for it
+
+    with called_in_workers(figure_tasks(solution, folder, connected), *FIGURES_END) as drawn:
+        yield lambda: list(chain.from_iterable(drawn()))
+
+
+def _write_tables(solution: Solution, folder: Path, connected: Connectivity, tables: TableForm | None) -> list[str]:
+    """Tables and the archive; the names of all files but the figures."""
     orientation_table(solution).write_csv(folder / "orientation.csv")
     large = write_large_tables(solution, folder, tables)
     connectivity_table(connected).write_csv(folder / "connectivity.csv")
@@ -101,11 +124,7 @@ def write_into(
     if solution.network.passes:
         nodes_table(solution).write_csv(folder / "passes.csv")
         names.append("passes.csv")
-    if not figures:
-        return names
-    from mgsgraph.figures import write_figures  # matplotlib takes its time; only those who draw wait for it
-
-    return names + write_figures(solution, folder, connected)
+    return names
 
 
 def case_of(folder: str | Path) -> Path:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.group_fits import ODDS, group_fits
+from mgsgraph.analysis.group_medians import worst_first
 from mgsgraph.analysis.statistics import (
     PLACES,
     RayStatistics,
@@ -256,7 +257,12 @@ def _unchecked(dimensions: NDArray[np.int8]) -> list[str]:
 def summary_table(solution: Solution) -> str:
     """Images, points, ranges and sigma0 as aligned text of at most 110 columns."""
     there = np.array([point_class for point_class, _ in solution.network.of_class()], dtype=np.int64)
-    images = images_table(solution).text(_ROWS, "more image: see solution.json", indent=2)
+    order, every = images_table(solution), len(solution.network.images)
+    chosen = ""
+    if every > _ROWS:
+        order = order.take(worst_first(solution)[:_ROWS])
+        chosen = f"  (of {every} images the {_ROWS} with the largest median residual over its sigma, largest first)"
+    images = [*order.text(indent=2), *([chosen] if chosen else [])]
     points = classes_table(solution).take(there).text(indent=2)
     sections = [
         _head(solution),
