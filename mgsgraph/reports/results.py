@@ -31,6 +31,7 @@ from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import ARCHIVE, write_archive
 from mgsgraph.reports.control import control_json
+from mgsgraph.reports.drivers import drivers_json, drivers_table
 from mgsgraph.reports.group_fits import fits_json
 from mgsgraph.reports.large_tables import TableForm, write_large_tables
 from mgsgraph.reports.likelihood import linearity_json
@@ -124,6 +125,9 @@ def _write_tables(solution: Solution, folder: Path, connected: Connectivity, tab
     if solution.network.passes:
         nodes_table(solution).write_csv(folder / "passes.csv")
         names.append("passes.csv")
+    if solution.drivers is not None:
+        drivers_table(solution).write_csv(folder / "drivers.csv")
+        names.append("drivers.csv")
     return names
 
 
@@ -170,6 +174,7 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "degrees_of_freedom": fit.degrees_of_freedom,
         "fits": fits_json(solution),
         "soundness": soundness_json(solution),
+        "drivers": drivers_json(solution),
         "linearity": linearity_json(solution.linearity),
         "minima": minima_json(solution.minima),
         "observations": fit.observations,

@@ -25,6 +25,7 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_statements
 from mgsgraph.reports.control import control_statements
+from mgsgraph.reports.drivers import drivers_statements
 from mgsgraph.reports.group_fits import group_fits_table, weight_unit
 from mgsgraph.reports.likelihood import linearity_statements
 from mgsgraph.reports.minima import minima_statements
@@ -53,6 +54,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
     return [
         *_ending(solution),
         *soundness_statements(solution),
+        *drivers_statements(solution),
         *weight_unit(solution),
         *_strained(solution),
         *linearity_statements(solution.linearity),
