@@ -46,7 +46,7 @@ STOREYS = [
     ("mgsgraph.factors", "mgsgraph.names"),
     (
         "mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook", "mgsgraph.wording", "mgsgraph.compiled",
-        "mgsgraph.apart", "mgsgraph.aside", "mgsgraph.stages",
+        "mgsgraph.apart", "mgsgraph.workers", "mgsgraph.aside", "mgsgraph.stages",
     ),
 ]
 """Rooms from above to below; of a room whose writers draw, these stand above the figures, and the rest below them."""
@@ -171,7 +171,7 @@ DOOR = {
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},
     "mgsgraph.io.writing": {"open"}, "mgsgraph.fetch.part": {"open"}, "mgsgraph.campaign.record": {"open"},
-    "mgsgraph.aside": {"open"}, "mgsgraph.apart": {"open"},
+    "mgsgraph.aside": {"open"}, "mgsgraph.apart": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip
 """Where files from outside are opened and parsed: all else takes them from these (docs/hostile_files.md)."""
 METHODS = {"open", "read_bytes", "read_text"}

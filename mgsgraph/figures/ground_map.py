@@ -164,7 +164,7 @@ def _draw_known(panel: Axes, solution: Solution, places: Array) -> list[Line2D]:
 
 def _is_large(solution: Solution) -> bool:
     """Whether cells have the points (`overview_map`), so that the map shows a choice of them."""
-    return np.count_nonzero(solution.determined) > MOST_MARKS
+    return bool(np.count_nonzero(solution.determined) > MOST_MARKS)
 
 
 def _draw_weak(panel: Axes, solution: Solution, places: Array) -> list[Line2D]:

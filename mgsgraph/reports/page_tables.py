@@ -114,10 +114,11 @@ def _measures(solution: Solution) -> Table:
 
 
 def _points(solution: Solution) -> Table:
-    table, chosen = points_table(solution), _weakest(solution)
+    chosen = _weakest(solution)
+    table = points_table(solution, chosen)
     which = "those that nothing determines and those of the largest sigma"
-    note = table.note + cut(len(table), chosen.size, which, "the table of points")
-    return replace(table.take(chosen).last("rays_used", "state"), note=note)
+    note = table.note + cut(len(solution.network.points), chosen.size, which, "the table of points")
+    return replace(table.last("rays_used", "state"), note=note)
 
 
 def _weakest(solution: Solution) -> Index:

@@ -89,9 +89,9 @@ def classes_table(solution: Solution) -> Table:
     )  # fmt: skip
 
 
-def points_table(solution: Solution, rows: slice = slice(None)) -> Table:
+def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table:
     """One row per ground point: adjusted place, sigmas, covariance, rays and correction; unknown where undetermined.
-    Some of the `rows` alone where the table is made in pieces.
+    Some of the `rows` alone where the table is made in pieces, or has a choice of the points.
     """
     network, places, covariances = solution.network, solution.places[rows], solution.covariances[rows]
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
