@@ -116,13 +116,15 @@ def _elements(lists: pa.Array) -> tuple[pa.Array, Index]:
     flat = lists.flatten()
     if lists.null_count or flat.null_count:
         raise _Doubtful
-    return flat, np.repeat(np.arange(len(lists)), np.asarray(pc.list_value_length(lists)))
+    return flat, np.repeat(np.arange(len(lists)), np.from_dlpack(pc.list_value_length(lists)))
 
 
 def _numbers(column: pa.Array) -> Array:
     """Numbers (n,), all of which are there."""
-    values = np.asarray(column)
-    if column.null_count or not np.all(np.abs(values) < _LARGEST) or np.any(np.signbit(values) & (values == 0.0)):
+    if column.null_count:
+        raise _Doubtful
+    values = np.from_dlpack(column)
+    if not np.all(np.abs(values) < _LARGEST) or np.any(np.signbit(values) & (values == 0.0)):
         raise _Doubtful  # a whole -0 is 0 to Python
     return values
 

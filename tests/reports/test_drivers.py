@@ -36,7 +36,7 @@ def test_they_are_in_every_form_of_the_results(stopped: Solution, tmp_path: Path
     shares = [float(row["share"]) for row in rows if (row["quantity"], row["kind"]) == ("cost", "image")]
     assert sum(shares) <= 1.0 + 1e-12
     assert drivers_statements(stopped)[0] in statements(stopped)
-    assert any(table.key == "drivers" for table in tables(stopped))
+    assert any(table.name == "drivers" for table in tables(stopped))
 
 
 def test_they_are_read_back(stopped: Solution, tmp_path: Path) -> None:
