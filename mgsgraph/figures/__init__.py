@@ -12,6 +12,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.figures.adjacency import links_sheet
+from mgsgraph.figures.aggregate import LARGE_BLOCK
 from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import map_sheets
@@ -52,8 +53,8 @@ def figure_tasks(
     list of callable
         Each writes some figures and returns the names of their files: residuals, strips and pass (where there are
         passes), orientation, registration (where laser points are measured in images), map, connectivity and minima
-        (where there are several), each as .png and .svg (pictures of cells as .png alone), numbered (residuals_1, ...)
-        where a kind takes several sheets.
+        (where there are several), each as .png and, of blocks whose images are all drawn (`aggregate.LARGE_BLOCK`), as
+        .svg (pictures of cells as .png alone), numbered (residuals_1, ...) where a kind takes several sheets.
     """
     rays = solution.network.rays
     laser = np.any(solution.network.points.classes[rays.point] == PointClass.LASER)
@@ -65,12 +66,13 @@ def figure_tasks(
         lambda: [links_sheet(solution, connected)],
         partial(minima_sheets, solution),
     ]
-    return [partial(_saved, drawn, folder) for drawn in sheets]
+    vector = len(solution.network.images) <= LARGE_BLOCK
+    return [partial(_saved, drawn, folder, vector) for drawn in sheets]
 
 
-def _saved(sheets: Callable[[], Iterable[Sheet]], folder: Path) -> list[str]:
+def _saved(sheets: Callable[[], Iterable[Sheet]], folder: Path, vector: bool) -> list[str]:
     """Draw and write sheets, one after another, so that no more than one is in memory."""
-    return save(sheets(), folder)
+    return save(sheets(), folder, vector)
 
 
 def write_figures(solution: Solution, folder: Path, connected: Connectivity | None = None) -> list[str]:
