@@ -270,8 +270,9 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
     ]
     if not any(part["times"].size for part in parts):
         raise InputError(str(path), f"{frames.size} frames without a single shot", "shots with a radius")
-    whole = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in tuple(parts[0])}
-    return AltimeterShots(source=str(path), **whole)
+    names = tuple(parts[0])
+    every: dict[str, Any] = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in names}
+    return AltimeterShots(source=str(path), **every)
 
 
 def _columns(

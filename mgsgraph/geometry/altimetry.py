@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -224,7 +225,8 @@ class AltimeterShots:
     def chosen(self, which: Mask | Index) -> "AltimeterShots":
         """The shots of a mask (n,) or of indices, in their order."""
         names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
-        return replace(self, **{name: read_only(getattr(self, name)[which]) for name in names})
+        some: dict[str, Any] = {name: read_only(getattr(self, name)[which]) for name in names}
+        return replace(self, **some)
 
     def moved(self, footprints: Array, spacecraft: Array) -> "AltimeterShots":
         """The same shots with other places (n, 3) in m, body-fixed, of footprints and spacecraft."""
