@@ -1,0 +1,186 @@
+"""A partition of a layout's points on the device: its arrays there, and the launches of its sweeps."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import cuda
+from numpy.typing import NDArray
+
+from mgsgraph.kernel.cuda.coupling import couple, residuals
+from mgsgraph.kernel.cuda.covariance import cover, judge
+from mgsgraph.kernel.cuda.device import SIMULATED, THREADS
+from mgsgraph.kernel.cuda.solving import NUMBERS, solve, sum_costs
+from mgsgraph.kernel.cuda.summing import add_up
+from mgsgraph.kernel.cuda.tables import Jobs, Tables, make_jobs, make_tables
+from mgsgraph.kernel.reliability import NUMBERS as OF_ROW
+from mgsgraph.kernel.rows import NO_LOSS, Groups, Model, NormalBlocks, Rows
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
+
+Array = NDArray[np.float64]
+MIDDLE = 6
+"""Numbers of a point's M (`covariance.cover`)."""
+_BYTES = 8
+
+
+def to_device(values: NDArray[Any]) -> Any:
+    """A copy of an array on the device; in the simulator's memory, which is this process's, where that stands in."""
+    return np.array(values) if SIMULATED else cuda.to_device(np.ascontiguousarray(values))
+
+
+def to_host(values: Any) -> NDArray[Any]:
+    """A copy of a device's array."""
+    return np.array(values) if SIMULATED else np.asarray(values.copy_to_host())
+
+
+def room(shape: int | tuple[int, ...], dtype: Any = np.float64) -> Any:
+    """An array on the device, to be filled."""
+    return np.empty(shape, dtype) if SIMULATED else cuda.device_array(shape, dtype)
+
+
+def _blocks(count: int) -> int:
+    """Blocks of threads, a thread each for so many."""
+    return -(-count // THREADS)
+
+
+class _Arrays(NamedTuple):
+    """What of a partition lies on the device."""
+
+    tables: Tables
+    data: Any
+    weight: Any
+    kind: Any
+    start: Any
+
+
+class Partition:
+    """Some neighbouring pieces of a layout's points, by themselves (`kernel.rows.partition`), as the device sweeps them.
+
+    Parameters
+    ----------
+    rows, groups, target, model
+        As the kernel of the CPU takes them.
+    deterministic : bool
+        Whether sums have an order.
+    """
+
+    def __init__(
+        self, rows: Rows, groups: Groups, target: NormalBlocks, model: Model, deterministic: bool = False
+    ) -> None:
+        self._rows, self._groups, self._target = rows, groups, target
+        self.model, self._deterministic = Model(*map(int, model[:3]), float(model.width)), deterministic
+        self._tables, self._coupling = make_tables(rows, groups, target, model)
+        self._jobs: dict[bool, Any] = {}
+        self._arrays: _Arrays | None = None
+        self.points, self.observations = int(rows.kind.size), int(rows.weight.shape[1])
+
+    @property
+    def pieces(self) -> int:
+        """Number of its pieces."""
+        return int(self._rows.piece.shape[0])
+
+    @property
+    def bytes_held(self) -> int:
+        """Bytes of its arrays on the device."""
+        rows = (self._rows.data, self._rows.weight, self._rows.kind, self._rows.start)
+        return sum(values.nbytes for values in (*rows, *self._tables))
+
+    @property
+    def bytes_of_work(self) -> int:
+        """Bytes of scratch and results that its sweeps take on the device, the largest of them."""
+        numbers = self._coupling + (NUMBERS + MIDDLE) * self.points
+        return _BYTES * (numbers + max(9 * self.points, 3 * OF_ROW * self.observations))
+
+    def renew(self, rows: Rows) -> None:
+        """Take other points and observations in, or leave them out: rows that differ in `kind` and `weight` alone."""
+        now, self._rows = self._rows, rows
+        if self._arrays is not None:
+            kind = self._arrays.kind if rows.kind is now.kind else to_device(rows.kind)
+            weight = self._arrays.weight if rows.weight is now.weight else to_device(rows.weight)
+            self._arrays = self._arrays._replace(kind=kind, weight=weight)
+
+    def hold(self) -> _Arrays:
+        """Its arrays, sent to the device unless they are there."""
+        if self._arrays is None:
+            rows = self._rows
+            sent = map(to_device, (rows.data, rows.weight, rows.kind, rows.start))
+            self._arrays = _Arrays(Tables(*map(to_device, self._tables)), *sent)
+        return self._arrays
+
+    def let_go(self) -> None:
+        """Give its arrays' memory on the device back."""
+        self._arrays = None
+        self._jobs.clear()
+
+    def _jobs_of(self, whole: bool) -> Any:
+        if whole not in self._jobs:
+            jobs = make_jobs(self._rows, self._groups, self._target, whole, self._deterministic)
+            self._jobs[whole] = Jobs(*map(to_device, jobs)), jobs.edges.size - 1
+        return self._jobs[whole]
+
+    def reduce(
+        self, x: Any, task: int, begin: Any, points: Any, states: Any, gradient: Any, blocks: Any
+    ) -> Array:
+        """Solve all points from `begin` (n, 3), which end at `points` (n, 3) with `states` (n,), and, as the task says
+        (sweep.COSTS, GRADIENT, SYSTEM), add to the gradient and to the blocks: arrays on the device. The cost of each
+        piece (m,) comes back.
+        """
+        held, costs = self.hold(), room(self.points)
+        left = self._solve(held, x, begin, True, points, states, costs)
+        of_pieces = room(self.pieces)
+        sum_costs[self.pieces, THREADS](held.tables, costs, of_pieces)
+        if task != COSTS:
+            result = self._couple(held, x, states, left)
+            jobs, count = self._jobs_of(task == SYSTEM)
+            if count:
+                add_up[count, THREADS](held.tables, jobs.table, jobs.edges, result, gradient, blocks)
+        return to_host(of_pieces)
+
+    def covariances(self, x: Any, joint: Any, points: Any) -> Array:
+        """(n, 3, 3) m^2 of points (n, 3), see `kernel.reduction.point_covariances`."""
+        values = room((self.points, 3, 3))
+        self._cover(x, joint, points, values)
+        return to_host(values)
+
+    def residuals(self, x: Any, points: Any) -> Array:
+        """(t, 2), see `kernel.reduction.all_residuals`."""
+        held, values = self.hold(), to_device(np.zeros((self.observations, 2)))
+        model = self.model._replace(loss=NO_LOSS)
+        residuals[_blocks(self.observations), THREADS](
+            held.tables, model, held.data, held.weight, held.kind, x, points, values
+        )
+        return to_host(values)
+
+    def reliability(self, x: Any, joint: Any, points: Any) -> Array:
+        """(t, 3, 7), see `kernel.reduction.reliability`."""
+        held = self.hold()
+        middle, states, left, result = self._cover(x, joint, points, room((0, 3, 3)))
+        values = to_device(np.zeros((self.observations, 3, OF_ROW)))
+        judge[_blocks(self.observations), THREADS](
+            held.tables, self.model, held.data, held.weight, held.kind, x, states, left, result, joint, middle, values
+        )
+        return to_host(values)
+
+    def _solve(self, held: _Arrays, x: Any, begin: Any, move: bool, points: Any, states: Any, costs: Any) -> Any:
+        left = room((NUMBERS, self.points))
+        solve[_blocks(self.points), THREADS](
+            held.tables, self.model, held.data, held.weight, held.kind, x, begin, held.start, move, points, states,
+            costs, left,
+        )  # fmt: skip
+        return left
+
+    def _couple(self, held: _Arrays, x: Any, states: Any, left: Any) -> Any:
+        result = room(self._coupling)
+        couple[_blocks(self.observations), THREADS](
+            held.tables, self.model, held.data, held.weight, held.kind, x, states, left, result
+        )
+        return result
+
+    def _cover(self, x: Any, joint: Any, points: Any, values: Any) -> tuple[Any, Any, Any, Any]:
+        """M of all points, their states, and what solving and coupling leave there; `values` as in `cover`."""
+        held, states, middle = self.hold(), room(self.points, np.int8), room((MIDDLE, self.points))
+        left = self._solve(held, x, points, False, points, states, room(0))
+        result = self._couple(held, x, states, left)
+        cover[_blocks(self.points), THREADS](
+            held.tables, held.kind, states, left, result, joint, middle, values
+        )
+        return middle, states, left, result
