@@ -133,8 +133,10 @@ def residuals(tables, model, data, weight, kind, x, points, values):
     point, weights = (points[p, 0], points[p, 1], points[p, 2]), (weight[0, k], weight[1, k])
     r, _, _, front, _ = observation_rows(tables, model, data, x, piece, i, lane, point, True, weights)
     what = tables.observation[i, KIND]
-    for row in range(2 if what == IMAGE else 0 if what == GROUND else 1):
-        value = r[row] / weights[row]
+    for row in range(2):
+        value = 0.0
+        if (what == IMAGE) or (row == 0 and what != GROUND):
+            value = r[row] / weights[row] if weights[row] > 0.0 else math.nan
         if what == IMAGE and not front:
             value = math.nan
         values[k, row] = value

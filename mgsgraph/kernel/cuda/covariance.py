@@ -11,17 +11,18 @@ from numba import cuda
 
 from mgsgraph.kernel.cuda.coupling import scaled_rows, whose
 from mgsgraph.kernel.cuda.device import kernel, on_device
-from mgsgraph.kernel.cuda.loading import block_of, columns_of, left_at, part, parts_of, row_count, rows_at
+from mgsgraph.kernel.cuda.loading import block_of, left_at, part, parts_of, row_count, rows_at
 from mgsgraph.kernel.cuda.solving import back, left_of
 from mgsgraph.kernel.cuda.summing import basis_of
-from mgsgraph.kernel.cuda.tables import BEGIN, COUNT, END, FIRST, KIND, PATTERN
+from mgsgraph.kernel.cuda.tables import BEGIN, END, FIRST, KIND, PATTERN
+from mgsgraph.kernel.reliability import NUMBERS
 from mgsgraph.kernel.rows import OUT, WEAK
 
 
 @on_device
 def joint_part(tables, pattern, result, joint, i, at, one, j, there, other, stride, pair):
     """S_ij between two parts, to `pair` (6 x 6)."""
-    first, columns, terms, entry = one
+    _, columns, terms, entry = one
     _, others, terms_j, entry_j = other
     _, _, basis_i = rows_at(tables, i)
     _, _, basis_j = rows_at(tables, j)
@@ -212,7 +213,12 @@ def judge(tables, model, data, weight, kind, x, states, left, result, joint, mid
         errors[3 * row] = m00 * p0 + m01 * p1 + m02 * p2 - ju[3 * row]
         errors[3 * row + 1] = m01 * p0 + m11 * p1 + m12 * p2 - ju[3 * row + 1]
         errors[3 * row + 2] = m02 * p0 + m12 * p1 + m22 * p2 - ju[3 * row + 2]
+    for row in range(rows, 3):
+        for c in range(NUMBERS):
+            values[k, row, c] = 0.0
     for row in range(rows):
+        for c in range(rows, 3):
+            values[k, row, 1 + c] = 0.0
         values[k, row, 0] = root * r[row] if known else math.nan
         for other in range(row, rows):
             value = own[3 * row + other]

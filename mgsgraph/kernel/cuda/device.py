@@ -3,6 +3,7 @@
 Where NUMBA_ENABLE_CUDASIM is set numba's simulator stands in for the device: kernels run as Python, threads one by one.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -10,7 +11,7 @@ import numpy as np
 from numba import cuda
 from numba.core import config
 
-from mgsgraph.compiled import make_equations_compilable
+from mgsgraph.compiled import make_equations_compilable, sources_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -22,21 +23,24 @@ THREADS = 16 if SIMULATED else 128
 _config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # the last launch of a small network is small
 
 
-def _let_equations_round_down() -> None:
-    """numba-cuda 0.30 knows all ufuncs of the equations but `floor`."""
-    import math
-
+def _teach_ufuncs() -> None:
+    """numba-cuda 0.30 knows all ufuncs of the equations but three."""
     from numba.cuda.mathimpl import get_unary_impl_for_fn_and_ty
     from numba.cuda.ufuncs import ufunc_db
 
-    def floor(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return get_unary_impl_for_fn_and_ty(math.floor, signature.args[0])(context, builder, signature, arguments)
+    def lowered(function: Callable[..., float]) -> Callable[..., Any]:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            implementation = get_unary_impl_for_fn_and_ty(function, signature.args[0])
+            return implementation(context, builder, signature, arguments)
 
-    ufunc_db().setdefault(np.floor, {"d->d": floor})
+        return generate
+
+    for ufunc, function in ((np.floor, math.floor), (np.sqrt, math.sqrt), (np.log1p, math.log1p)):
+        ufunc_db().setdefault(ufunc, {"d->d": lowered(function)})
 
 
 if not SIMULATED:
-    _let_equations_round_down()
+    _teach_ufuncs()
 
 
 def on_device(function: Function) -> Function:
@@ -46,6 +50,13 @@ def on_device(function: Function) -> Function:
 
 
 def kernel(function: Function) -> Any:
-    """A function that the host launches: `kernel[blocks, threads](...)`."""
+    """A function that the host launches: `kernel[blocks, threads](...)`; compiled at its first launch, in some seconds,
+    and cached on disk as `compiled.cached_kernel` does it.
+    """
     make_equations_compilable()
-    return cuda.jit(function)
+    launched = cuda.jit(function)
+    if not SIMULATED:
+        launched.enable_caching()
+        # compared before anything is unpickled
+        launched._cache._cache_file._version += sources_of(function, "mgsgraph.kernel")
+    return launched

@@ -21,7 +21,6 @@ from mgsgraph.kernel.cuda.tables import (
     OBSERVATION,
     PAIRS,
     PART,
-    PATTERN,
     POWERS,
     SCRATCH,
     SHARED,
@@ -189,10 +188,5 @@ def block_of(tables, pattern, one, other):
     start = tables.pair[tables.pattern[pattern, PAIRS] + low * tables.pattern[pattern, MEMBERS] + high]
     width = tables.entry[other if second >= first else one, ACROSS]
     down, across = (1, width) if first > second else (width, 1)
-    return start + tables.entry[one, INSIDE] * down + tables.entry[other, INSIDE] * across, down, across, first == second
-
-
-@on_device
-def pattern_of(tables, piece):
-    """Pattern of a piece."""
-    return tables.piece[piece, PATTERN]
+    start += tables.entry[one, INSIDE] * down + tables.entry[other, INSIDE] * across
+    return start, down, across, first == second

@@ -226,4 +226,3 @@ def loss_of(model, robust, kind, residuals):
     if model.loss == CAUCHY:
         return cauchy(square, model.width)
     return tukey(square, model.width)
-

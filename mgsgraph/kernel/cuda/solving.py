@@ -34,9 +34,7 @@ def normal_equations(tables, model, data, weight, x, piece, lane, point, active,
     begin = tables.pattern[pattern, BEGIN]
     for i in range(begin, tables.pattern[pattern, END]):
         weights = weights_of(weight, place_among(tables, piece, i - begin, lane), active)
-        r, b, _, front, _ = observation_rows(
-            tables, model, data, x, piece, i, lane, point, active, weights
-        )
+        r, b, _, front, _ = observation_rows(tables, model, data, x, piece, i, lane, point, active, weights)
         if (not front) and weights[0] > 0.0:
             status = BEHIND
         more, w = loss_of(model, robust, tables.observation[i, KIND], r)

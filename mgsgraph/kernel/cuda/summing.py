@@ -26,10 +26,12 @@ from mgsgraph.kernel.cuda.tables import (
 )
 
 FOUR, NINE = 4, 9
-MOST = PART * PART
-"""Most numbers of a pair of parts."""
+SUMS = FOUR * NINE
+"""A thread's."""
 PADDED = THREADS + 1
 """Room per number: threads that take different numbers of one point take them from different banks."""
+_ROOM, _PRODUCTS = PART * PART * PADDED, NINE * PADDED
+"""Shared memory: the numbers of a pair of parts, or all threads' sums; products. The compiler wants names for both."""
 
 
 @on_device
@@ -88,12 +90,20 @@ def add_number(tables, pattern, same, one, a, other, b, value, mirrored, blocks)
 
 
 @kernel
+def clear(values):
+    """Zeros."""
+    k = cuda.grid(1)
+    if k < values.size:
+        values[k] = 0.0
+
+
+@kernel
 def add_up(tables, table, edges, result, gradient, blocks):
     """Add the sums of a partition's jobs to the gradient and to the blocks of pairs of variables."""
-    numbers = cuda.shared.array(MOST * PADDED, np.float64)
-    products = cuda.shared.array(NINE * PADDED, np.float64)
+    numbers = cuda.shared.array(_ROOM, np.float64)
+    products = cuda.shared.array(_PRODUCTS, np.float64)
     t = cuda.threadIdx.x
-    total = cuda.local.array(FOUR * NINE, np.float64)
+    total = cuda.local.array(SUMS, np.float64)
     for job in range(edges[cuda.blockIdx.x], edges[cuda.blockIdx.x + 1]):
         piece, i, j = table[job, PIECE_OF], table[job, ONE], table[job, OTHER]
         pattern, points = tables.piece[piece, PATTERN], tables.piece[piece, COUNT]
@@ -111,7 +121,7 @@ def add_up(tables, table, edges, result, gradient, blocks):
         slices = THREADS // quads
         for begin in range(0, max(terms, 1) * width, NINE):
             pairs = min(NINE, max(terms, 1) * width - begin)
-            for e in range(FOUR * NINE):
+            for e in range(SUMS):
                 total[e] = 0.0
             for chunk in range(0, points, THREADS):
                 cuda.syncthreads()
@@ -146,15 +156,15 @@ def add_up(tables, table, edges, result, gradient, blocks):
                     accumulate(numbers, products, t // quads, slices, t % quads, total)
             cuda.syncthreads()
             if t < quads * slices:
-                for e in range(FOUR * NINE):
-                    numbers[t * FOUR * NINE + e] = total[e]
+                for e in range(SUMS):
+                    numbers[t * SUMS + e] = total[e]
             cuda.syncthreads()
             for mirrored in range(1 if alone else 2):
                 for o in range(t, count * pairs, THREADS):
                     c, v = o // pairs, o % pairs
-                    value, k = 0.0, (c // FOUR) * FOUR * NINE + (c % FOUR) * NINE + v
+                    value, k = 0.0, c // FOUR * SUMS + c % FOUR * NINE + v
                     for s in range(slices):
-                        value += numbers[k + s * quads * FOUR * NINE]
+                        value += numbers[k + s * quads * SUMS]
                     a, b, p, q = c // others, c % others, (begin + v) // width, (begin + v) % width
                     one = entry + (p if terms > 0 else a)
                     a = a if terms > 0 else 0

@@ -212,23 +212,31 @@ def entries_of_part(rows: Rows, observation: Index, part: Index) -> tuple[Index,
 
 def _together(rows: Rows, groups: Groups, target: NormalBlocks, table: Index) -> Index:
     """(j,) a number that jobs share which add, or whose companions add, to the same block or the same gradient."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     group = rows.pattern_group[rows.piece[table[:, PIECE_OF], 0]]
+    alone, second = table[:, OTHER] == NONE, np.maximum(table[:, OTHER:], 0)
     first, count = entries_of_part(rows, table[:, ONE], table[:, ONE_PART])
-    alone = table[:, OTHER] == NONE
-    other_first, other_count = entries_of_part(rows, np.maximum(table[:, OTHER], 0), np.maximum(table[:, OTHER_PART], 0))
-    other_count = np.where(alone, 1, other_count)
-    sizes = count * other_count
-    job = np.repeat(np.arange(sizes.size), sizes)
-    inside = np.arange(job.size) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    one = rows.entry_member[first[job] + inside // other_count[job]]
+    other, others = entries_of_part(rows, second[:, 0], second[:, 1])
+    others = np.where(alone, 1, others)
+    job = np.repeat(np.arange(count.size), count * others)
+    inside = np.arange(job.size) - np.repeat(np.cumsum(count * others) - count * others, count * others)
+    one = rows.entry_member[first[job] + inside // others[job]]
+    two = np.where(alone[job], one, rows.entry_member[other[job] + inside % others[job]])
     begin, members = groups.member_first[group[job]], np.diff(groups.member_first)[group[job]]
-    two = np.where(alone[job], one, rows.entry_member[np.where(alone[job], 0, other_first[job] + inside % other_count[job])])
     pair = target.pair[groups.pair_first[group[job]] + np.minimum(one, two) * members + np.maximum(one, two)]
     place = np.where(alone[job], target.size + target.right[begin + one], pair)
     _, block = np.unique(place, return_inverse=True)
-    size = sizes.size + int(block.max(initial=-1)) + 1
-    graph = coo_matrix((np.ones(job.size), (job, sizes.size + block.reshape(-1))), shape=(size, size))
-    return np.asarray(connected_components(graph, directed=False)[1][: sizes.size])
+    return _companions(job, block.reshape(-1), count.size)
+
+
+def _companions(job: Index, block: Index, jobs: int) -> Index:
+    """(jobs,) smallest job that each is joined to by the blocks that jobs add to, pair by pair (job, block)."""
+    owner, size = np.arange(jobs), int(block.max(initial=-1)) + 1
+    while True:
+        of_block = np.full(size, jobs)
+        np.minimum.at(of_block, block, owner[job])
+        new = owner.copy()
+        np.minimum.at(new, job, of_block[block])
+        new = new[new]
+        if np.array_equal(new, owner):
+            return owner
+        owner = new

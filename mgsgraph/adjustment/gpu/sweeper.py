@@ -1,0 +1,196 @@
+"""Sweeps by a GPU (a `graph.bundle.Sweeper`): a layout's rows go there once, per iteration only the orientation.
+
+What its memory doesn't hold at once is swept in partitions, which go there anew at every sweep.
+"""
+
+import sys
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky
+from mgsgraph.adjustment.gpu.devices import INSTALL, WHERE, Gpu
+from mgsgraph.adjustment.graph.bundle import Solving, sparse_factor
+from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.graph.leverage import of_rows
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.cuda.device import SIMULATED
+from mgsgraph.kernel.cuda.partition import Partition, Workspace, bytes_of_pieces, room, to_device, to_host, zeros
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import Rows, partition
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
+
+_SHARE = 0.8
+"""Of the free memory: the rest is the driver's, the libraries' and the reduced equations'."""
+_PER_POINT = 4 * 25
+"""Bytes: places and states of as many reductions as live at a time."""
+_MOST_WORK = 4e9
+"""Bytes of scratch for one partition: more don't make a sweep faster."""
+_GIGA = 1e9
+
+
+class GpuReduction(Reduction):
+    """A reduction whose points and blocks stay on the device until they are asked for."""
+
+    def __init__(
+        self, task: int, orientation: Array, costs: Array, gradient: Array, points: Any, states: Any, blocks: Any
+    ) -> None:
+        whole = {"task": task, "orientation": orientation.copy(), "cost": float(costs.sum()), "piece_cost": costs}
+        own = {"gradient": gradient, "on_device": points, "blocks_on_device": blocks, "_states": states, "_here": {}}
+        for name, value in (whole | own).items():
+            object.__setattr__(self, name, value)  # frozen, like its parent
+
+    on_device: Any
+    """(n, 3) m, on the device."""
+    blocks_on_device: Any
+    """Reduced normal matrix there; None unless it was asked for."""
+    _states: Any
+    _here: dict[str, NDArray[Any]]
+
+    def _fetched(self, name: str, values: Any) -> NDArray[Any]:
+        if name not in self._here:
+            self._here[name] = to_host(values)
+        return self._here[name]
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) m, solved places in the layout's order."""
+        return self._fetched("points", self.on_device)
+
+    @property
+    def states(self) -> NDArray[np.int8]:
+        """(n,) rows.GOOD, BEHIND or WEAK."""
+        return self._fetched("states", self._states)
+
+    @property
+    def blocks(self) -> Array | None:
+        """Reduced normal matrix; None unless it was asked for."""
+        return None if self.blocks_on_device is None else self._fetched("blocks", self.blocks_on_device)
+
+
+class GpuSweeper:
+    """Sweeps by a GPU.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    layout : Layout
+        What is adjusted; rows that are swept later are its own but for kinds of points and weights.
+    deterministic : bool
+        Whether the same sweep gives the same bits twice.
+
+    Raises
+    ------
+    InputError
+        Memory in which not even the smallest part of the points can be swept.
+    """
+
+    def __init__(self, gpu: Gpu, layout: Layout, deterministic: bool = False) -> None:
+        self._gpu, self._deterministic = gpu, deterministic
+        self._parts, self._held, self._dense = list[Partition](), True, None
+        self._divide(layout)
+
+    @property
+    def remark(self) -> str:
+        """What a user should know of how the device was used."""
+        said = f"Swept by the GPU ({self._gpu.name})"
+        if not self._held:
+            said += f", whose {self._gpu.memory / _GIGA:.2f} GB hold the points in {len(self._parts)} partitions by turns"
+        return " ".join(part for part in (f"{said}.", self._gpu.remark) if part)
+
+    def _divide(self, layout: Layout) -> None:
+        """Make partitions of a layout's points, and room for their sweeps."""
+        self._layout, self._rows, self._dense = layout, layout.rows, None
+        for part in self._parts:
+            part.let_go()
+        edges, self._held = divided(layout.rows, _SHARE * self._gpu.memory)
+        owns = layout.groups, layout.blocks.target, layout.model
+        self._parts = [
+            Partition(partition(layout.rows, first, last), *owns, self._deterministic) for first, last in pairwise(edges)
+        ]
+        self._edges = layout.rows.piece[:, [1, 4]][edges[:-1]].tolist()
+        self._edges.append([layout.rows.kind.size, layout.rows.weight.shape[1]])
+        self._pieces = edges
+        self._work = Workspace(max((part.work for part in self._parts), default=0))
+
+    def _take(self, layout: Layout, rows: Rows) -> None:
+        """Go on with a layout made of the same network, and rows that differ in what takes part."""
+        now = self._layout
+        same = all(getattr(layout, name) is getattr(now, name) for name in ("patterns", "lines", "stereo", "bent"))
+        if not same or layout.model != now.model:
+            self._divide(layout)
+        if rows.kind is not self._rows.kind or rows.weight is not self._rows.weight:
+            for part, (first, last) in zip(self._parts, pairwise(self._pieces), strict=True):
+                part.renew(partition(rows, first, last))
+        self._layout, self._rows = layout, rows
+
+    def _each(self) -> Any:
+        """Partitions and where their points and observations are among the whole's; of those that the memory can't hold
+        at once each goes when the next one comes.
+        """
+        for part, (first, _), (last, _) in zip(self._parts, self._edges, self._edges[1:], strict=True):
+            yield part, slice(first, last)
+            if not self._held:
+                part.let_go()
+
+    # --- what a Sweeper does
+
+    def reduction(
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
+    ) -> Reduction:
+        """All points solved (and eliminated)."""
+        self._take(layout, rows)
+        begin = points.on_device if isinstance(points, GpuReduction) else None
+        if begin is None:
+            known = points.points if isinstance(points, Reduction) else points
+            begin = to_device(rows.start if known is None else known)
+        target, costs, x = layout.blocks.target, list[Array](), to_device(orientation)
+        ends, states = room((rows.kind.size, 3)), room(rows.kind.size, np.int8)
+        gradient, blocks = zeros(0 if task == COSTS else target.columns), zeros(target.size if task == SYSTEM else 0)
+        for part, mine in self._each():
+            own = begin[mine], ends[mine], states[mine], gradient, blocks
+            costs.append(part.reduce(self._work, x, task, *own))
+        every = np.concatenate(costs) if costs else np.zeros(0)
+        whole = blocks if task == SYSTEM else None
+        return GpuReduction(task, orientation, every, to_host(gradient), ends, states, whole)
+
+    def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
+        self._take(layout, rows)
+        x, shared, places = to_device(orientation), to_device(joint), to_device(points)
+        found = np.empty((points.shape[0], 3, 3))
+        for part, mine in self._each():
+            found[mine] = part.covariances(self._work, x, shared, places[mine])
+        return found
+
+    def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
+        """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
+        self._take(layout, rows)
+        x, places = to_device(orientation), to_device(points)
+        found = [part.residuals(self._work, x, places[mine]) for part, mine in self._each()]
+        return np.concatenate([np.zeros((0, 2)), *found])
+
+    def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """Residuals (t, 8) of all observations beside their leverage."""
+        self._take(layout, rows)
+        x, shared, places = to_device(orientation), to_device(joint), to_device(points)
+        found = [of_rows(part.reliability(self._work, x, shared, places[mine])) for part, mine in self._each()]
+        return np.concatenate([np.zeros((0, 8)), *found])
+
+    def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Solving:
+        """Factor of the damped equations: dense on the device, where these are few, else sparse on the host.
+
+        Raises NotDefinite.
+        """
+        small = layout.columns <= MOST_COLUMNS and isinstance(reduction, GpuReduction)
+        if SIMULATED or not small:
+            return sparse_factor(layout, reduction, damping)
+        if self._dense is None:
+            import cupy
+            import cupyx.scipy.linalg
+
+            self._dense = DenseCholesky(layout, cupy, cupyx.scipy.linalg)
+        return self._dense.factor(reduction.blocks_on_device, damping)
