@@ -117,7 +117,7 @@ def adjust_network(
         layout, selection, before = _nominal(layout, sweeper, left_in)
         clock.stop("solve")
         places = _places_before(layout, before)
-        nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places))
+        nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places, sweeper))
         clock.stop("residuals")
         orientation = None if begin is None else layout.variables.joined(begin)
         solved = solve_in_rounds(layout, settings, selection, before, progress, sweeper, orientation)
@@ -237,7 +237,7 @@ def _nominal(
     def again(anew: Layout) -> Reduction:
         return BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
 
-    layout, before = settled(layout, before, again, own=True)
+    layout, before = settled(layout, before, again, own=True, sweeper=sweeper)
     return layout, replace(selection, stereo=wanted.stereo), before
 
 
@@ -360,11 +360,11 @@ def _places_before(layout: Layout, before: Reduction) -> Array:
     return np.where((layout.rows.kind == PRIOR)[:, None], layout.rows.start, before.points)
 
 
-def _exact_residuals(layout: Layout, places: Array) -> Residuals:
+def _exact_residuals(layout: Layout, places: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
     """With the nominal orientation at places (n, 3), layout order: a-priori ones are not where the rays alone meet."""
     nominal = np.zeros(layout.columns)
-    layout, places = exactly(layout, nominal, places)
-    return residuals(layout, nominal, places)
+    layout, places = exactly(layout, nominal, places, sweeper)
+    return residuals(layout, nominal, places, sweeper)
 
 
 def _sigmas_without_laser(

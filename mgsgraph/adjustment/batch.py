@@ -11,6 +11,7 @@ GTSAM.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Generic, Protocol, TypeVar
 
 from mgsgraph.adjustment.settings import SolverSettings
@@ -34,7 +35,14 @@ by less than some thousandths of their sigma on average."""
 _SHORTER = 0.1
 """Of the step before, the most that a step may be long for its matrix to be kept: where convergence is slower, or steps
 are damped, keeping it would cost more sweeps than it saves."""
+_SLOWER = 0.5
+"""Of the step before, the least that a step is long where convergence counts as slow."""
+_SLOW_STEPS = 3
+"""So many of them, one after the other."""
+EARLY = 1e-7
+"""Share of the cost: a step that gains less is some thousandths of a sigma long, near enough to settle."""
 _REMEDY = "look for blunders (reject), or try another loss"
+_SLOW = f"Converged to where a step promises to lower the cost by no more than {EARLY:.0e} of it, slowly."
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
 
@@ -74,6 +82,8 @@ class Outcome(Generic[State]):
     """Why it stopped, and what to do where that is not well."""
     history: tuple[Iteration, ...]
     """Every step tried."""
+    slow: bool = False
+    """Whether near the optimum steps became shorter by small shares alone."""
 
 
 class LinearSystem(Protocol[Step]):
@@ -81,6 +91,8 @@ class LinearSystem(Protocol[Step]):
 
     kept: bool
     """Whether their matrix is that of another state."""
+    gradient: Any
+    """Of the cost; of a state that is a vector (columns,)."""
 
     def step(self, damping: float) -> Step | None:
         """Solution of the damped equations; None when they are not positive definite."""
@@ -119,7 +131,11 @@ class Problem(Protocol[State]):
 
 
 def levenberg_marquardt(
-    problem: Problem[State], start: State, settings: SolverSettings, progress: Callable[[Iteration], None]
+    problem: Problem[State],
+    start: State,
+    settings: SolverSettings,
+    progress: Callable[[Iteration], None],
+    unless_slow: bool = False,
 ) -> Outcome[State]:
     """Minimise a problem's cost.
 
@@ -132,6 +148,8 @@ def levenberg_marquardt(
         Tolerances and the most iterations.
     progress : callable
         Called after every step tried.
+    unless_slow : bool
+        Whether to stop near the optimum where steps become shorter by small shares alone (`Outcome.slow`).
 
     Raises
     ------
@@ -162,6 +180,8 @@ def levenberg_marquardt(
             state, cost, before = trial, new, length
         if last:
             return Outcome(state, initial, cost, True, _converged(now, settings), tuple(history))
+        if unless_slow and _slow(history):
+            return Outcome(state, initial, cost, True, _SLOW, tuple(history), slow=True)
         if accepted and keep:
             linear = problem.linear(state, linear)
         elif accepted:
@@ -203,6 +223,15 @@ def _near(predicted: float, length: float, cost: float, settings: SolverSettings
     """Whether a step will hardly change the matrix, and is not the last one: the posterior wants its own matrix."""
     last = predicted <= settings.cost_tolerance * cost or length < settings.step_tolerance
     return predicted <= _KEEP * cost and not last
+
+
+def _slow(history: list[Iteration]) -> bool:
+    """Whether the last steps, near the optimum, became shorter by small shares alone: some direction has a curvature
+    that the linear model overestimates.
+    """
+    last = history[-_SLOW_STEPS - 1 :]
+    near = all(one.accepted and one.predicted <= EARLY * one.cost and one.damping <= _FIRST_DAMPING for one in last)
+    return len(last) > _SLOW_STEPS and near and all(b.step > _SLOWER * a.step for a, b in pairwise(last))
 
 
 def _lower(problem: Problem[State], state: State, trial: State, cost: float, new: float, predicted: float) -> bool:

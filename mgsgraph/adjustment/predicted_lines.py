@@ -9,14 +9,11 @@ nothing moves. So are the slopes of detector lines, by which misplacements count
 
 from collections.abc import Callable
 
-import numpy as np
-
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS
-from mgsgraph.adjustment.graph.sorting import followed
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import OUT, PREDICTED
+from mgsgraph.kernel.rows import PREDICTED
 
 NEAR = 1e-5
 """Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much
@@ -24,62 +21,44 @@ less than a tenth of themselves, so that a row is then right to 1e-6 lines, and 
 NEAR_ENOUGH = 1e-3
 """The same where places of points alone are asked for: rows are right to 1e-4 lines where the rates of a pose jump, and
 to rounding everywhere else."""
-_UNBENT = 1e-9
-"""m, of unknowns of the interior orientation: what they change the slope of a detector line by is then a ten-millionth
-of it."""
 _MOST = 20
-"""Times: two or three do it, more where a predicted line lies beside a sample at which the rates jump."""
-_BEYOND = 0.5
-"""Share of an image's lines by which a predicted line may lie before it or after it."""
+"""Times that points follow their lines, and lines their points."""
 
 
 def about_predicted_lines(
-    layout: Layout, orientation: Array, points: Array, near: float = NEAR, own: bool = False
-) -> Layout:
+    layout: Layout, orientation: Array, points: Array, near: float = NEAR, own: bool = False,
+    sweeper: Sweeper = IN_PROCESS,
+) -> Layout:  # fmt: skip
     """The layout itself where its rays are laid out about the lines predicted by shared unknowns (columns,) and points
     (n, 3), layout order, to `near` lines, and its stereo rows are linear about these; else one where they are. In the
     measured-line form lines are what they are. A layout that is the caller's `own` is renewed in place: nobody uses it
     afterwards.
     """
-    now = layout if layout.model.line != PREDICTED else _about_lines(layout, orientation, points, near, own)
+    now = layout
+    if layout.model.line == PREDICTED:
+        now = sweeper.about_lines(layout, orientation, points, near, own)
     return now.about_stereo(layout.network_order(points), orientation)
 
 
-def _about_lines(layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
-    """The layout, or one whose rays are laid out about their predicted lines."""
-    network, now, rays = layout.network, layout, layout.network.rays
-    size = np.array([image.lines for image in network.images], dtype=np.float64)
-    lines = np.empty(now.lines.size)
-    for _ in range(_MOST):
-        values = IN_PROCESS.residuals(now, now.rows, orientation, points)
-        ways = now.observation_rows.rays, now.rows.kind, rays.point, now.patterns.point_index, rays.image
-        moved = followed(now.lines, rays.places, values, *ways, size, _BEYOND, OUT, lines)
-        bent = np.abs(orientation - now.bent)[now.bending].max(initial=0.0)
-        if moved <= near and bent <= _UNBENT:
-            break
-        anew = now.about(lines, orientation, own or now is not layout)
-        if anew.patterns is not now.patterns:
-            points = now.network_order(points)[anew.point_order]
-        lines, now = np.empty(lines.size) if now is layout else now.lines, anew
-    return now
-
-
 def settled(
-    layout: Layout, reduction: Reduction, again: Callable[[Layout], Reduction], own: bool = False
-) -> tuple[Layout, Reduction]:
+    layout: Layout, reduction: Reduction, again: Callable[[Layout], Reduction], own: bool = False,
+    sweeper: Sweeper = IN_PROCESS,
+) -> tuple[Layout, Reduction]:  # fmt: skip
     """Layout and reduction of points that follow their lines, and lines their points, the shared unknowns held.
 
     `again` solves the points of another layout for the same unknowns; `own` as of `about_predicted_lines`.
     """
     for _ in range(_MOST):
-        anew = about_predicted_lines(layout, reduction.orientation, reduction.points, own=own)
+        anew = about_predicted_lines(layout, reduction.orientation, reduction.points, own=own, sweeper=sweeper)
         if anew is layout:
             break
         layout, reduction, own = anew, again(anew), True
     return layout, reduction
 
 
-def exactly(layout: Layout, orientation: Array, points: Array) -> tuple[Layout, Array]:
+def exactly(
+    layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS
+) -> tuple[Layout, Array]:
     """The same, and the points in its order: for a network that is linearised where it was adjusted."""
-    anew = about_predicted_lines(layout, orientation, points)
+    anew = about_predicted_lines(layout, orientation, points, sweeper=sweeper)
     return anew, points if anew is layout else layout.network_order(points)[anew.point_order]

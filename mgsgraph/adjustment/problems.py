@@ -11,7 +11,7 @@ from mgsgraph.adjustment.graph import BundleGraph, explicit_graph
 from mgsgraph.adjustment.graph.bundle import shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.settling import settled_minimum
+from mgsgraph.adjustment.settling import minimum, settled_minimum
 from mgsgraph.adjustment.sparse_cholesky import Factor, NotDefinite
 from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.geometry.records import Array
@@ -29,7 +29,7 @@ class ReducedEquations:
     """
 
     def __init__(self, graph: BundleGraph, reduction: Reduction, kept: "ReducedEquations | None" = None) -> None:
-        self._graph, self._reduction, self._gradient = graph, reduction, graph.gradient(reduction)
+        self._graph, self._reduction, self.gradient = graph, reduction, graph.gradient(reduction)
         self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
         self._factor: Factor | None = None
         self.kept = kept is not None
@@ -44,11 +44,11 @@ class ReducedEquations:
                 self._factor, self._damping = self._graph.factor(self._reduction, damping), damping
             except NotDefinite:
                 return None
-        return self._factor.solve(-self._gradient)
+        return self._factor.solve(-self.gradient)
 
     def slope(self, step: Array) -> float:
         """Minus gradient times step."""
-        return -float(self._gradient @ step)
+        return -float(self.gradient @ step)
 
     def gain(self, step: Array) -> float:
         """Of a step that solves the equations with the damping asked for last: (N + damping) step = -gradient."""
@@ -78,9 +78,14 @@ class FactorEquations:
                 return None
             raise
 
+    @property
+    def gradient(self) -> gtsam.VectorValues:
+        """Of the cost, by key."""
+        return self._linear.gradientAtZero()
+
     def slope(self, step: gtsam.VectorValues) -> float:
         """Minus gradient times step."""
-        return -float(self._linear.gradientAtZero().dot(step))
+        return -float(self.gradient.dot(step))
 
     def gain(self, step: gtsam.VectorValues) -> float:
         """Decrease of the cost that the linear model promises of a step."""
@@ -148,14 +153,17 @@ def solve_bundle(
     known: Reduction | None,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
+    slow: bool = False,
 ) -> tuple[Outcome[Array], Reduction]:
-    """Solve the bundle form from an orientation vector (columns,); the reduction at the optimum comes with it."""
+    """Solve the bundle form from an orientation vector (columns,); the reduction at the optimum comes with it. `slow`
+    says that an earlier pass converged slowly.
+    """
     problem = BundleProblem(graph, known)
     if settings.method == "levenberg-marquardt":
         if graph.layout.network.on_relief:
-            outcome = settled_minimum(problem, start, graph.layout.scales, settings, progress)
+            outcome = settled_minimum(problem, start, settings, progress)
         else:
-            outcome = levenberg_marquardt(problem, start, settings, progress)
+            outcome = minimum(problem, start, settings, progress, slow)
     else:
         found = by_gtsam(graph.graph, graph.values(start), settings, progress, graph.constant_cost)
         state = shared_vector(graph.layout, found.state)

@@ -31,6 +31,8 @@ Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 100
 """When blunders are sought: each takes something out, or back once."""
+_RESTING = 1e-4
+"""Posterior sigmas: where convergence is slow, rays are not laid out anew any more after a first step as short."""
 _MOST_LAYOUTS = 60
 """Times that rays are laid out anew in one pass."""
 
@@ -201,14 +203,16 @@ def _solve_exactly(
     initial, history = solved.cost_initial, solved.history
     for _ in range(_MOST_LAYOUTS):
         own = solved.layout is not layout or settings.reject == 0.0  # a search looks at earlier passes again
-        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, own=own)
+        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, own=own, sweeper=sweeper)
         if anew is solved.layout or not solved.outcome.converged:
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
         points = solved.layout.network_order(solved.points)[anew.point_order]
         selection, graph, known = _start(graph, selection, solved.orientation, points, settings)
-        solved = _solve(graph, selection, solved.orientation, known, settings, progress)
+        solved = _solve(graph, selection, solved.orientation, known, settings, progress, solved.outcome.slow)
         history += solved.history
+        if solved.outcome.slow and solved.history[0].step < _RESTING:  # their lines go on moving by as little
+            break
     else:
         if solved.layout.stereo is not None:
             message = f"Heights above stereo surfaces have not come to rest in {_MOST_LAYOUTS} rounds."
@@ -235,10 +239,13 @@ def _solve(
     known: Reduction | None,
     settings: SolverSettings,
     progress: Progress,
+    slow: bool = False,
 ) -> Solved:
-    """One optimisation in the form that was asked for; `known` is a reduction at its start."""
+    """One optimisation in the form that was asked for; `known` is a reduction at its start, `slow` whether the one
+    before converged slowly.
+    """
     if settings.form == "bundle":
-        outcome, reduction = solve_bundle(graph, orientation, known, settings, progress)
+        outcome, reduction = solve_bundle(graph, orientation, known, settings, progress, slow)
         return _solved(graph, selection, outcome, outcome.state, reduction.points, reduction=reduction)
     points = (known or graph.reduction(orientation, COSTS)).points
     found, vector, points, explicit = solve_explicit(graph, orientation, points, settings, progress)

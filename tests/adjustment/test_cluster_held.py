@@ -109,7 +109,7 @@ def test_places_of_sweeps_that_are_still_wanted(source: Source, layout: Layout) 
     carry_out(Order("a", COSTS, x, number=3, after=2, kept=frozenset({2})))
     assert set(held._partitions["a"].ends) == {2, 3}
     lost, states = carry_out(Order("a", PLACES, x, number=1))  # made again
-    np.testing.assert_allclose(lost, reduce(*source, x).points, atol=1e-6)
+    np.testing.assert_allclose(lost, reduce(*source.system, x).points, atol=1e-6)
     assert states is not None
 
 

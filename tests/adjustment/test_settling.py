@@ -7,7 +7,7 @@ import pytest
 
 from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.settling import accelerated, settled, settled_minimum
+from mgsgraph.adjustment.settling import settled, settled_minimum
 
 
 @dataclass
@@ -65,13 +65,12 @@ def at(problem: Relief, state: np.ndarray) -> Outcome[np.ndarray]:
 def test_steps_that_shrink_slowly_or_grow_are_taken_together(factors: list[float]) -> None:
     """Above a factor of two Gauss-Newton steps alone become longer and longer."""
     problem, start = Relief(factors), 1e-3 * np.ones(len(factors))
-    scales = np.ones(len(factors))
-    found = settled(problem, at(problem, start), scales, SolverSettings(), quiet)
+    found = settled(problem, at(problem, start), SolverSettings(), quiet)
     assert found.converged
     assert np.abs(found.state * np.sqrt(np.diag(problem.hessian))).max() < 3e-6
     assert found.history[-1].step < 1e-6
     assert len(found.history) < 25
-    whole = settled_minimum(problem, 0.3 * np.ones(len(factors)), scales, SolverSettings(), quiet)
+    whole = settled_minimum(problem, 0.3 * np.ones(len(factors)), SolverSettings(), quiet)
     assert whole.converged
     assert np.abs(whole.state * np.sqrt(np.diag(problem.hessian))).max() < 3e-6
     assert [one.number for one in found.history] == list(range(1, len(found.history) + 1))
@@ -87,7 +86,7 @@ def test_steps_that_do_not_settle_are_said() -> None:
 
     problem = Noisy([1.0, 1.0])
     start = 1e-3 * np.ones(2)
-    found = settled(problem, at(problem, start), np.ones(2), SolverSettings(), quiet)
+    found = settled(problem, at(problem, start), SolverSettings(), quiet)
     assert not found.converged
     np.testing.assert_array_equal(found.state, start)
 
@@ -105,12 +104,6 @@ def test_a_saddle_is_not_taken_for_the_minimum() -> None:
             return Equations(np.array([x, y**3 - y]), np.eye(2))
 
     problem, start = Saddle([1.0, 1.0]), np.array([0.01, 0.2])
-    found = settled(problem, at(problem, start), np.ones(2), SolverSettings(), quiet)
+    found = settled(problem, at(problem, start), SolverSettings(), quiet)
     assert not found.converged or abs(found.state[1]) > 0.9
     assert found.cost_final <= problem.cost(start)
-
-
-def test_two_states_are_the_secant_method() -> None:
-    """Of one unknown: the next state is where the line through the last two steps is zero."""
-    states, steps = [np.array([2.0]), np.array([1.0])], [np.array([-0.8]), np.array([-0.3])]
-    np.testing.assert_allclose(accelerated(states, steps, np.ones(1)), [1.0 + 0.3 * (1.0 - 2.0) / (-0.3 + 0.8)])

@@ -1,8 +1,8 @@
 """The worker's side: partitions of an adjustment's points that this process holds, and the sweeps over them.
 
-A partition comes once; after that only what changes: rows that take part, the orientation. Where the
-inner solves of a sweep ended stays here for the next one to begin. What a worker doesn't hold (it was begun anew) it
-answers with nothing, and gets it again.
+A partition comes once; after that only what changes: rows that take part, the loss, the orientation. Its rays are laid
+out about other lines here. Where the inner solves of a sweep ended stays here for the next one to begin. What a worker
+doesn't hold (it was begun anew) it answers with nothing, and gets it again.
 """
 
 import time
@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.leverage import numbers
+from mgsgraph.adjustment.graph.sampled_rays import SampledRays, follow
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RELIABILITY, RESIDUALS, SYSTEM, writable
 
-HOLD, PLACES = -1, -2
-"""Orders beside the kernel's sweeps: take a partition in; return where the points of an earlier sweep ended."""
+HOLD, PLACES, FOLLOW = -1, -2, -3
+"""Orders beside the kernel's sweeps: take a partition in; return where the points of an earlier sweep ended; lay rays
+out about the lines in which points are seen."""
 CHANGING = ("kind", "weight")
 """Fields of `Rows` that change between the passes of an adjustment."""
 NOT_HELD: tuple[()] = ()
@@ -44,6 +46,15 @@ class Source(NamedTuple):
     """Blocks of the pairs of variables that its points depend on."""
     model: Model
     """The measurement model."""
+    rays: SampledRays | None = None
+    """What lays its rays out about other lines; None where that takes more than trajectories."""
+    lines: Array = np.zeros(0)
+    """(k,) lines about which they are laid out."""
+
+    @property
+    def system(self) -> tuple[Rows, Groups, NormalBlocks, Model]:
+        """What a sweep takes."""
+        return self.rows, self.groups, self.target, self.model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +64,19 @@ class Order:
     token: str
     """Of the partition, unlike any other."""
     task: int
-    """COSTS, GRADIENT, SYSTEM, COVARIANCES, RELIABILITY, RESIDUALS, HOLD or PLACES."""
+    """COSTS, GRADIENT, SYSTEM, COVARIANCES, RELIABILITY, RESIDUALS, HOLD, PLACES or FOLLOW."""
     orientation: Array
     """(columns,) m and rad."""
     source: Source | None = None
     """The partition, where the worker may not hold it."""
     changes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Fields of its rows that are new since the last order."""
+    model: Model | None = None
+    """The measurement model, where it is new."""
+    lines: Array | None = None
+    """(k,) lines about which its rays are to be laid out, where these are new."""
+    near: float = 0.0
+    """Lines that rays may be from those in which points are seen (FOLLOW)."""
     number: int = 0
     """Of a reduction: by which its places are asked for later (PLACES)."""
     after: int | None = None
@@ -94,7 +111,7 @@ def carry_out(order: Order) -> Answer:
     tuple
         NOT_HELD, or: COSTS, GRADIENT and SYSTEM: cost of each piece, blocks (SYSTEM) or None, gradient; COVARIANCES:
         (n, 3, 3) m^2; RELIABILITY: (t, 8); RESIDUALS: (t, 2); PLACES: (n, 3) m, and states (n,); HOLD: its number of
-        bytes.
+        bytes; FOLLOW: lines (k,), and how many times rays were laid out.
     """
     held = _find(order)
     if held is None:
@@ -109,13 +126,18 @@ def carry_out(order: Order) -> Answer:
     if order.task == HOLD:
         return (np.array(size_of(constants.rows)),)
     assert points is not None
+    if order.task == FOLLOW:
+        assert constants.rays is not None
+        lines, turns = follow(*constants.system, constants.rays, constants.lines, x, points, order.near)
+        held.source = constants._replace(lines=lines)
+        return lines, np.array(turns)
     if order.task == RESIDUALS:
-        return (all_residuals(*constants, x, points),)
+        return (all_residuals(*constants.system, x, points),)
     assert order.joint is not None
     if order.task == RELIABILITY:
-        return (numbers(*constants, x, order.joint, points)[0],)
+        return (numbers(*constants.system, x, order.joint, points)[0],)
     assert order.task == COVARIANCES
-    return (point_covariances(*constants, x, order.joint, points),)
+    return (point_covariances(*constants.system, x, order.joint, points),)
 
 
 def _find(order: Order) -> _Partition | None:
@@ -124,14 +146,27 @@ def _find(order: Order) -> _Partition | None:
     if order.source is not None:
         for token in [token for token, held in _partitions.items() if now - held.used > _KEPT]:
             _partitions.pop(token, None)
-        _partitions[order.token] = _Partition(Source(*map(_writable_record, order.source)))
+        _partitions[order.token] = _Partition(_writable_record(order.source))
     held = _partitions.get(order.token)
     if held is not None:
         held.used = now
-        if order.changes:
-            new = {name: writable(values) for name, values in order.changes.items()}
-            held.source = held.source._replace(rows=held.source.rows._replace(**new))
+        held.source = _changed(held.source, order)
     return held
+
+
+def _changed(source: Source, order: Order) -> Source:
+    """A partition with what an order says is new."""
+    if order.changes:
+        new = {name: writable(values) for name, values in order.changes.items()}
+        source = source._replace(rows=source.rows._replace(**new))
+    if order.model is not None:
+        source = source._replace(model=order.model)
+    if order.lines is not None:
+        assert source.rays is not None
+        lines = writable(order.lines)
+        source.rays.renew(source.rows.data, lines)
+        source = source._replace(lines=lines)
+    return source
 
 
 def _reduce(held: _Partition, order: Order) -> Answer:
@@ -139,7 +174,7 @@ def _reduce(held: _Partition, order: Order) -> Answer:
     begin = order.points
     if order.after in held.ends:
         begin = held.ends[order.after][0]
-    found = reduce(*held.source, order.orientation, COSTS if order.task == PLACES else order.task, begin)
+    found = reduce(*held.source.system, order.orientation, COSTS if order.task == PLACES else order.task, begin)
     held.ends = {number: end for number, end in held.ends.items() if number in order.kept}
     held.ends[order.number] = found.points, found.states
     return found.piece_cost, found.blocks, found.gradient
@@ -152,10 +187,16 @@ def forget(tokens: list[str]) -> None:
 
 
 def size_of(record: tuple[Any, ...]) -> int:
-    """Bytes of a record's arrays."""
-    return sum(values.nbytes for values in record if isinstance(values, np.ndarray))
+    """Bytes of a record's arrays, and of those of records in it."""
+    return sum(
+        size_of(value) if isinstance(value, tuple) else value.nbytes
+        for value in record
+        if isinstance(value, tuple | np.ndarray)
+    )
 
 
 def _writable_record(record: Any) -> Any:
-    """A record with arrays of its own."""
-    return type(record)(*(writable(value) if isinstance(value, np.ndarray) else value for value in record))
+    """A record with arrays of its own, and so are those in it."""
+    if isinstance(record, np.ndarray):
+        return writable(record)
+    return type(record)(*map(_writable_record, record)) if isinstance(record, tuple) else record

@@ -1,8 +1,9 @@
 """One adjustment over a cluster: its points lie in partitions on the workers, which do every sweep.
 
 Per iteration the orientation goes out, and costs, reduced blocks and gradients come back; places, covariances and
-residuals come when they are asked for. The source of each partition stays here: a worker that has gone loses nothing.
-Sums are made in the order of the partitions, whoever did them, so that a cost is repeatable.
+residuals come when they are asked for. Rays are laid out about other lines where they are, and here: the source of each
+partition stays here, so that a worker that has gone loses nothing. Sums are made in the order of the partitions,
+whoever did them, so that a cost is repeatable.
 """
 
 import itertools
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.cluster.connection import LEAST_MEMORY, Connection, Lost
 from mgsgraph.adjustment.cluster.held import (
     CHANGING,
+    FOLLOW,
     HOLD,
     PLACES,
     Answer,
@@ -32,12 +34,14 @@ from mgsgraph.adjustment.cluster.held import (
     size_of,
 )
 from mgsgraph.adjustment.cluster.workers import GIGA
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS
 from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.graph.sampled_rays import SampledRays
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import Groups, NormalBlocks, Rows, partition
+from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
 from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RELIABILITY, RESIDUALS, even_parts
 
 _COPIES = 2.0
@@ -66,6 +70,10 @@ class _Part:
     pieces: slice
     points: slice
     observations: slice
+    rays: SampledRays | None
+    """What lays its rays out anew; None where that takes more than trajectories."""
+    ray: Index
+    """(k,) network ray of each of them."""
     blocks: Index
     """Where its blocks are among the whole's."""
     target: NormalBlocks
@@ -76,6 +84,10 @@ class _Part:
     """Address of the worker that has it, or is to have it."""
     sent: tuple[NDArray[Any], ...] | None = None
     """The whole's CHANGING as its owner knows them; None while it doesn't hold the partition."""
+    model: Model | None = None
+    """The measurement model as its owner knows it."""
+    lines: Array | None = None
+    """The whole's lines about which its owner has laid its rays out."""
     deaths: int = 0
     """Workers that have gone since its last answer."""
 
@@ -158,14 +170,16 @@ class Partitions:
         cluster.require_memory(LEAST_MEMORY + each * largest.need, what, _REMEDY)
 
     def _take(self, layout: Layout) -> None:
-        """Go on with a layout made of the same network: one whose rays are laid out anew, or that has another loss, has
-        partitions of its own.
+        """Go on with a layout made of the same network. One with other patterns or stereo rows has partitions of its
+        own, and so has one with other lines where workers can't lay rays out.
         """
         now = self._layout
-        same = all(getattr(layout, name) is getattr(now, name) for name in ("patterns", "lines", "stereo"))
-        if not same or layout.model != now.model:
-            self._cluster.call_all(forget, [part.token for part in self._parts])
-            self._divide(layout)
+        same = layout.patterns is now.patterns and layout.stereo is now.stereo
+        if same and (layout.lines is now.lines or layout.rays.all_sampled):
+            self._layout = layout
+            return
+        self._cluster.call_all(forget, [part.token for part in self._parts])
+        self._divide(layout)
 
     def __enter__(self) -> "Partitions":
         self._sweep(self._layout.rows, lambda part: Order(part.token, HOLD, np.empty(0)))
@@ -223,6 +237,26 @@ class Partitions:
 
         return joined(self._sweep(rows, order), 0)
 
+    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
+        """Rays about the lines predicted for points (n, 3): found, and laid out, where the points are."""
+        self._take(layout)
+        if not layout.rays.all_sampled:
+            return IN_PROCESS.about_lines(layout, orientation, points, near, own)
+
+        def order(part: _Part) -> Order:
+            return Order(part.token, FOLLOW, orientation, points=points[part.points], near=near)
+
+        answers = self._sweep(layout.rows, order)
+        if not any(int(turns) for _, turns in answers if turns is not None):
+            return layout
+        lines = layout.lines.copy()
+        for part, (mine, _) in zip(self._parts, answers, strict=True):
+            lines[part.ray] = mine
+        self._layout = layout.about(lines, orientation, own)
+        for part in self._parts:
+            part.lines = lines
+        return self._layout
+
     # --- what a PartedReduction asks for
 
     def places(self, reduction: PartedReduction) -> tuple[Array, NDArray[np.int8]]:
@@ -262,22 +296,25 @@ class Partitions:
                 part.deaths = part.deaths + 1 if answer is None else 0
                 self._require_sense(part, answer)
                 part.sent = now if answer else None
+                part.model, part.lines = self._layout.model, self._layout.lines
                 if answer and not isinstance(answer, Lost):
                     answers[k] = answer
         return [answers[k] for k in range(len(self._parts))]
 
     def _complete(self, order: Order, part: _Part, rows: Rows, now: tuple[NDArray[Any], ...]) -> Order:
         """An order with what the owner lacks."""
+        groups, model, lines = self._layout.groups, self._layout.model, self._layout.lines
         if part.sent is None:
-            groups, model = self._layout.groups, self._layout.model
-            mine = partition(rows, part.pieces.start, part.pieces.stop)
-            return replace(order, source=Source(mine, groups, part.target, model))
-        if all(new is old for new, old in zip(now, part.sent, strict=True)):
-            return order
-        weights = slice(None), part.observations
-        own: dict[str, Any] = {"kind": part.points, "weight": weights}
+            mine = partition(rows._replace(data=self._layout.rows.data), part.pieces.start, part.pieces.stop)
+            return replace(order, source=Source(mine, groups, part.target, model, part.rays, lines[part.ray]))
         news = zip(CHANGING, now, part.sent, strict=True)
-        return replace(order, changes={name: new[own[name]] for name, new, old in news if new is not old})
+        own: dict[str, Any] = {"kind": part.points, "weight": (slice(None), part.observations)}
+        return replace(
+            order,
+            changes={name: new[own[name]] for name, new, old in news if new is not old},
+            model=None if model == part.model else model,
+            lines=None if lines is part.lines else lines[part.ray],
+        )
 
     def _require_sense(self, part: _Part, answer: Answer | Lost | None) -> None:
         """Raise SolverError where there is no sense in asking again."""
@@ -327,15 +364,19 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     observation = int(rows.piece[first, 4])
     own = (mine.kind, mine.start, mine.data, mine.weight)
     used = np.unique(rows.pattern_group[mine.piece[:, 0]])
+    sampled = layout.rays.sampled if layout.rays.all_sampled else None
+    rays, ray = (None, np.zeros(0, dtype=np.int64)) if sampled is None else sampled.part(first, last)
     blocks, target = blocks_of_partition(layout.groups, layout.blocks.target, used)
     return _Part(
         uuid.uuid4().hex,
         slice(first, last),
         slice(point, point + mine.kind.size),
         slice(observation, observation + mine.weight.shape[1]),
+        rays,
+        ray,
         blocks,
         target,
-        size_of(own) + common,
+        size_of(own) + size_of((rays, ray)) + common,
     )
 
 

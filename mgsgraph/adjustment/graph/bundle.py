@@ -12,6 +12,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph.bundle_factors import Bundles
+from mgsgraph.adjustment.graph.following import about_followed_lines
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.leverage import numbers
 from mgsgraph.adjustment.graph.patterns import group_blocks
@@ -97,6 +98,10 @@ class Sweeper(Protocol):
         """(t, 8), see `leverage.numbers`."""
         ...
 
+    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
+        """Rays about the lines predicted for points (n, 3), see `following.about_followed_lines`."""
+        ...
+
 
 class InProcess:
     """Sweeps by this process's threads."""
@@ -119,6 +124,10 @@ class InProcess:
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Residuals (t, 8) of all observations beside their leverage."""
         return numbers(rows, layout.groups, layout.blocks.target, layout.model, orientation, joint, points)[0]
+
+    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
+        """Rays about the lines predicted for points (n, 3)."""
+        return about_followed_lines(layout, orientation, points, near, own)
 
 
 IN_PROCESS = InProcess()

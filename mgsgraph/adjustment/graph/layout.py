@@ -236,7 +236,8 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     known = None if model.line == MEASURED else places
     bent = np.zeros(variables.sigmas.size)
     storage = Storage.within(settings.memory_gb)
-    return _lay_out(network, model, variables, known, network.rays.places[:, 0], None, stereo, bent, storage)
+    measured = np.array(network.rays.places[:, 0])
+    return _lay_out(network, model, variables, known, measured, None, stereo, bent, storage)
 
 
 def _lay_out(

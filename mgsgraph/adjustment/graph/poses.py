@@ -25,6 +25,12 @@ class AttitudeTables(NamedTuple):
     constants: Array
     """(m, 3, 3) sampled frame to the frame that is wanted."""
 
+    def chosen(self, images: Index) -> "AttitudeTables":
+        """Tables of some images, in the order given."""
+        first, rows = _runs(self.first, images)
+        tables = self.times[rows], self.quaternions[rows], self.turns[rows]
+        return AttitudeTables(first, *tables, self.constants[images])
+
 
 class PoseTables(NamedTuple):
     """Sampled trajectories and line timing of m images, one after another."""
@@ -51,6 +57,17 @@ class PoseTables(NamedTuple):
     """Inertial to camera frame."""
     body: AttitudeTables
     """Inertial to body-fixed frame."""
+
+    def chosen(self, images: Index) -> "PoseTables":
+        """Tables of some images, in the order given."""
+        timing_first, lines = _runs(self.timing_first, images)
+        position_first, places = _runs(self.position_first, images)
+        return PoseTables(
+            self.sampled[images],
+            timing_first, self.lines[lines], self.starts[lines], self.periods[lines],
+            position_first, self.times[places], self.positions[places], self.velocities[places],
+            self.camera.chosen(images), self.body.chosen(images),
+        )  # fmt: skip
 
 
 def pose_tables(images: Sequence[PushbroomImage], wanted: Mask) -> PoseTables:
@@ -82,9 +99,16 @@ def _sampled(image: PushbroomImage) -> Trajectory | None:
     return found if isinstance(found, Trajectory) else None
 
 
-def _first(sizes: Sequence[int]) -> Index:
+def _first(sizes: Sequence[int] | Index) -> Index:
     """Where each of several runs of these sizes begins, and where the last one ends."""
     return np.concatenate([[0], np.cumsum(np.array(sizes, dtype=np.int64))]).astype(np.int64)
+
+
+def _runs(first: Index, chosen: Index) -> tuple[Index, Index]:
+    """Runs that are chosen, one after another: where each begins, and which rows they are."""
+    sizes = first[chosen + 1] - first[chosen]
+    begins = _first(sizes)
+    return begins, np.arange(begins[-1]) + np.repeat(first[chosen] - begins[:-1], sizes)
 
 
 def _attitudes(tables: Sequence[AttitudeTable | None]) -> AttitudeTables:

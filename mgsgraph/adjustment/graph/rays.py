@@ -3,9 +3,8 @@ lines about which they are laid out change.
 """
 
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -16,51 +15,18 @@ from mgsgraph.adjustment.graph.filling import (
     places_of_rays,
     put_detectors,
     put_poses,
-    put_sampled,
     put_scale,
-    rays_inside,
 )
 from mgsgraph.adjustment.graph.patterns import Patterns
-from mgsgraph.adjustment.graph.poses import PoseTables, pose_tables
+from mgsgraph.adjustment.graph.poses import pose_tables
+from mgsgraph.adjustment.graph.sampled_rays import NO_UNITS, RayPlaces, SampledRays, Share
 from mgsgraph.adjustment.graph.scales import angle_rates, frozen_scale, peer_scale
 from mgsgraph.adjustment.graph.shared import SharedEffects
 from mgsgraph.adjustment.graph.variables import Terms, Variables
-from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PEER, PREDICTED, Model
 from mgsgraph.network import Network
-
-_SHARE = 1 << 16
-"""Observations that a thread takes at a time."""
-_NO_UNITS = np.empty((0, 3))
-
-
-class _Share(NamedTuple):
-    """The r rays of some neighbouring pieces, in the order of their observations."""
-
-    first: int
-    """Piece."""
-    last: int
-    """Piece after the last one."""
-    ray: NDArray[np.int32]
-    """(r,) network ray."""
-    at: Index
-    """(r,) where its constants begin in the data."""
-    stride: Index
-    """(r,) step to the next one."""
-    place: Index
-    """(r,) among all observations."""
-    image: Index
-    """(r,) whose it is."""
-
-    def groups(self, number: Index, among: Mask | None = None) -> Iterator[tuple[int, Index]]:
-        """Which rays, of some of them (r,), have the same `number` (r,)."""
-        mine = np.arange(self.ray.size) if among is None else np.flatnonzero(among)
-        order = mine[np.argsort(number[mine], kind="stable")]
-        edges = np.flatnonzero(np.diff(number[order], prepend=-1, append=-1)).tolist()
-        for a, b in pairwise(edges):
-            yield int(number[order[a]]), order[a:b]
 
 
 class Crossing(NamedTuple):
@@ -93,17 +59,16 @@ class RayConstants:
         self, network: Network, model: Model, variables: Variables, patterns: Patterns, slot: NDArray[np.int32],
         piece: Index, before: Index,
     ) -> None:  # fmt: skip
-        self._network, self._model, self._patterns = network, model, patterns
-        self._variables, self._piece, self._before = variables, piece, before
+        self._network, self._model, self._patterns, self._variables = network, model, patterns, variables
         self.effects = SharedEffects(network, model)
         rays = np.concatenate([[0], np.cumsum(patterns.kind == IMAGE)])
-        self._rays = np.diff(rays[patterns.first])
         begins = np.append(piece[:, 4], int(piece[:, 2] @ np.diff(patterns.first)[piece[:, 0]]))
-        self._begins = begins
         piece_of = np.repeat(np.arange(piece.shape[0], dtype=np.int32), piece[:, 2])
-        self.among, self._ray = np.empty(slot.size, dtype=np.int32), np.empty(begins[-1], dtype=np.int32)
+        self.among, ray = np.empty(slot.size, dtype=np.int32), np.empty(begins[-1], dtype=np.int32)
         """(k,) place of each ray among all observations; int32, for there are many."""
-        places_of_rays(network.rays.point, slot, patterns.point_index, piece_of, piece, self.among, self._ray)
+        places_of_rays(network.rays.point, slot, patterns.point_index, piece_of, piece, self.among, ray)
+        counts = np.diff(rays[patterns.first])
+        self._places = RayPlaces(piece, begins, patterns.first, before, counts, patterns.image, ray)
 
     def fill(self, data: Array, weight: Array, terms: Terms, bent: Array, crossing: Crossing | None) -> None:
         """Constants (but for the scale of the measured-line form, `fill_scales`) and weights of all rays, and where
@@ -111,17 +76,16 @@ class RayConstants:
         """
         values, self._nodes = self._variables.split(bent), terms.of_rays if self._network.passes else None
 
-        def part(share: _Share) -> None:
+        def part(share: Share) -> None:
             self._put_detectors(share, data, weight)
-            units = _NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
+            units = NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
             self._put_poses(share, data, terms, values, units, True)
             if crossing is not None:
-                crossings(
-                    share.first, share.last, self._piece, self._before, self._rays, self._patterns.point_order, data,
-                    units, *crossing,
-                )  # fmt: skip
+                piece, before, rays = self._places.piece, self._places.before, self._places.rays
+                ways = piece, before, rays, self._patterns.point_order
+                crossings(share.first, share.last, *ways, data, units, *crossing)
 
-        self._each(part)
+        self._places.each(part)
 
     def renewable(self, terms: Terms) -> bool:
         """Whether rays about other lines depend on the same nodes as those that were laid out."""
@@ -130,13 +94,13 @@ class RayConstants:
     def renew(self, data: Array, terms: Terms, bent: Array) -> None:
         """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
         values = self._variables.split(bent)
-        self._each(lambda share: self._put_poses(share, data, terms, values, _NO_UNITS, False))
+        self._places.each(lambda share: self._put_poses(share, data, terms, values, NO_UNITS, False))
 
     def fill_scales(self, data: Array, starts: Array) -> None:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
         rays, first = self._network.rays, 5 + (4 if self._model.angles == CAMERA else 3)
 
-        def part(share: _Share) -> None:
+        def part(share: Share) -> None:
             for j, mine in share.groups(share.image):
                 image, axes, k = self._network.images[j], self._axes[j], share.ray[mine]
                 focal_length = image.interior.focal_length
@@ -145,23 +109,7 @@ class RayConstants:
                 scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
                 put_scale(mine, share.at, share.stride, first, scale.reshape(-1, 4), data)
 
-        self._each(part)
-
-    def _each(self, work: Callable[[_Share], None]) -> None:
-        """Do some work on all shares, shared by threads."""
-        total = int(self._begins[-1])
-        edges = np.unique(np.searchsorted(self._begins, [*range(0, total, _SHARE), total])).tolist()
-        in_threads(lambda ends: work(self._share(*ends)), list(pairwise(edges)))
-
-    def _share(self, first: int, last: int) -> _Share:
-        most, patterns = int(self._begins[last] - self._begins[first]), self._patterns
-        ray = np.empty(most, dtype=np.int32)
-        at, stride, place, image = (np.empty(most, dtype=np.int64) for _ in range(4))
-        count = rays_inside(
-            first, last, self._piece, self._before, patterns.first, self._rays, patterns.image, self._ray, ray, at,
-            stride, place, image,
-        )  # fmt: skip
-        return _Share(first, last, ray[:count], at[:count], stride[:count], place[:count], image[:count])
+        self._places.each(part)
 
     @cached_property
     def _axes(self) -> list[Array | None]:
@@ -174,14 +122,20 @@ class RayConstants:
         return found
 
     @cached_property
-    def _tables(self) -> tuple[PoseTables, Array, Array, Mask]:
-        """Of each image: pose, focal length, lines, and whether u is stored; poses of those that need no more."""
+    def sampled(self) -> SampledRays:
+        """Rays of images whose poses need no more than their trajectories' tables; others are passed over."""
         network, strict = self._network, self._model.line == PREDICTED and self._model.angles == CAMERA
         plain = strict & (network.pass_of < 0)
         plain[[j for j in np.flatnonzero(plain).tolist() if self.effects.acts_on_rays(j)]] = False
         focal = np.array([image.interior.focal_length for image in network.images])
         size = np.array([image.lines for image in network.images], dtype=np.float64)
-        return pose_tables(network.images, plain), focal, size, np.asarray(network.with_polynomial)
+        tables, polynomial = pose_tables(network.images, plain), np.array(network.with_polynomial)
+        return SampledRays(self._places, tables, focal, size, polynomial, np.asarray(network.rays.places))
+
+    @property
+    def all_sampled(self) -> bool:
+        """Whether these are all rays."""
+        return bool(np.all(self.sampled.tables.sampled))
 
     @cached_property
     def _optics(self) -> Index:
@@ -192,7 +146,7 @@ class RayConstants:
         )
         return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
 
-    def _put_detectors(self, share: _Share, data: Array, weight: Array) -> None:
+    def _put_detectors(self, share: Share, data: Array, weight: Array) -> None:
         rays, strict = self._network.rays, self._model.line == PREDICTED
         first = 3 + (4 if self._model.angles == CAMERA else 3)
         for _, mine in share.groups(self._optics[share.image]):
@@ -205,19 +159,14 @@ class RayConstants:
             )
 
     def _put_poses(
-        self, share: _Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
+        self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
     ) -> None:
-        tables, focal, size, polynomial = self._tables
-        rays = self._network.rays
-        put_sampled(
-            share.ray, share.at, share.stride, share.image, tables, focal, size, polynomial, rays.places, terms.lines,
-            data, units,
-        )  # fmt: skip
-        for j, mine in share.groups(share.image, ~tables.sampled[share.image]):
+        self.sampled.put(share, data, terms.lines, units)
+        for j, mine in share.groups(share.image, ~self.sampled.tables.sampled[share.image]):
             self._put_image(j, mine, share, data, terms, values, units, whole)
 
     def _put_image(
-        self, j: int, mine: Index, share: _Share, data: Array, terms: Terms, values: Sequence[Array], units: Array,
+        self, j: int, mine: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array,
         whole: bool,
     ) -> None:  # fmt: skip
         """Poses of the rays `mine` of an image that needs more than its tables."""
