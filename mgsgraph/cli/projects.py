@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences, print_solution
+from mgsgraph.cli.options import DEVICE, NO_FIGURES, PATH, print_sentences, print_solution
 
 if TYPE_CHECKING:
+    from mgsgraph.adjustment.settings import Device
     from mgsgraph.incremental.closing import Closing
     from mgsgraph.incremental.impact import Impact
     from mgsgraph.project.addition import Addition
@@ -173,9 +174,10 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 @click.command()
 @click.argument("project", type=PATH)
 @NO_FIGURES
+@DEVICE
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
-def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) -> None:
+def solve(ctx: click.Context, project: Path, no_figures: bool, device: "Device | None", verbose: bool) -> None:
     """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
 
     Exit status: 0 converged, 1 not converged or to what is no result (results are written), 2 bad input (nothing has
@@ -190,7 +192,7 @@ def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) ->
         open_project(project, write=True, thorough=True) as opened,
         iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
-        solved = solve_all(opened, figures=not no_figures, progress=bar)
+        solved = solve_all(opened, not no_figures, bar, device)
     print_solution(solved.solution)
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence()}")

@@ -1,20 +1,21 @@
-"""Which device sweeps: whether there is a GPU, whether it is worth using, and what it can hold.
+"""Which device sweeps: whether there is a GPU, whether it is worth using, and who goes over the points then.
 
-Nothing here imports numba-cuda before it is asked for.
+Nothing here imports numba-cuda before a GPU is asked for.
 """
 
-import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any, Literal, get_args
 
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 
-Device = Literal["cpu", "cuda", "auto"]
-DEVICES = get_args(Device)
-
 WHERE = "solver, device"
-INSTALL = 'install it with pip install "mgsgraph[cuda]", or take device = "cpu"'
+_WAYS = (("form", "bundle"), ("method", "levenberg-marquardt"))
+"""Ways to solve in which sweeps are what takes the time."""
+_INSTALL = 'install it with pip install "mgsgraph[cuda]", or take device = "cpu"'
 _SLOW = 4
 """Times that float32 is faster from which float64 is a sideline: 2 on what is made for computing, 32 or 64 on what is
 made for pictures."""
@@ -42,7 +43,7 @@ class Gpu:
 
 
 def find_gpu() -> Gpu:
-    """The GPU that numba-cuda finds first.
+    """The GPU that numba-cuda finds first; numba's simulator where it stands in for one.
 
     Raises
     ------
@@ -50,43 +51,54 @@ def find_gpu() -> Gpu:
         numba-cuda isn't installed; there is no driver, or no GPU.
     """
     if find_spec("numba_cuda") is None:
-        raise InputError(WHERE, "'cuda', but numba-cuda is not installed", "", INSTALL)
+        raise InputError(WHERE, "'cuda', but numba-cuda is not installed", remedy=_INSTALL)
+    from numba import cuda
+
     from mgsgraph.kernel.cuda.device import SIMULATED
 
     if SIMULATED:
         return Gpu("numba's simulator", float("inf"), 1)
-    from numba import cuda
-
     if not cuda.is_available():
-        found = "'cuda', but there is no GPU that its driver answers for"
-        why = str(cuda.cuda_error() or "").strip().splitlines()
-        raise InputError(WHERE, found + (f" ({why[0]})" if why else ""), "", "install NVIDIA's driver, or take 'cpu'")
-    return _described(cuda)
-
-
-def _described(cuda: Any) -> Gpu:
-    device = cuda.get_current_device()
+        said = str(cuda.cuda_error() or "").strip().splitlines()
+        why = f" ({' '.join(said)})" if said else ""
+        raise InputError(WHERE, f"'cuda', but there is no GPU{why}", remedy="install its driver, or take 'cpu'")
+    device, free = cuda.get_current_device(), float(cuda.current_context().get_memory_info().free)
     name = device.name.decode() if isinstance(device.name, bytes) else str(device.name)
-    free = float(cuda.current_context().get_memory_info().free)
     return Gpu(name, free, int(getattr(device, "SINGLE_TO_DOUBLE_PRECISION_PERF_RATIO", 2)))
 
 
-def chosen(device: Device, observations: int) -> Gpu | None:
-    """The GPU that sweeps so many observations, or None for the CPU; of "auto" the GPU where there is one with a float64
-    rate worth using, and enough to do.
+def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
+    """Who goes over a layout's points without a cluster: this process, or a GPU; of "auto" a GPU where there is one
+    with a float64 rate worth using, and enough to do.
 
     Raises
     ------
     InputError
-        `find_gpu`, of "cuda".
+        A GPU that is asked for and can't be used (`find_gpu`), has too little memory, or can't carry out what the
+        settings say.
     """
-    if device == "cpu" or (device == "auto" and observations < _WORTHWHILE):
-        return None
+    observations, asked = layout.rows.weight.shape[1], settings.device == "cuda"
+    other = next((name for name, value in _WAYS if getattr(settings, name) != value), None)
+    if settings.device == "cpu" or not (asked or (observations >= _WORTHWHILE and other is None)):
+        return IN_PROCESS
+    if other is not None:
+        found, expected = f"'cuda' for {other} {getattr(settings, other)!r}", f"{other} {dict(_WAYS)[other]!r} on a GPU"
+        raise InputError(WHERE, found, expected, "take that, or device = 'cpu'")
     try:
-        found = find_gpu()
+        gpu = find_gpu()
     except InputError:
-        if device == "cuda":
+        if asked:
             raise
-        return None
-    simulated = os.environ.get("NUMBA_ENABLE_CUDASIM") == "1"
-    return None if device == "auto" and (found.remark or simulated) else found
+        return IN_PROCESS
+    if gpu.remark and not asked:
+        return IN_PROCESS
+    from mgsgraph.adjustment.gpu.sweeper import GpuSweeper
+
+    return GpuSweeper(gpu, layout, settings.deterministic)
+
+
+def remarks_of(sweeper: Sweeper) -> Iterator[str]:
+    """What a user should know of who went over the points; nothing where this process, or a cluster, did."""
+    remark = getattr(sweeper, "remark", "")
+    if remark:
+        yield remark

@@ -3,7 +3,6 @@
 What its memory doesn't hold at once is swept in partitions, which go there anew at every sweep.
 """
 
-import sys
 from itertools import pairwise
 from typing import Any
 
@@ -11,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky
-from mgsgraph.adjustment.gpu.devices import INSTALL, WHERE, Gpu
+from mgsgraph.adjustment.gpu.devices import WHERE, Gpu
 from mgsgraph.adjustment.graph.bundle import Solving, sparse_factor
+from mgsgraph.adjustment.graph.following import about_followed_lines
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.leverage import of_rows
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.cuda.device import SIMULATED
 from mgsgraph.kernel.cuda.partition import Partition, Workspace, bytes_of_pieces, room, to_device, to_host, zeros
 from mgsgraph.kernel.reduction import Reduction
@@ -98,7 +98,7 @@ class GpuSweeper:
         """What a user should know of how the device was used."""
         said = f"Swept by the GPU ({self._gpu.name})"
         if not self._held:
-            said += f", whose {self._gpu.memory / _GIGA:.2f} GB hold the points in {len(self._parts)} partitions by turns"
+            said += f", in {len(self._parts)} partitions that take turns in its {self._gpu.memory / _GIGA:.2f} GB"
         return " ".join(part for part in (f"{said}.", self._gpu.remark) if part)
 
     def _divide(self, layout: Layout) -> None:
@@ -107,32 +107,29 @@ class GpuSweeper:
         for part in self._parts:
             part.let_go()
         edges, self._held = divided(layout.rows, _SHARE * self._gpu.memory)
-        owns = layout.groups, layout.blocks.target, layout.model
-        self._parts = [
-            Partition(partition(layout.rows, first, last), *owns, self._deterministic) for first, last in pairwise(edges)
-        ]
-        self._edges = layout.rows.piece[:, [1, 4]][edges[:-1]].tolist()
-        self._edges.append([layout.rows.kind.size, layout.rows.weight.shape[1]])
+        common = layout.groups, layout.blocks.target, layout.model, self._deterministic
+        self._parts = [Partition(partition(layout.rows, first, last), *common) for first, last in pairwise(edges)]
         self._pieces = edges
+        self._points = [*layout.rows.piece[edges[:-1], 1].tolist(), layout.rows.kind.size]
         self._work = Workspace(max((part.work for part in self._parts), default=0))
 
     def _take(self, layout: Layout, rows: Rows) -> None:
         """Go on with a layout made of the same network, and rows that differ in what takes part."""
         now = self._layout
-        same = all(getattr(layout, name) is getattr(now, name) for name in ("patterns", "lines", "stereo", "bent"))
-        if not same or layout.model != now.model:
+        if layout.patterns is not now.patterns or layout.model != now.model:
             self._divide(layout)
-        if rows.kind is not self._rows.kind or rows.weight is not self._rows.weight:
+        laid = all(getattr(layout, name) is getattr(now, name) for name in ("lines", "stereo", "bent"))
+        if not laid or rows.kind is not self._rows.kind or rows.weight is not self._rows.weight:
             for part, (first, last) in zip(self._parts, pairwise(self._pieces), strict=True):
-                part.renew(partition(rows, first, last))
+                part.renew(partition(rows, first, last), constants=not laid)
         self._layout, self._rows = layout, rows
 
     def _each(self) -> Any:
         """Partitions and where their points and observations are among the whole's; of those that the memory can't hold
         at once each goes when the next one comes.
         """
-        for part, (first, _), (last, _) in zip(self._parts, self._edges, self._edges[1:], strict=True):
-            yield part, slice(first, last)
+        for part, ends in zip(self._parts, pairwise(self._points), strict=True):
+            yield part, slice(*ends)
             if not self._held:
                 part.let_go()
 
@@ -177,8 +174,16 @@ class GpuSweeper:
         """Residuals (t, 8) of all observations beside their leverage."""
         self._take(layout, rows)
         x, shared, places = to_device(orientation), to_device(joint), to_device(points)
-        found = [of_rows(part.reliability(self._work, x, shared, places[mine])) for part, mine in self._each()]
-        return np.concatenate([np.zeros((0, 8)), *found])
+        found, begin = np.empty((rows.weight.shape[1], 8)), 0
+        for part, mine in self._each():
+            end = begin + part.observations
+            of_rows(part.reliability(self._work, x, shared, places[mine]), found[begin:end])
+            begin = end
+        return found
+
+    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
+        """Rays about the lines predicted for points (n, 3): by the host, whose tables of poses they come from."""
+        return about_followed_lines(layout, orientation, points, near, own)
 
     def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Solving:
         """Factor of the damped equations: dense on the device, where these are few, else sparse on the host.
@@ -194,3 +199,29 @@ class GpuSweeper:
 
             self._dense = DenseCholesky(layout, cupy, cupyx.scipy.linalg)
         return self._dense.factor(reduction.blocks_on_device, damping)
+
+
+def divided(rows: Rows, memory: float) -> tuple[list[int], bool]:
+    """(p + 1,) pieces at which a layout's points are divided so that a device with so many bytes can sweep them, and
+    whether it can hold all of them at once.
+
+    Raises
+    ------
+    InputError
+        Where it can't sweep a single piece.
+    """
+    held, work = bytes_of_pieces(rows)
+    left = memory - _PER_POINT * rows.kind.size
+    room_for_work = min(left - held.sum(), _MOST_WORK)
+    together = bool(room_for_work >= work.max(initial=0))
+    each = work if together else held + work
+    limit = room_for_work if together else left
+    if each.max(initial=0) > limit:
+        found = f"a GPU with {memory / _GIGA:.3f} GB to use"
+        needed = f"{(each.max() + memory - left) / _GIGA:.3f} GB for {rows.kind.size} points"
+        raise InputError(WHERE, found, needed, "take device = 'cpu', or a GPU with more memory")
+    ends, edges = np.cumsum(each), [0]
+    while edges[-1] < each.size:
+        before = ends[edges[-1] - 1] if edges[-1] else 0
+        edges.append(int(np.searchsorted(ends, before + limit, side="right")))
+    return edges, together

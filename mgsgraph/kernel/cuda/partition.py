@@ -115,13 +115,12 @@ class Partition:
         each = points_work(self.points, self.pieces) + self._coupling
         return each + max(9 * self.points, 3 * OF_ROW * self.observations)
 
-    def renew(self, rows: Rows) -> None:
-        """Take other points and observations in, or leave them out: rows that differ in `kind` and `weight` alone."""
-        now, self._rows = self._rows, rows
+    def renew(self, rows: Rows, constants: bool) -> None:
+        """Go on with rows of the same observations: others that take part, and, where it is so, other constants."""
+        self._rows = rows
         if self._arrays is not None:
-            kind = self._arrays.kind if rows.kind is now.kind else to_device(rows.kind)
-            weight = self._arrays.weight if rows.weight is now.weight else to_device(rows.weight)
-            self._arrays = self._arrays._replace(kind=kind, weight=weight)
+            names = ("kind", "weight", "data", "start") if constants else ("kind", "weight")
+            self._arrays = self._arrays._replace(**{name: to_device(getattr(rows, name)) for name in names})
 
     def hold(self) -> _Arrays:
         """Its arrays, sent to the device unless they are there."""
