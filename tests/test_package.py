@@ -81,6 +81,8 @@ ONLY_IN = {
     "requests": ("mgsgraph.fetch",),
     "urllib3": ("mgsgraph.fetch",),
     "sqlite3": ("mgsgraph.project",),
+    "cupy": ("mgsgraph.adjustment.gpu",),
+    "cupyx": ("mgsgraph.adjustment.gpu",),
     "dask": ("mgsgraph.adjustment.cluster",),
     "distributed": ("mgsgraph.adjustment.cluster",),
 }

@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.datum.datum import require_strength
-from mgsgraph.adjustment.gpu.devices import remarks_of, sweeper_of
+from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values

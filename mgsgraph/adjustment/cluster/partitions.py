@@ -61,6 +61,8 @@ def require_bundles(settings: SolverSettings, where: str) -> None:
         if found != expected:
             found, remedy = f"solver, {name} {found!r}", "take that, or leave the cluster out"
             raise InputError(where, found, f"{expected!r} on a cluster", remedy)
+    if settings.device == "cuda":
+        raise InputError(where, "solver, device 'cuda'", "'cpu' on a cluster", "take one of both")
 
 
 @dataclass(slots=True, eq=False)

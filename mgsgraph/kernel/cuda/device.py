@@ -8,8 +8,11 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import cuda
 from numba.core import config
+
+if not hasattr(np, "row_stack"):  # gone from NumPy 2.5; numba-cuda 0.30 asks for it when it is imported
+    vars(np)["row_stack"] = np.vstack
+from numba import cuda
 
 from mgsgraph.compiled import make_equations_compilable, sources_of
 
@@ -18,8 +21,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _config: Any = config
 SIMULATED = bool(_config.ENABLE_CUDASIM)
 """Whether the simulator stands in for a device."""
-THREADS = 16 if SIMULATED else 128
-"""Threads of a block. Each of the simulator's is a thread of Python."""
+THREADS = 12 if SIMULATED else 128
+"""Threads of a block, at least the nine of `summing`. Each of the simulator's is a thread of Python."""
 _config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # the last launch of a small network is small
 
 
@@ -60,3 +63,22 @@ def kernel(function: Function) -> Any:
         # compared before anything is unpickled
         launched._cache._cache_file._version += sources_of(function, "mgsgraph.kernel")
     return launched
+
+
+def why_not() -> str:
+    """Why there is no device; empty where there is one, or the simulator stands in for it."""
+    if SIMULATED or cuda.is_available():
+        return ""
+    said = " ".join(str(cuda.cuda_error() or "").split())
+    return f"there is no GPU ({said})" if said else "there is no GPU"
+
+
+def describe() -> tuple[str, float, int]:
+    """Name of the device that numba finds first, bytes of its memory that are free, and how many times faster its
+    float32 is than its float64.
+    """
+    if SIMULATED:
+        return "numba's simulator", math.inf, 1
+    device, free = cuda.get_current_device(), float(cuda.current_context().get_memory_info().free)
+    name = device.name.decode() if isinstance(device.name, bytes) else str(device.name)
+    return name, free, int(getattr(device, "SINGLE_TO_DOUBLE_PRECISION_PERF_RATIO", 2))
