@@ -182,10 +182,10 @@ def _behind() -> dict[str, float]:
 def _adjusted(memory: float = float("inf"), **chosen: Any) -> dict[str, float]:
     """Whole adjustments, on a device with so much memory."""
     from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.adjustment.gpu import devices
+    from mgsgraph.adjustment.gpu import choice, devices
     from mgsgraph.adjustment.settings import SolverSettings
 
-    devices.find_gpu = lambda: devices.Gpu("a simulated one", memory, 1)
+    choice.find_gpu = lambda: devices.Gpu("a simulated one", memory, 1)
     net, settings = _everything(), SolverSettings(starts=0, **chosen)
     cpu, gpu = (adjust_network(net, replace(settings, device=device)) for device in ("cpu", "cuda"))
     spread = np.sqrt(np.nanmax(np.diagonal(cpu.covariances, axis1=1, axis2=2)))

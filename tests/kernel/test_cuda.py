@@ -1,5 +1,9 @@
 """The GPU's kernels: run by numba's CUDA simulator, the same answers as the CPU's; compiled, code without spills."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import simulated_gpu
 
@@ -25,3 +29,14 @@ def test_the_simulated_device_gives_the_cpus_answers(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in simulated_gpu.CASES if name not in simulated_gpu.QUICK])
 def test_the_simulated_device_gives_the_cpus_answers_whatever_the_network(name: str) -> None:
     assert_near(simulated_gpu.differences(name)[name])
+
+
+def test_the_compiler_takes_the_kernels_and_keeps_them_in_registers() -> None:
+    """The simulator takes what a compiler refuses."""
+    program = Path(__file__).resolve().parents[2] / "scripts" / "gpu_code.py"
+    done = subprocess.run([sys.executable, program], capture_output=True, text=True, check=False)
+    if done.returncode == 3:
+        pytest.skip(f"NVIDIA's compiler is not here ({done.stderr.strip()})")
+    assert done.returncode == 0, done.stdout + done.stderr
+    kernels = {line.split("|")[1].strip() for line in done.stdout.splitlines()[2:]}
+    assert kernels > {"solve", "couple", "add_up", "cover", "judge"}

@@ -40,7 +40,7 @@ def room(shape: int | tuple[int, ...], dtype: Any = np.float64) -> Any:
 
 def _blocks(count: int) -> int:
     """Blocks of threads, a thread each for so many."""
-    return -(-count // THREADS)
+    return max(1, -(-count // THREADS))
 
 
 def zeros(size: int) -> Any:
