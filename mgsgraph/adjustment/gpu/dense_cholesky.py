@@ -4,6 +4,7 @@ Up to some thousand columns a GPU factors the whole matrix faster than the host 
 and the blocks needn't leave the device.
 """
 
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
@@ -12,9 +13,26 @@ import numpy as np
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.cuda.device import SIMULATED
 
 MOST_COLUMNS = 8000
 """A matrix of 0.5 GB."""
+
+
+def dense_libraries() -> tuple[ModuleType, ModuleType] | None:
+    """Where a device's numbers are, and their linear algebra: CuPy's, or NumPy's and SciPy's where numba's simulator
+    stands in for the device; None where CuPy isn't installed.
+    """
+    if SIMULATED:
+        import scipy.linalg
+
+        return np, scipy.linalg
+    if find_spec("cupy") is None:
+        return None
+    import cupy
+    import cupyx.scipy.linalg
+
+    return cupy, cupyx.scipy.linalg
 
 
 class DenseCholesky:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky
+from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky, dense_libraries
 from mgsgraph.adjustment.gpu.devices import WHERE, Gpu
 from mgsgraph.adjustment.graph.bundle import Solving, sparse_factor
 from mgsgraph.adjustment.graph.following import about_followed_lines
@@ -17,7 +17,6 @@ from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.leverage import of_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.cuda.device import SIMULATED
 from mgsgraph.kernel.cuda.partition import Partition, Workspace, bytes_of_pieces, room, to_device, to_host, zeros
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows, partition
@@ -90,7 +89,8 @@ class GpuSweeper:
 
     def __init__(self, gpu: Gpu, layout: Layout, deterministic: bool = False) -> None:
         self._gpu, self._deterministic = gpu, deterministic
-        self._parts, self._held, self._dense = list[Partition](), True, None
+        self._parts, self._held = list[Partition](), True
+        self._dense: DenseCholesky | None = None
         self._divide(layout)
 
     @property
@@ -190,14 +190,11 @@ class GpuSweeper:
 
         Raises NotDefinite.
         """
-        small = layout.columns <= MOST_COLUMNS and isinstance(reduction, GpuReduction)
-        if SIMULATED or not small:
+        libraries = dense_libraries()
+        if layout.columns > MOST_COLUMNS or libraries is None or not isinstance(reduction, GpuReduction):
             return sparse_factor(layout, reduction, damping)
         if self._dense is None:
-            import cupy
-            import cupyx.scipy.linalg
-
-            self._dense = DenseCholesky(layout, cupy, cupyx.scipy.linalg)
+            self._dense = DenseCholesky(layout, *libraries)
         return self._dense.factor(reduction.blocks_on_device, damping)
 
 
