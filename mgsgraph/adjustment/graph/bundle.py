@@ -179,7 +179,6 @@ class BundleGraph:
     def __init__(self, layout: Layout, rows: Rows | None = None, sweeper: Sweeper = IN_PROCESS) -> None:
         self.layout, self.sweeper = layout, sweeper
         self.rows = layout.rows if rows is None else rows
-        self._keys = {v: variable_key(layout, v) for v in layout.variables.adjusted()}
 
     def reduction(self, orientation: Array, task: int = SYSTEM, points: Array | Reduction | None = None) -> Reduction:
         """All points solved (and eliminated) at an orientation vector (columns,), beginning at `points` (n, 3), or
@@ -220,6 +219,11 @@ class BundleGraph:
         Raises NotDefinite.
         """
         return sparse_factor(self.layout, reduction, damping)
+
+    @cached_property
+    def _keys(self) -> dict[int, int]:
+        """GTSAM keys of the adjusted variables."""
+        return {v: variable_key(self.layout, v) for v in self.layout.variables.adjusted()}
 
     @cached_property
     def _bundles(self) -> Bundles:
