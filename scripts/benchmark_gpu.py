@@ -1,7 +1,7 @@
 """How fast a GPU adjusts, and how much of it a sweep uses: chains like the peer's problems, a Kaguya-sized block.
 
 For a bare machine: needs NumPy, SciPy, numba-cuda and CuPy, neither GTSAM nor files nor network; run it from a checkout
-by `python scripts/benchmark_gpu.py --out docs/gpu_times.md`. Problems are made here. What is timed: making the problem,
+by `python scripts/benchmark_gpu.py --out gpu_times.md`. Problems are made here. What is timed: making the problem,
 laying it out, the first adjustment (kernels are compiled, rows sent), the median of more of them, by stages; and a
 sweep beside what the device reaches in the same run in float64 multiplications and additions, and in its memory.
 With NUMBA_ENABLE_CUDASIM=1 the smallest problem shows that the program works.
