@@ -62,10 +62,7 @@ def read_apart(reading: Callable[[], _Found], where: str, what: str, remedy: str
     if status != 0:
         end = signal.Signals(-status).name if -status in set(signal.Signals) else f"status {status}"
         raise InputError(where, f"{what} made the process that read them end ({end})", "sound ones", remedy)
-    found, error = pickle.loads(content)
-    if error is not None:
-        raise _raised(*error)
-    return found  # type: ignore[no-any-return]
+    return result_of(content)  # type: ignore[no-any-return]
 
 
 def _answer(reading: Callable[[], Any], sender: int, folder: str) -> NoReturn:
@@ -86,18 +83,27 @@ def _answer(reading: Callable[[], Any], sender: int, folder: str) -> NoReturn:
         longest = _LONGEST if hard == resource.RLIM_INFINITY else min(_LONGEST, hard)
         resource.setrlimit(resource.RLIMIT_CPU, (longest, hard))
         with open(sender, "wb") as pipe:
-            pipe.write(_pickled(reading))
+            pipe.write(pickled_outcome(reading))
         status = 0
     finally:
         os._exit(status)
 
 
-def _pickled(reading: Callable[[], Any]) -> bytes:
+def pickled_outcome(function: Callable[[], Any]) -> bytes:
+    """What a function without arguments returns or raises, for `result_of` in the process that forked this one."""
     try:
-        return pickle.dumps((reading(), None), _PROTOCOL)
+        return pickle.dumps((function(), None), _PROTOCOL)
     except Exception as error:  # whatever it is, it goes on where this process began
         args = (*error.args, error.filename) if isinstance(error, OSError) and error.filename else error.args
         return pickle.dumps((None, (type(error), args, error.__dict__, traceback.format_exc())), _PROTOCOL)
+
+
+def result_of(outcome: bytes) -> Any:
+    """What the function of a `pickled_outcome` has returned; or what it has raised is raised here."""
+    found, error = pickle.loads(outcome)
+    if error is not None:
+        raise _raised(*error)
+    return found
 
 
 def _raised(kind: type[Exception], args: tuple[Any, ...], fields: dict[str, Any], trace: str) -> Exception:

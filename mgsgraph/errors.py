@@ -127,3 +127,19 @@ class WeakNetwork(MgsgraphError, ArithmeticError):
 
 class SolverError(MgsgraphError, ArithmeticError):
     """The adjustment could not be carried out; says at which step and why."""
+
+
+class Unsolvable(SolverError):
+    """An optimisation that can't go on from a state that it has reached, of which `rounds` says more.
+
+    Parameters
+    ----------
+    message : str
+        Why.
+    state : object
+        There; what the optimiser calls one.
+    """
+
+    def __init__(self, message: str, state: object) -> None:
+        super().__init__(message)
+        self.state = state

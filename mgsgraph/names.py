@@ -2,6 +2,9 @@
 
 `Names` are the ids, most of which differ, as one text and the places where each begins; `RepeatedNames` come often, as
 the numbers of a few distinct ones. Both are sequences of str, and Arrow arrays without a copy.
+
+Arrays go to Arrow and back by their buffers and by DLPack: `pyarrow.array`, `pyarrow.scalar` and `Array.to_numpy` would
+load pandas, where it is installed, for a sixth of a second.
 """
 
 import itertools
@@ -56,7 +59,7 @@ class Names(Sequence[str]):
         if isinstance(names, pa.ChunkedArray):
             names = names.combine_chunks()
         if not isinstance(names, pa.Array):
-            names = _encoded(names if isinstance(names, list | tuple) else list(names), source)
+            return _encoded(names if isinstance(names, list | tuple) else list(names), source)
         if names.null_count:
             raise TypeError("a name that is none")
         return cls._from_arrow(names.cast(pa.large_string()))
@@ -84,7 +87,7 @@ class Names(Sequence[str]):
     @staticmethod
     def joined(*columns: "NDArray[np.int64] | pa.Array", mark: str = ":") -> "Names":
         """Names made of numbers or texts side by side, (n,) each, with a mark between them."""
-        parts = (pa.array(one).cast(pa.large_string()) for one in columns)
+        parts = ((one if isinstance(one, pa.Array) else _arrow(one)).cast(pa.large_string()) for one in columns)
         return Names.of(pc.binary_join_element_wise(*parts, pa.scalar(mark, pa.large_string())))
 
     def prefixed(self, text: str) -> "Names":
@@ -117,7 +120,7 @@ class Names(Sequence[str]):
             chosen = np.flatnonzero(which) if which.dtype == bool else which.astype(np.int64, copy=False)
             if chosen.size and chosen.min() < 0:
                 chosen = np.where(chosen < 0, chosen + len(self), chosen)
-            return Names._from_arrow(self.arrow.take(pa.array(chosen)))
+            return Names._from_arrow(self.arrow.take(_arrow(chosen)))
         number = index(which)
         if not -len(self) <= number < len(self):
             raise IndexError(f"name {number} of {len(self)}")
@@ -204,7 +207,9 @@ class RepeatedNames(Sequence[str]):
             names = names.combine_chunks()
         array = names if isinstance(names, pa.Array) else Names.of(names).arrow
         coded = array if pa.types.is_dictionary(array.type) else array.dictionary_encode()
-        return cls(tuple(coded.dictionary.to_pylist()), np.asarray(coded.indices).astype(np.int64))
+        if coded.null_count:
+            raise TypeError("a name that is none")
+        return cls(tuple(coded.dictionary.to_pylist()), np.from_dlpack(coded.indices).astype(np.int64))
 
     @staticmethod
     def concatenated(parts: "Sequence[RepeatedNames]") -> "RepeatedNames":
@@ -224,7 +229,7 @@ class RepeatedNames(Sequence[str]):
     @property
     def arrow(self) -> pa.Array:
         """Arrow's dictionary array."""
-        return pa.DictionaryArray.from_arrays(pa.array(self.numbers), pa.array(self.distinct, pa.large_string()))
+        return pa.DictionaryArray.from_arrays(_arrow(self.numbers), Names.of(self.distinct).arrow)
 
     def over(self, names: Sequence[str]) -> NDArray[np.int64]:
         """(k,) number of each name among others, each of which is there once; -1 for one that is not there."""
@@ -271,14 +276,23 @@ class RepeatedNames(Sequence[str]):
         return list(self)
 
 
-def _encoded(names: Sequence[str], source: str) -> pa.Array:
+def _encoded(names: Sequence[str], source: str) -> Names:
     try:
-        return pa.array(names, type=pa.large_string())
+        texts = list(map(str.encode, names))
     except UnicodeEncodeError as error:
         found = f"the name {str(error.object)[:60]!r}"
         raise InputError(source, found, "characters that can be printed", "rename it") from None
+    ends = np.cumsum([0, *map(len, texts)], dtype=np.int64)
+    return Names(np.frombuffer(b"".join(texts), np.uint8), ends)
+
+
+def _arrow(numbers: NDArray[np.int64]) -> pa.Array:
+    """Numbers as Arrow array, on the same memory."""
+    numbers = np.ascontiguousarray(numbers, dtype=np.int64)
+    return pa.Array.from_buffers(pa.int64(), numbers.size, [None, pa.py_buffer(numbers)])
 
 
 def _numbers_among(wanted: pa.Array, known: pa.Array) -> NDArray[np.int64]:
-    found = pc.index_in(wanted, value_set=known)
-    return np.asarray(found.fill_null(-1)).astype(np.int64)
+    found, numbers = pc.index_in(wanted, value_set=known), np.full(len(wanted), -1)
+    numbers[np.from_dlpack(pc.indices_nonzero(found.is_valid()))] = np.from_dlpack(found.drop_null())
+    return numbers

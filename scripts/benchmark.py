@@ -8,7 +8,7 @@
     python scripts/benchmark.py strips [--strips 10] [--points 200000] # strips with orientation images
     python scripts/benchmark.py analysis [L] [--queries 20]            # what it costs to ask an adjustment
     python scripts/benchmark.py incremental [--equality 40] [--cost 10 100 500] [--ties 2000]   # adding an image
-    python scripts/benchmark.py project [10 100 498] [--ties 2000]     # the same as a command, `mgsgraph add`
+    python scripts/benchmark.py project [10 100 498] [--ties 2000] [--no-solve]     # commands: add, status, solve
     python scripts/benchmark.py archive --work WORK [block kaguya dense ctx]   # from files to results, archives
     python scripts/benchmark.py COMMAND --help                         # all options
 

@@ -1,9 +1,11 @@
-"""What does `mgsgraph add` cost as a command, with 10, 100, 500 images already in the project?
+"""What do `mgsgraph add`, `status` and `solve` cost as commands, with 10, 100, 498 images already in the project?
 
 Makes a project of a simulated strip's first images (batch, adopted), writes the files of the next image, and runs the
-command on copies of the project. Writes a table, docs/project_cost.md by default.
+commands on copies of the project, each several times. Writes a table, docs/project_cost.md by default.
 """
 
+import os
+import resource
 import shutil
 import statistics
 import subprocess
@@ -11,9 +13,11 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
+from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
-from study import DOCS, OneLine, at_least, machine, made_with, show, table, write_page
+from study import DOCS, OneLine, at_least, machine, made_with, number, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.schema import OrientationInput
@@ -28,18 +32,52 @@ from mgsgraph.simulation.isis_files import image_file, json_text, laser_text, su
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.units import MRAD
 
-WORDS = """# What `mgsgraph add` costs
+WORDS = """# What the commands of a project cost
 
 A project of the first images of a simulated strip, solved by batch, gains one more with its ties and shots. Each figure
-is the median of several runs of the command on copies of the project. Made by `scripts/benchmark.py project`.
+is the median of several runs of a command on copies of the project (`solve`: one run). Made by
+`scripts/benchmark.py project`.
 
-* *command*: wall time of `mgsgraph add PROJECT NAME=image.isd --ties ties.pvl --shots lidar.json`, from the start of
-  Python to its end, the project written and synchronised to disk.
-* *tree*: of this, reading all reduced systems and growing iSAM2's tree from them (measured apart, in one process).
-* *dry run*: of this, starting Python and reading the new image's files (measured apart, with `--dry-run`).
-* *solve*: wall time of `mgsgraph solve PROJECT --no-figures`, batch over everything, once.
+Seconds are two of each command: wall time from the start of Python to its end, and processor time of all its threads.
+Where other jobs run beside it the latter says more.
+
+* *add*: `mgsgraph add PROJECT NAME=image.isd --ties ties.pvl --shots lidar.json`, the project written and synchronised
+  to disk.
+* *over the first*: its processor time over that in the first row.
+* *tree*: of this, reading all reduced systems and growing iSAM2's tree from them (wall time, in one process).
+* *dry run*: the same with `--dry-run`: starting Python and reading the new image's files.
+* *status*: `mgsgraph status PROJECT`.
+* *solve*: `mgsgraph solve PROJECT --no-figures`, batch over everything with all tables.
+
+Kernels are compiled and Python's bytecode is written by a run before the first that counts, as both are after an
+installation.
 """
-_HEAD = ["images", "points", "project (MB)", "command (s)", "over the first", "tree (s)", "dry run (s)", "solve (s)"]
+_HEAD = ["images", "points", "project (MB)", "add (s)", "over the first", "tree (s)", "dry run (s)", "status (s)",
+         "solve (s)"]  # fmt: skip
+
+
+class Took(NamedTuple):
+    """Time that a command takes."""
+
+    wall: float
+    """s"""
+    processor: float
+    """s, of all threads, in the program and in the system."""
+
+    def __str__(self) -> str:
+        return f"{number(self.wall)}, {number(self.processor)}"
+
+
+class Costs(NamedTuple):
+    """A row of the table."""
+
+    points: int
+    megabytes: float
+    add: Took
+    tree: float
+    dry: Took
+    status: Took
+    solve: Took | None
 
 
 def kept(strip: SimulatedStrip, folder: Path) -> None:
@@ -72,15 +110,21 @@ def step(strip: SimulatedStrip, k: int, folder: Path) -> list[str]:
     return arguments
 
 
-def run(project: Path, verb: str, *arguments: str) -> float:
-    """Seconds that a command takes."""
+def run(project: Path, verb: str, *arguments: str) -> Took:
+    """Run a command of this interpreter, and time it."""
     command = [sys.executable, "-m", "mgsgraph.cli", verb, str(project), *arguments]
-    begin = time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    seconds = time.perf_counter() - begin
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
+    wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode != 0:
         raise SolverError(f"{verb}: {done.stderr.strip() or done.stdout.strip()}")
-    return seconds
+    return Took(wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+
+
+def median(runs: Iterable[Took]) -> Took:
+    """Median wall time and median processor time."""
+    return Took(*map(statistics.median, zip(*runs, strict=True)))
 
 
 def tree(project: Path) -> float:
@@ -91,38 +135,44 @@ def tree(project: Path) -> float:
     return time.perf_counter() - begin
 
 
-def measured(strip: SimulatedStrip, images: int, repeats: int, work: Path) -> list[float]:
-    """Points, MB, seconds of the command, of the tree, of reading files, and of solve."""
+def measured(strip: SimulatedStrip, images: int, chosen: Namespace, work: Path) -> Costs:
+    """What the commands cost with so many images in the project."""
     show(f"{images} images: making the project")
     project, copy = work / "kept", work / "copy"
     kept(strip.upto(images), project)
     arguments = step(strip, images, work / "step")
-    found = list[tuple[float, float, float]]()
-    for number in range(repeats):
-        show(f"{images} images: run {number + 1} of {repeats}")
+    found = list[tuple[Took, Took, Took, float]]()
+    for again in range(chosen.repeats + 1):
+        show(f"{images} images: run {again} of {chosen.repeats}")
         shutil.rmtree(copy, ignore_errors=True)
         shutil.copytree(project, copy)
-        dry = run(copy, "add", *arguments, "--dry-run")
-        found.append((run(copy, "add", *arguments), tree(project), dry))
+        status, dry = run(copy, "status"), run(copy, "add", *arguments, "--dry-run")
+        found.append((run(copy, "add", *arguments), dry, status, tree(project)))
+    adds, dries, statuses, trees = zip(*found[1:], strict=True)  # the first compiles
     show(f"{images} images: solve")
-    solved = run(copy, "solve", "--no-figures")
+    solved = None if chosen.no_solve else run(copy, "solve", "--no-figures")
     size = (project / "project.sqlite").stat().st_size / 1e6
     points = len(strip.upto(images).ties.ids)
     shutil.rmtree(work)
-    return [points, size, *(statistics.median(column) for column in zip(*found, strict=True)), solved]
+    return Costs(points, size, median(adds), statistics.median(trees), median(dries), median(statuses), solved)
 
 
 def page(chosen: Namespace) -> str:
     """A row for each number of images."""
     strip, rows, first = simulate_strip(StripSettings(images=max(chosen.images) + 1, ties=chosen.ties)), [], 0.0
+    loads = [os.getloadavg()[0]]
     for images in chosen.images:
         with tempfile.TemporaryDirectory() as folder:
-            work = Path(folder) / "work"
-            points, size, command, grown, dry, solved = measured(strip, images, chosen.repeats, work)
-        first = first or command
-        rows.append([str(images), f"{points:.0f}", f"{size:.0f}", f"{command:.2f}", f"{command / first:.2f}",
-                     f"{grown:.2f}", f"{dry:.2f}", f"{solved:.1f}"])  # fmt: skip
-    words = f"{chosen.ties} new ties per image, {chosen.repeats} runs. {machine()}. {made_with()}"
+            found = measured(strip, images, chosen, Path(folder) / "work")
+        first = first or found.add.processor
+        rows.append([
+            str(images), str(found.points), f"{found.megabytes:.0f}", str(found.add),
+            f"{found.add.processor / first:.2f}", f"{found.tree:.2f}", str(found.dry), str(found.status),
+            "-" if found.solve is None else str(found.solve),
+        ])  # fmt: skip
+        loads.append(os.getloadavg()[0])
+    load = f"load {' '.join(f'{one:.1f}' for one in loads)} before the first row and after each"
+    words = f"{chosen.ties} new ties per image, {chosen.repeats} runs. {machine()}, {load}. {made_with()}"
     return "\n".join([WORDS, *table(_HEAD, rows), "", words, ""])
 
 
@@ -130,7 +180,8 @@ def main(parser: OneLine, given: list[str]) -> int:
     """`benchmark.py project`."""
     parser.add_argument("images", type=at_least(2), nargs="*", default=[10, 100, 498], help="images there already")
     parser.add_argument("--ties", type=at_least(1), default=2000, help="new ties per image")
-    parser.add_argument("--repeats", type=at_least(1), default=3)
+    parser.add_argument("--repeats", type=at_least(1), default=3, help="runs whose median counts")
+    parser.add_argument("--no-solve", action="store_true", help="leave solve out")
     parser.add_argument("--out", type=Path, default=DOCS / "project_cost.md")
     chosen = parser.parse_args(given)
     return write_page(parser, chosen.out, lambda: page(chosen))

@@ -40,7 +40,7 @@ b"\x7f\xff\xff\xff",
          b"99999999999", b"1e308", b"nan", b"-1")  # fmt: skip
 """Sizes and numbers that are believed at one's peril, in binary."""
 _TOKEN = re.compile(rb'"[^"\n]{0,200}"|[-+]?\d[\d.]*(?:[eE][-+]?\d+)?|[A-Za-z_^][\w.:/^-]*|[^\s\w]')
-_NUMBER = re.compile(rb"[-+]?\d[\d.]*(?:[eE][-+]?\d+)?")
+NUMBER = re.compile(rb"[-+]?\d[\d.]*(?:[eE][-+]?\d+)?")
 _DEEP = (b"[", b"{", b"(", b'{"a":', b'[{"a":', b"Object = a\n", b"Group = a\n", b"((", b"-", b"{a=", b'"')
 _DEPTHS = (101, 1200, 1200, 20_000)
 
@@ -120,7 +120,7 @@ def _tokens(data: bytearray, rng: random.Random, only: re.Pattern[bytes] = _TOKE
 
 
 def number(data: bytearray, rng: random.Random) -> str:
-    if spans := _tokens(data, rng, _NUMBER):
+    if spans := _tokens(data, rng, NUMBER):
         begin, end = rng.choice(spans)
         data[begin:end] = rng.choice(NUMBERS)
     return "an odd number"
@@ -138,14 +138,14 @@ def name(data: bytearray, rng: random.Random) -> str:
 
 def scale(data: bytearray, rng: random.Random) -> str:
     """Another unit: one number, or the numbers of one key or column, times 1e3 or 1e-3; or another sign."""
-    if not (spans := _tokens(data, rng, _NUMBER)):
+    if not (spans := _tokens(data, rng, NUMBER)):
         return "another unit"
     times, many = rng.choice((1e3, 1e-3, 1e6, -1.0, 57.29577951308232, 1.001)), rng.random() < 0.5
     chosen = [rng.choice(spans)]
     if many:
         key = bytes(data[max(data.rfind(b"\n", 0, chosen[0][0]), chosen[0][0] - 40) + 1 : chosen[0][0]]).strip()
         if len(key) > 3 and not key.isdigit():
-            pattern = re.compile(re.escape(key) + rb"\s*(" + _NUMBER.pattern + rb")")
+            pattern = re.compile(re.escape(key) + rb"\s*(" + NUMBER.pattern + rb")")
             chosen = [found.span(1) for found in pattern.finditer(data)] or chosen
     for begin, end in reversed(chosen):
         try:

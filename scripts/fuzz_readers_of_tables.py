@@ -27,7 +27,7 @@ def of_networks() -> Iterator[Row]:
     from mgsgraph.control.asp.match import read_match, read_match_text
     from mgsgraph.control.asp.nvm import read_nvm
     from mgsgraph.control.network_file import read_control_network, read_network
-    from mgsgraph.control.table import read_whole
+    from mgsgraph.control.table import read_tie_points, read_whole
     from mgsgraph.io.place_table import read_places
     from mgsgraph.review.verdicts import read_verdicts
 
@@ -50,6 +50,9 @@ def of_networks() -> Iterator[Row]:
     yield Row("network, binary, version 1", "E", read_network, partial(seeds.old_network, 0), WIRE)
     table = partial(written, "network.csv", "csv")
     yield Row("network, table", "E", lambda path: read_whole(path, _MARS), table, CSV)
+    ties, gaps = (lambda path: read_tie_points(path, _MARS)), (".places", ".measure_sigmas")
+    yield Row("tie points, table", "E", ties, table, CSV, gaps=gaps)
+    yield Row("tie points, Parquet", "E", ties, partial(written, "network.parquet", "parquet"), BYTES, gaps=gaps)
     binary = partial(text, "run-one__two.match", match.SOUND)
     fields = (*BYTES, *[records(_POINT, 16)] * 10)
     yield Row("match file", "E", lambda path: read_match(path, pair), binary, fields, gaps=(".sigmas",))

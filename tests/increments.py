@@ -107,9 +107,10 @@ def _own_ties(ties: TiePoints, image: str) -> TiePoints:
 
 def _own_shots(laser: LaserProfile, image: str) -> LaserProfile:
     rows = np.flatnonzero(np.array(laser.measure_image) == image)
+    along = laser.simultaneous_image.over([image]) == 0
     return replace(
         laser, measure_shot=laser.measure_shot[rows], measure_image=(image,) * rows.size, measures=laser.measures[rows],
-        simultaneous=tuple((image,) if image in names else () for names in laser.simultaneous),
+        simultaneous_shot=laser.simultaneous_shot[along], simultaneous_image=laser.simultaneous_image[along],
     )  # fmt: skip
 
 

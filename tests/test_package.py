@@ -161,7 +161,7 @@ DOOR = {
     "mgsgraph.io.megdr": {"np.memmap"},  # of an open file whose size fits its label
     "mgsgraph.io.cameras.hrsc_lines": {"np.memmap"},  # the same
     "mgsgraph.io.pictures": {"np.fromfile"},  # the same
-    "mgsgraph.altimetry.csv_table": {"np.loadtxt"},  # of lines that were read
+    "mgsgraph.altimetry.csv_lines": {"np.loadtxt"},  # of lines that were read
     "mgsgraph.reports.archive_arrays": {"zipfile.ZipFile"},
     "mgsgraph.project.checksum": {"open"},  # POSIX drops locks where any reader closes
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right

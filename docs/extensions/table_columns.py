@@ -34,6 +34,7 @@ from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
 from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
+from mgsgraph.reports.drivers import drivers_table
 from mgsgraph.reports.likelihood import likelihood_table
 from mgsgraph.reports.passes import nodes_table
 from mgsgraph.reports.plan import judged_table
@@ -90,6 +91,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "connectivity.csv", connectivity_table(solution_connectivity(solution))
     yield "shared.csv", shared_table(solution)
     yield "passes.csv", nodes_table(solution)
+    yield "drivers.csv", drivers_table(solution)
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "unexplained.csv", unexplained_table(unexplained(linearised))
     yield "vibrations.csv", vibrations_table(ResidualVibrations((), ()))

@@ -11,6 +11,9 @@ import numpy as np
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.datum.datum import require_strength
+from mgsgraph.adjustment.driver_search import drivers_of
+from mgsgraph.adjustment.driver_words import driver_sentences
+from mgsgraph.adjustment.drivers import Drivers
 from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
@@ -18,14 +21,13 @@ from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_v
 from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS, Linearity, linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import (
-    Residuals,
     explicit_covariances,
     fit,
     orientation_covariance,
     point_covariances,
-    residuals,
 )
 from mgsgraph.adjustment.predicted_lines import exactly, settled
+from mgsgraph.adjustment.residuals import Residuals, residuals
 from mgsgraph.adjustment.rounds import (
     Progress,
     Selection,
@@ -38,8 +40,9 @@ from mgsgraph.adjustment.rounds import (
 )
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.starts import best_of_starts, starts_wanted
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
@@ -271,12 +274,18 @@ def _posterior(
     determined = layout.network_order(determined_points(rows))
     found = residuals(layout, orientation, solved.points, sweeper)
     found_fit = fit(layout, rows, orientation, solved.points, found)
+    drivers = None
+    if not solved.outcome.converged or found_fit.absurd:
+        drivers = _drivers(solved, found, sweeper)
+        clock.stop("drivers")
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
     found_before = nominal.residuals
     never = solved.selection.out[network.rays.point]
     found.image[never] = found_before.image[never] = np.nan
     clock.stop("residuals")
+    if drivers is not None:
+        _require_covariance(solved, drivers)
     if solved.explicit is not None:
         joint, covariances = explicit_covariances(layout, solved.explicit, solved.outcome.state)
         straight = _linearity(layout, solved, joint, sweeper)
@@ -336,7 +345,28 @@ def _posterior(
         trends=trends,
         lift=lift,
         linearity=straight,
+        drivers=drivers,
     )
+
+
+def _require_covariance(solved: Solved, drivers: Drivers) -> None:
+    """Raise SolverError, with what drives it, where an adjustment that did not converge has no covariance either."""
+    layout, message = solved.layout, solved.outcome.message
+    if solved.reduction is None or solved.outcome.converged:
+        return
+    try:
+        BundleGraph(layout, solved.rows).factor(solved.reduction)
+    except NotDefinite:
+        words = " ".join(driver_sentences(drivers, layout.network))
+        raise SolverError(f"{message} What it stopped at determines no orientation. {words}") from None
+
+
+def _drivers(solved: Solved, found: Residuals, sweeper: Sweeper) -> Drivers:
+    """Which images and points drive an adjustment; `found` are the residuals at its end."""
+    graph = BundleGraph(solved.layout, solved.rows, sweeper)
+    at = solved.reduction or graph.reduction(solved.orientation, points=solved.points)
+    damping = solved.outcome.history[-1].damping if solved.outcome.history else 0.0
+    return drivers_of(graph, at, damping, found)
 
 
 def _linearity(layout: Layout, solved: Solved, joint: JointCovariance, sweeper: Sweeper) -> Linearity | None:

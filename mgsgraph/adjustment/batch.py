@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import Any, Generic, Protocol, TypeVar
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import SolverError
+from mgsgraph.errors import Unsolvable
 from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
 
 State = TypeVar("State")
@@ -153,13 +153,14 @@ def levenberg_marquardt(
 
     Raises
     ------
-    SolverError
+    Unsolvable
         When the start has no finite cost or the linear system can't be solved at any damping.
     """
     state, cost = start, problem.cost(start, SYSTEM)
     initial, history = cost, list[Iteration]()
     if not math.isfinite(cost):
-        raise SolverError("the starting values have no finite cost; check that all points lie before their cameras")
+        said = "the starting values have no finite cost; check that all points lie before their cameras"
+        raise Unsolvable(said, start)
     if not problem.adjusts:
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected, before = _FIRST_DAMPING, 0, math.inf
@@ -210,7 +211,7 @@ def _solved(
         if step is not None:
             linear = problem.linear(state)
         elif (damping := damping * _TIGHTEN**2) > _MOST_DAMPING:
-            raise SolverError("the normal equations can't be solved at any damping; the network is too weak")
+            raise Unsolvable("the normal equations can't be solved at any damping; the network is too weak", state)
     return linear, step, damping
 
 

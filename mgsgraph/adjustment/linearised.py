@@ -6,7 +6,8 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, residuals
+from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance
+from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index

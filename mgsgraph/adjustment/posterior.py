@@ -21,14 +21,17 @@ from mgsgraph.adjustment.graph.bundle import (
     variable_key,
 )
 from mgsgraph.adjustment.graph.bundle import shared_values as gtsam_values
-from mgsgraph.adjustment.graph.shared import footprint_shifts, shared_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
+from mgsgraph.adjustment.residuals import Residuals
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import SquareRoot, begins, in_cliques, is_indeterminate
-from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.adjustment.squares import squares_of
+from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
+from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, Model, Rows
+
+ABSURD = 10.0
+"""sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,84 +55,24 @@ class Fit:
         """A-posteriori standard deviation of unit weight; NaN without redundancy."""
         return float(np.sqrt(self.squares / self.degrees_of_freedom)) if self.degrees_of_freedom > 0 else float("nan")
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
-    """Residuals of all rows, taking part or not, measured minus predicted; network order."""
-
-    image: Array
-    """(k, 2) pixels."""
-    ranges: Array
-    """(r,) m."""
-    heights: Array
-    """(n,) m above the terrain model; NaN for points without such a row, or without terrain."""
-    stereo: Array
-    """(n,) m above the stereo surface, along its normal; NaN for points without such a row."""
-
-
-def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
-    """Residuals with the shared unknowns (columns,) and points (n, 3), layout order."""
-    places = layout.observation_rows
-    values = sweeper.residuals(layout, layout.rows, orientation, points)
-    heights = np.full(points.shape[0], np.nan)
-    heights[places.on_terrain] = values[places.heights, 0]
-    stereo = np.full(points.shape[0], np.nan)
-    if layout.stereo is not None:
-        stereo[layout.stereo.points] = values[places.stereo, 0]
-    return Residuals(values[places.rays], values[places.ranges, 0], heights, stereo)
+    @property
+    def absurd(self) -> bool:
+        """Whether sigma0 can't come from sigmas that are merely too small."""
+        return self.sigma0 > ABSURD
 
 
 def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals) -> Fit:
     """Weighted squares (robust weights included), observations and unknowns of the rows that take part."""
-    network, places, kind = layout.network, layout.observation_rows, layout.network_order(rows.kind)
-    used = (rows.weight[0, places.rays] > 0.0) & (kind[network.rays.point] != OUT)
-    range_used = (rows.weight[0, places.ranges] > 0.0) & (kind[network.ranges.point] != OUT)
-    whitened = found.image / network.rays.sigmas
-    image_squares = np.einsum("ki,ki->k", whitened, whitened)[used]
-    range_squares = (found.ranges[range_used] / network.ranges.sigmas[range_used]) ** 2
-    known = np.flatnonzero(kind == PRIOR)
-    offset = layout.network_order(points)[known] - network.points.places[known] - _shifts(layout, orientation, known)
-    ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
-    on_surface = np.isfinite(found.heights) & (kind != OUT)
-    sigmas = network.surface.sigmas[on_surface] if network.surface is not None else np.zeros(0)
-    on_stereo, stereo_squares = _stereo_squares(layout, rows, found)
+    kind = layout.network_order(rows.kind)
+    every = squares_of(layout, rows, orientation, points, found).values()
     corrections = layout.prior.residuals(orientation)
-    parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(offset * ground)]
-    parts.append(np.sum((found.heights[on_surface] / sigmas) ** 2))
-    parts.append(_weighted(stereo_squares, layout.model))
-    priors = layout.prior.rows + 3 * known.size
+    parts = [_weighted(one.values, layout.model) if one.robust else float(one.values.sum()) for one in every]
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
         squares=float(sum(parts) + corrections @ corrections),
-        observations=sum(int(mask.sum()) for mask in (used, used, range_used, on_surface, on_stereo)) + priors,
+        observations=sum(one.rows * one.values.size for one in every) + layout.prior.rows,
         unknowns=layout.columns + 3 * free,
     )
-
-
-def _stereo_squares(layout: Layout, rows: Rows, found: Residuals) -> tuple[Mask, Array]:
-    """(k,) which heights above stereo surfaces take part, and their squares in sigmas."""
-    control, stereo = layout.network.stereo, layout.stereo
-    if control is None or stereo is None:
-        return np.zeros(0, dtype=bool), np.zeros(0)
-    used = (rows.weight[0, layout.observation_rows.stereo] > 0.0) & (
-        layout.network_order(rows.kind)[stereo.points] != OUT
-    )
-    points = stereo.points[used]
-    return used, (found.stereo[points] / control.sigmas[points]) ** 2
-
-
-def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
-    """(p, 3) m: how far profiles' shifts and altimeters' boresights move the a-priori places of network points."""
-    network = layout.network
-    shift = footprint_shifts(network, shared_values(network, layout.variables, orientation))[points]
-    if network.shifts is None:
-        return shift
-    profile = network.shifts.profile[points]
-    moved = profile >= 0
-    first = layout.variables.first[len(network.images) + profile[moved]]
-    both = orientation[np.stack([first, first + 1], axis=1)]
-    shift[moved] += np.einsum("pk,pkj->pj", both, east_north(network.points.places[points[moved]]))
-    return shift
 
 
 def _weighted(squares: Array, model: Model) -> float:

@@ -206,19 +206,28 @@ def by_gtsam(
     else:
         optimizer = gtsam.GaussNewtonOptimizer(graph, start, gtsam.GaussNewtonParams())
     initial = cost = optimizer.error() + constant
-    history = list[Iteration]()
+    before, reached, history, unsolvable = math.inf, start, list[Iteration](), False
     for number in range(1, settings.max_iterations + 1):
-        before = cost
-        optimizer.iterate()
+        before, reached = cost, gtsam.Values(optimizer.values())
+        try:
+            optimizer.iterate()
+        except RuntimeError as error:
+            if not is_indeterminate(error):
+                raise
+            unsolvable = True
+            break
         cost = optimizer.error() + constant
         nan = float("nan")
         history.append(Iteration(number, cost, before - cost, nan, nan, 0.0, True))
         progress(history[-1])
         if not np.isfinite(cost) or abs(before - cost) <= settings.cost_tolerance * cost:
             break
-    converged = bool(np.isfinite(cost)) and abs(before - cost) <= settings.cost_tolerance * cost
+    converged = not unsolvable and bool(np.isfinite(cost)) and abs(before - cost) <= settings.cost_tolerance * cost
     name = "Dogleg" if settings.method == "dogleg" else "Gauss-Newton"
     message = f"Converged: GTSAM's {name} changed the cost by no more than {settings.cost_tolerance:.0e} of it."
     if not converged:
-        message = f"Stopped after {len(history)} iterations of GTSAM's {name} without converging; try our own solver."
+        why = ", whose equations can't be solved there" if unsolvable else " without converging"
+        message = f"Stopped after {len(history)} iterations of GTSAM's {name}{why}; try our own solver."
+    if not np.isfinite(cost) and history:  # nothing can be said of a state without a finite cost
+        return Outcome(reached, initial, before, False, message, tuple(history))
     return Outcome(optimizer.values(), initial, cost, converged, message, tuple(history))

@@ -9,7 +9,10 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome
+from mgsgraph.adjustment.behind import behind_camera
 from mgsgraph.adjustment.blunders import Search
+from mgsgraph.adjustment.driver_search import drivers_of
+from mgsgraph.adjustment.driver_words import driver_sentences
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.parallel import nearly_parallel
@@ -19,7 +22,7 @@ from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import PointBehindCamera, SolverError
+from mgsgraph.errors import SolverError, Unsolvable
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, WEAK, Rows, Small
@@ -243,7 +246,28 @@ def _solve(
 ) -> Solved:
     """One optimisation in the form that was asked for; `known` is a reduction at its start, `slow` whether the one
     before converged slowly.
+
+    Raises SolverError that names images and points.
     """
+    try:
+        return _solved_in_form(graph, selection, orientation, known, settings, progress, slow)
+    except Unsolvable as error:
+        reached = error.state if isinstance(error.state, np.ndarray) else orientation
+        at = known if known is not None and known.serves(reached, COSTS) else graph.reduction(reached, COSTS)
+        words = " ".join(driver_sentences(drivers_of(graph, at, None), graph.layout.network))
+        raise SolverError(f"{error}. {words}") from None
+
+
+def _solved_in_form(
+    graph: BundleGraph,
+    selection: Selection,
+    orientation: Array,
+    known: Reduction | None,
+    settings: SolverSettings,
+    progress: Progress,
+    slow: bool,
+) -> Solved:
+    """The same; raises Unsolvable."""
     if settings.form == "bundle":
         outcome, reduction = solve_bundle(graph, orientation, known, settings, progress, slow)
         return _solved(graph, selection, outcome, outcome.state, reduction.points, reduction=reduction)
@@ -357,24 +381,9 @@ def without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> 
     refuse other points behind a camera.
     """
     behind = np.flatnonzero(reduction.states == BEHIND)
-    for index in behind[~nearly_parallel(layout.network, layout.point_order[behind])][:1].tolist():
-        raise _behind(layout, index, reduction.points[index])
+    behind = behind[~nearly_parallel(layout.network, layout.point_order[behind])]
+    if behind.size:
+        raise behind_camera(layout, behind, reduction.points[behind[0]])
     out = selection.out.copy()
     out[layout.point_order[(reduction.states == WEAK) | (reduction.states == BEHIND)]] = True
     return replace(selection, out=out)
-
-
-def _behind(layout: Layout, index: int, point: Array) -> PointBehindCamera:
-    """The error for a point (index in the layout) that lies behind a camera: names point and image."""
-    network, i = layout.network, int(layout.point_order[index])
-    for k in np.flatnonzero(network.rays.point == i):
-        image = network.images[network.rays.image[k]]
-        pose = image.pose(network.rays.places[[k], 0])
-        if (pose.matrix[0] @ (point - pose.position[0]))[2] <= 0.0:
-            break
-    return PointBehindCamera(
-        f"point {network.points.ids[i]}, image {image.name}",
-        "the point lies behind the camera",
-        "a point before it",
-        "check the point's a-priori place, the measure and the image's orientation",
-    )

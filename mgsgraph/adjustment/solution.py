@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.drivers import Drivers
 from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit
@@ -114,6 +115,10 @@ class Solution:
     minima: Minima | None = None
     """What starts over the terrain model's shift have found; None where there were none. With several minima the joint
     covariance, and what follows from it, is the mean square about the lowest one over their mixture."""
+
+    drivers: Drivers | None = None
+    """Which images and points drive it; None where it came to rest with a sigma0 that can be, or an older version
+    didn't say."""
 
     @property
     def stereo_used(self) -> Mask:

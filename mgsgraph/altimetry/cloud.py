@@ -9,23 +9,23 @@ without a pause of half an hour are one profile: an orbit takes two hours or so,
 is one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mgsgraph.altimetry.csv_table import CsvTable
 from mgsgraph.altimetry.places import by_pauses, positions, require_radii, unit_of_radii
-from mgsgraph.altimetry.shots import is_archive_table, read_shots, unpacked
+from mgsgraph.altimetry.shots import is_archive_table, shots_of, unpacked
 from mgsgraph.altimetry.tables import table_of
 from mgsgraph.altimetry.time_scales import require_years, tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.files import read_bytes
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import KM
 
 _EXPECTED = (
@@ -55,10 +55,10 @@ def read_altimetry_cloud(
         whose unit can't be known, radii of another body, an id twice; a file that is empty, cut short, of an unknown
         format, or without ground returns.
     """
-    content, _ = unpacked(read_bytes(path), path)
-    table = table_of(content, path) if content.strip() and b"\0" not in content else None
+    content, packed = unpacked(read_bytes(path), path)
+    table = None if b"\0" in content or not content or content.isspace() else table_of(content, path)
     if table is None or is_archive_table(table) or table.names[0].startswith("pdsversionid"):
-        cloud = _cloud_of(read_shots(path, version=version))
+        cloud = _cloud_of(shots_of(content, packed, path, version=version, table=table))
     else:
         cloud = _plain_table(table, body)
     if body is not None:
@@ -67,14 +67,17 @@ def read_altimetry_cloud(
 
 
 def _in_profiles(
-    path: Path, ids: Sequence[str], points: Array, times: Array, keys: ArrayLike, footprint: float
+    path: Path, ids: Names, points: Array, times: Array, keys: RepeatedNames | Index, footprint: float
 ) -> AltimetryCloud:
     """The cloud of shots in any order; the keys (n,), texts or numbers, of their profiles become the names."""
-    names, profile = np.unique(keys, return_inverse=True)
+    if isinstance(keys, RepeatedNames):
+        profiles = tuple(sorted(keys.used))
+        profile = keys.over(profiles)
+    else:
+        numbers, profile = np.unique(keys, return_inverse=True)
+        profiles = tuple(str(number) for number in numbers.tolist())
     order = np.lexsort([times, profile])
-    ordered = tuple(ids[k] for k in order.tolist())
-    profiles = tuple(str(name) for name in names.tolist())
-    return AltimetryCloud(str(path), ordered, points[order], times[order], profiles, profile[order], footprint)
+    return AltimetryCloud(str(path), ids[order], points[order], times[order], profiles, profile[order], footprint)
 
 
 def _product(path: Path) -> str:
@@ -115,8 +118,8 @@ def _plain_table(table: CsvTable, body: Ellipsoid | None) -> AltimetryCloud:
     times = numbers["times"] if "times" in numbers else _utc_times(table)
     require_years(times, str(table.path))
     named = [name for name in ("profile", "orbit") if name in names]
-    keys = table.texts(named[0]) if named else _profiles(table, times)
-    ids = table.texts("id") if "id" in names else [str(number) for number in table.line_numbers()]
+    keys = RepeatedNames.of(table.texts(named[0]).arrow) if named else _profiles(table, times)
+    ids = table.texts("id") if "id" in names else Names.joined(table.line_numbers())
     return _in_profiles(table.path, ids, points, times, keys, float("nan"))
 
 
@@ -127,15 +130,15 @@ def _utc_times(table: CsvTable) -> Array:
     return tdb_of_utc(table.texts("utc"), f"{table.path}, utc")
 
 
-def _profiles(table: CsvTable, times: Array) -> ArrayLike:
+def _profiles(table: CsvTable, times: Array) -> RepeatedNames | Index:
     """Keys (n,) of profiles between pauses: the minute in which the first shot was fired, or numbers from 1."""
     if np.isnan(times[0]):
-        return np.full(len(table), _product(table.path))
+        return RepeatedNames((_product(table.path),), np.zeros(len(table), dtype=np.int64))
     numbers, first = by_pauses(times)
     if "utc" not in table.names:
         return numbers + 1
-    texts = table.texts("utc")
-    return np.array([texts[k][:16] for k in first.tolist()])[numbers]
+    begins = RepeatedNames.of([text[:16] for text in table.texts("utc")[first]])
+    return RepeatedNames(begins.distinct, begins.numbers[numbers])
 
 
 def _planetocentric_points(

@@ -1,43 +1,16 @@
 """CSV files with a header: columns by the letters and digits of their names, numbers with errors that name the line."""
 
-import csv
 import re
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
-from mgsgraph.geometry.records import Array
-from mgsgraph.io.files import finite_number, name_of
-
-_LARGEST = 1e50
-"""m, s, degrees or whatever: squares of larger numbers of an altimeter would be none."""
-
-
-def measured(text: str, where: str, line: int, column: str) -> float:
-    """The number that a text spells in decimal; InputError with `where`, line and column for anything else, and for
-    what is too large to be computed with.
-    """
-    try:
-        if abs(value := finite_number(text)) < _LARGEST:
-            return value
-    except ValueError:
-        pass
-    raise InputError(f"{where} {line}, {column}", f"{text[:60]!r}", "a finite number")
-
-
-def _unquoted(line: str, where: str) -> str:
-    """A line whose fields may be in quotation marks (RFC 4180), without these."""
-    if '"' not in line:
-        return line
-    try:
-        fields = next(csv.reader((line,), strict=True, skipinitialspace=True))
-    except (csv.Error, StopIteration) as error:
-        raise InputError(where, f"no row of a CSV file ({error})", "RFC 4180") from None
-    for one in fields:
-        if "," in one or '"' in one:
-            raise InputError(where, f"the field {one[:60]!r}", "fields without commas or quotation marks in them")
-    return ",".join(fields)
+from mgsgraph.altimetry.csv_lines import LARGEST, CsvLines, row_numbers
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.io.csv_columns import PlainRows, numbers_of, plain_text, short_names
+from mgsgraph.names import Names
 
 
 def plain_name(name: str) -> str:
@@ -46,25 +19,29 @@ def plain_name(name: str) -> str:
 
 
 class CsvTable:
-    """Rows of a CSV file below a header; columns are called by the letters and digits of their names, in lower case."""
+    """Rows of a CSV file below a header; columns are called by the letters and digits of their names, in lower case.
+
+    A plain file is read by columns; what is wrong with it, or unusual, is left to `CsvLines`.
+    """
 
     def __init__(self, content: bytes, path: Path, header: str | None = None) -> None:
         """`header` is that of a file which has none."""
-        self.path = path
-        try:
-            text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-        except UnicodeDecodeError as error:
-            raise InputError(str(path), f"byte {error.start} is not UTF-8 text", "a CSV file") from None
-        lines = [_unquoted(line, f"{path}, line {k}") for k, line in enumerate(text.split("\n"), start=1)]
-        filled = [k for k, line in enumerate(lines) if line.strip()]
+        self.path, self._content, self._headed = path, content, header is None
+        plain, begin = plain_text(content), 0
         if header is None:
-            require(filled, str(path), "an empty file", "a header and rows")
-            header = lines[filled.pop(0)]
+            begin = 0 if plain is None else plain.find(b"\n") + 1
+            header = "" if plain is None else plain[: max(begin - 1, 0)].decode()
+            if not header.strip():
+                header, plain = self._lines.header, None
+        self._rows = PlainRows.of(plain, begin) if plain is not None and "," in header else None
         self.written = [name.strip() for name in (header.split(",") if "," in header else header.split())]
         """Names as the header has them."""
         self.names = [plain_name(name) for name in self.written]
-        self._numbers = [k + 1 for k in filled]
-        self._lines = [lines[k] for k in filled]
+        self._texts: dict[tuple[str, bool], Names] = {}
+
+    @cached_property
+    def _lines(self) -> CsvLines:
+        return CsvLines(self._content, self.path, self._headed)
 
     def read(self, *wanted: str) -> dict[str, Array]:
         """Finite numbers (n,) of those of the wanted columns that there are.
@@ -72,64 +49,61 @@ class CsvTable:
         InputError for a header alone, a name twice, a line of another number of columns than the header, or a value
         that is no number.
         """
-        self._require_rows()
         there = [name for name in wanted if name in self.names]
         columns = [self.names.index(name) for name in there]
-        if not columns:
-            return {}
-        try:
-            values = np.loadtxt(self._lines, delimiter=",", usecols=columns, comments=None, ndmin=2)
-        except ValueError:
-            values = np.full((1, 1), np.nan)
-        if not np.all(np.abs(values) < _LARGEST):  # say which one
-            values = np.array([
-                [self._measured(texts[m].strip(), k, m) for m in columns]
-                for k, texts in enumerate(line.split(",") for line in self._lines)
-            ])
-        return dict(zip(there, values.T, strict=True))
+        named = [name for name in self.names if name]
+        if self._rows is not None and len(set(named)) == len(named):
+            found = self._rows.numbers(len(self.names), columns, LARGEST)
+            if found is not None:
+                return {name: found[k] for name, k in zip(there, columns, strict=True)}
+        self._require_rows()
+        values = self._lines.values({k: self.written[k] for k in columns}) if columns else []
+        return dict(zip(there, values, strict=True))
 
     def _require_rows(self) -> None:
-        if not self._lines:
+        if not len(self._lines):
             raise InputError(str(self.path), "a header alone", "shots below it")
         for name in [name for k, name in enumerate(self.names) if name and name in self.names[:k]][:1]:
             raise InputError(f"{self.path}, header", f"the column {name!r} twice", "each column once")
-        for k, line in enumerate(self._lines):
-            if line.count(",") != len(self.names) - 1:
-                found, expected = f"{line.count(',') + 1} values", f"{len(self.names)}, as the header has names"
-                raise InputError(self.where(k), found, expected, "the file may be cut short")
+        self._lines.require_width(self.names)
+
+    @cached_property
+    def _count(self) -> int:
+        return len(self._lines if self._rows is None else self._rows)
 
     def __len__(self) -> int:
-        return len(self._lines)
+        return self._count
 
     def where(self, row: int) -> str:
         """File and line of a row, for errors."""
-        return f"{self.path}, line {self._numbers[row]}"
+        return f"{self.path}, line {self.line_numbers()[row]}"
 
     def called(self, name: str) -> str:
         """File and a column as the header writes it, for errors."""
         return f"{self.path}, {self.written[self.names.index(name)]}"
 
-    def line_numbers(self) -> list[int]:
-        """Numbers (n) of the rows' lines in the file, from 1."""
-        return self._numbers
+    def line_numbers(self) -> Index:
+        """Numbers (n,) of the rows' lines in the file, from 1."""
+        return self._lines.numbers if self._rows is None else row_numbers(len(self), self._headed)
 
-    def texts(self, name: str, gaps: bool = False) -> list[str]:
+    def texts(self, name: str, gaps: bool = False) -> Names:
         """Texts (n) of a column, none of which is empty unless there may be `gaps`."""
-        column = self.names.index(name)
-        texts = [line.split(",", column + 1)[column].strip() for line in self._lines]
-        for k in [k for k, text in enumerate(texts) if not (text or gaps)][:1]:
-            raise InputError(f"{self.where(k)}, {self.written[column]}", "nothing", "a text")
-        for text in dict.fromkeys(texts):
-            if text:
-                name_of(text, self.called(name), "a text")
-        return texts
+        if (name, gaps) not in self._texts:
+            self._texts[name, gaps] = self._read_texts(self.names.index(name), gaps)
+        return self._texts[name, gaps]
+
+    def _read_texts(self, column: int, gaps: bool) -> Names:
+        found = self._rows.columns(len(self.names), (), (column,)) if self._rows is not None else None
+        names = short_names(found[column], gaps) if found else None
+        return Names.of(self._lines.texts(column, self.written[column], gaps)) if names is None else names
 
     def with_gaps(self, name: str) -> Array:
         """Numbers (n,) of a column, NaN where it is empty; NaN throughout where there is no such column."""
         if name not in self.names:
             return np.full(len(self), np.nan)
-        column, texts = self.names.index(name), self.texts(name, gaps=True)
-        return np.array([self._measured(text, k, column) if text else np.nan for k, text in enumerate(texts)])
-
-    def _measured(self, text: str, row: int, column: int) -> float:
-        return measured(text, f"{self.path}, line", self._numbers[row], self.written[column])
+        column = self.names.index(name)
+        if self._rows is not None:
+            values = numbers_of(self.texts(name, gaps=True).arrow, LARGEST)
+            if values is not None:
+                return values
+        return self._lines.with_gaps(column, self.written[column])

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from mgsgraph.altimetry.csv_table import plain_name
 from mgsgraph.altimetry.lola import RECORD, lola_shots
@@ -21,8 +23,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.files import number_of, read_bytes
+from mgsgraph.io.csv_columns import numbers_of
+from mgsgraph.io.files import LARGEST_NUMBER, number_of, read_bytes
 from mgsgraph.io.pvl import Block, Document, whole_label
+from mgsgraph.names import Names
 from mgsgraph.units import DEG, KM
 
 _GROUND = r"(foot(print)?|spot|pt|point|topo(graphic)?|ground|surface|geoc(entric)?|east|planetocentric)*"
@@ -49,6 +53,8 @@ _TYPES = {
 }  # fmt: skip
 _SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
 """Bytes of a number, by the letter of its type."""
+_FIRST, _LAST = ord(" "), ord("~")
+"""Of the characters that can be printed."""
 _LARGEST = 1e15
 """m, rad or s: no number of an altimeter."""
 _AS_CSV = "write a CSV with longitude_deg, latitude_deg, radius_m, time_s and range_m"
@@ -185,9 +191,17 @@ class _Rows:
             raise self._unknown(f"one column for the {meaning}")
         return fits[0] if fits else None
 
-    def _texts(self, column: Column) -> list[str]:
-        part = slice(column.start, column.start + column.size)
-        return [row[part].decode("latin-1").strip(' "') for row in self._rows.tolist()]
+    def _bytes(self, column: Column) -> NDArray[np.uint8]:
+        """(n, size)."""
+        whole = self._rows.view(np.uint8).reshape(self._rows.size, -1)
+        return np.ascontiguousarray(whole[:, column.start : column.start + column.size])
+
+    def _texts(self, column: Column) -> Names:
+        content = self._bytes(column)
+        if np.all((content >= _FIRST) & (content <= _LAST)):
+            names = Names(content.ravel(), np.arange(len(content) + 1) * column.size)
+            return Names.of(pc.utf8_trim(names.arrow, ' "'))
+        return Names.of([row.tobytes().rstrip(b"\0").decode("latin-1").strip(' "') for row in content])
 
     def _values(self, column: Column | None) -> Array:
         """Of a column, in m, rad or s."""
@@ -201,12 +215,9 @@ class _Rows:
             if column.size not in sizes:
                 found = f"{kind} of {column.size} bytes"
                 raise InputError(block.where("BYTES"), found, " or ".join(map(str, sizes)), _AS_CSV)
-            whole = self._rows.view(np.uint8).reshape(self._rows.size, -1)
-            part = np.ascontiguousarray(whole[:, column.start : column.start + column.size])
-            numbers = part.view(f"{_TYPES[kind]}{column.size}")[:, 0].astype(np.float64)
+            numbers = self._bytes(column).view(f"{_TYPES[kind]}{column.size}")[:, 0].astype(np.float64)
         else:
-            places = [f"{self.path}, row {k + 1}, {column.name}" for k in range(self._rows.size)]
-            numbers = np.array([number_of(*one) for one in zip(self._texts(column), places, strict=True)])
+            numbers = self._numbers(column)
         unit = block.text("UNIT").lower() if "UNIT" in block else ""
         if unit not in _UNITS:
             found = f"the unit {unit!r} of {block.text('NAME')}" if unit else f"no UNIT of {block.text('NAME')}"
@@ -219,9 +230,19 @@ class _Rows:
             raise InputError(f"{self.path}, row {k + 1}, {column.name}", f"{values[k]:g}", "a number that can be")
         return values
 
+    def _numbers(self, column: Column) -> Array:
+        """Those of a column of text."""
+        texts = self._texts(column)
+        found = numbers_of(texts.arrow, LARGEST_NUMBER)
+        if found is None or np.any(np.isnan(found)):
+            places = (f"{self.path}, row {k + 1}, {column.name}" for k in range(len(texts)))
+            found = np.array([number_of(*one) for one in zip(texts, places, strict=True)])
+        return found
+
     def _times(self, tdb: Column | None, utc: Column | None) -> Array:
         if tdb is not None:
             return self._values(tdb)
         if utc is None:
             raise self._unknown("a column UTC or EPHEMERIS_TIME")
-        return tdb_of_utc([text.replace("/", "-").replace(" ", "T") for text in self._texts(utc)], str(self.path))
+        texts = pc.replace_substring(pc.replace_substring(self._texts(utc).arrow, "/", "-"), " ", "T")
+        return tdb_of_utc(Names.of(texts), str(self.path))

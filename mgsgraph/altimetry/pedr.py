@@ -12,7 +12,9 @@ Centimetres and millionths of degrees end here.
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +23,15 @@ from mgsgraph.altimetry.places import known_ranges, require_records
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, read_only
 from mgsgraph.io.files import read_bytes
 from mgsgraph.io.pvl import Block, flat_label
 from mgsgraph.units import DEG
 
 SHOTS = 20
 """Shots in a frame."""
+_FRAMES = 1 << 14
+"""Frames whose shots are made at a time."""
 HEADER_RECORDS = 10
 """Records of the label before the first frame."""
 IAU2000_VERSION = "L"
@@ -132,7 +136,11 @@ def read_pedr(path: Path, clock_bias: float = 0.0, version: str | None = None) -
         of another length, where a frame's clock, times, places or radii can't be, or where the version is not to be
         found.
     """
-    content = read_bytes(path)
+    return pedr_shots(read_bytes(path), path, clock_bias, version)
+
+
+def pedr_shots(content: bytes, path: Path, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+    """As `read_pedr`, of the content of a file."""
     label = _label(content, path)
     frames = _frames(content, label, path)
     letter = pedr_version(path, label, version)
@@ -254,6 +262,22 @@ def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:
 
 
 def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, path: Path) -> AltimeterShots:
+    """Shots with a radius, of a part of the frames at a time: an archive's file is many times larger in float64."""
+    software, corrections = _software(label), _crossover(frames)
+    parts = [
+        _columns(frames[k : k + _FRAMES], k, software, [one[k : k + _FRAMES] for one in corrections], clock_bias)
+        for k in range(0, frames.size, _FRAMES)
+    ]
+    if not any(part["times"].size for part in parts):
+        raise InputError(str(path), f"{frames.size} frames without a single shot", "shots with a radius")
+    whole = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in tuple(parts[0])}
+    return AltimeterShots(source=str(path), **whole)
+
+
+def _columns(
+    frames: NDArray[np.void], before: int, software: float | None, crossover: Sequence[Array], clock_bias: float
+) -> dict[str, NDArray[Any]]:
+    """Fields of AltimeterShots, of frames that have so many before them in their file."""
     x = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
 
     def field(name: str, scale: float = 1.0) -> Array:
@@ -262,52 +286,48 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
     def across(name: str, scale: float) -> Array:
         return field(name, scale) + x * field(f"d_{name}", scale)
 
-    software = _software(label)
     raw = frames["shot_radius"] * _CM
     lift = raw - field("midpoint_radius", _CM)
     corrected = raw
     if software is None or software >= _FIRST_CROSSOVERS:
-        value, change = _crossover(frames)
+        value, change = crossover
         corrected = raw - value - x * change
     else:  # parallax came with the orbits of gravity model 2, in old software of model 3 (PEDR2TAB)
         lift = np.where(field("orbit_model") >= (3 if software <= 7.0 else 2), lift, 0.0)
     longitude = across("longitude", _MICRODEG) + field("parallax_longitude", 1e-3 * _MICRODEG) * lift
     latitude = across("latitude", _MICRODEG) + field("parallax_latitude", 1e-3 * _MICRODEG) * lift
-    places = np.stack([longitude, latitude, corrected], axis=-1)
     spacecraft = [across(f"spacecraft_{name}", _MICRODEG) for name in ("longitude", "latitude")]
     tick = 1e7 / np.where(frames["clock"] > 0, frames["clock"], np.nan)[:, None]  # s, a tenth by the altimeter's clock
     times = field("seconds") + field("microseconds", 1e-6) + x * SHOTS * tick + clock_bias
     kept = (raw > 0.0).ravel()
-    if not np.any(kept):
-        raise InputError(str(path), f"{frames.size} frames without a single shot", "shots with a radius")
 
     def flat(values: Array) -> Array:
         return np.broadcast_to(values, raw.shape).ravel()[kept]
+
+    def placed(values: Array) -> Array:
+        return from_planetocentric(values).reshape(-1, 3)[kept]
 
     def whole(values: NDArray[np.integer]) -> Index:
         return np.broadcast_to(values, raw.shape).ravel()[kept].astype(np.int64)
 
     ground = frames["shot_class"] == 1
     ranges, pulses = frames["range"] * _CM, frames["sigma_optical"] * _PULSE
-    return AltimeterShots(
-        source=str(path),
-        orbits=whole(frames["orbit"][:, None]),
-        frames=whole(np.arange(1, frames.size + 1)[:, None]),
-        shots=whole(np.arange(1, SHOTS + 1)[None, :]),
-        times=flat(times),
-        footprints=from_planetocentric(places).reshape(-1, 3)[kept],
-        areoid_radii=flat(across("areoid_radius", _CM)),
-        ranges=flat(known_ranges(ranges, ground)),
-        range_corrections=flat(frames["range_correction"] * _CM),
-        spacecraft=from_planetocentric(np.stack([*spacecraft, across("spacecraft_radius", _CM)], axis=-1)).reshape(
-            -1, 3
-        )[kept],
-        off_nadir=flat(field("off_nadir", _MICRODEG)),
-        ground=ground.ravel()[kept],
-        channels=whole(frames["channel"]),
-        clocks=flat(field("clock")),
-        pulses=flat(np.where(pulses > 0.0, pulses, np.nan)),
-    )
+    return {
+        "orbits": whole(frames["orbit"][:, None]),
+        "frames": whole(np.arange(before + 1, before + frames.size + 1)[:, None]),
+        "shots": whole(np.arange(1, SHOTS + 1)[None, :]),
+        "times": flat(times),
+        "footprints": placed(np.stack([longitude, latitude, corrected], axis=-1)),
+        "areoid_radii": flat(across("areoid_radius", _CM)),
+        "ranges": flat(known_ranges(ranges, ground)),
+        "range_corrections": flat(frames["range_correction"] * _CM),
+        "spacecraft": placed(np.stack([*spacecraft, across("spacecraft_radius", _CM)], axis=-1)),
+        "off_nadir": flat(field("off_nadir", _MICRODEG)),
+        "ground": ground.ravel()[kept],
+        "channels": whole(frames["channel"]),
+        "clocks": flat(field("clock")),
+        "pulses": flat(np.where(pulses > 0.0, pulses, np.nan)),
+    }
 
 
 def _software(label: Block | None) -> float | None:

@@ -5,22 +5,22 @@ PEDR2TAB table fields may abut, so its lines are cut at the widths of the progra
 with wider shot, packet and orbit numbers). A frame number stands for the line in the file, which names the shot.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mgsgraph.altimetry.csv_table import measured, plain_name
+from mgsgraph.altimetry.csv_lines import measured
 from mgsgraph.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
+from mgsgraph.altimetry.pedr_columns import edges_of, names_of, plain_table
 from mgsgraph.altimetry.places import known_ranges, whole_numbers
 from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.files import read_text
+from mgsgraph.io.files import LARGEST_TEXT, read_bytes, read_text
 from mgsgraph.units import DEG
 
 _COLUMNS = {
@@ -39,14 +39,6 @@ PEDR_RADII = frozenset({"planetrad", "planetradius", "planetaryradius"})
 _NEEDED = {
     "longitude": "long_East", "latitude": "lat_North", "radius": "planet_rad (heights above the areoid don't tell it)",
 }
-_WIDTHS = {
-    "longeast": 9, "latnorth": 10, "topography": 11, "molarange": 10, "planetrad": 12, "c": 2, "a": 2,
-    "sclong": 10, "sclat": 10, "scradius": 12, "offndr": 7, "ephemeristime": 16, "areodlat": 10, "areoidrad": 11,
-    "shot": 4, "pkt": 6, "orbit": 6, "gm": 3, "hrlcl": 7, "sphas": 7, "sinc": 7, "emissn": 7, "rcorr": 7, "pwt": 8,
-    "sigopt": 8, "elaser": 8, "pulsee": 7, "reft": 7, "bkgrd": 7, "thmv": 7, "wct": 3, "ect": 4, "rwnd": 7, "rdly": 8,
-}
-"""Characters of PEDR2TAB's formats."""
-_WIDER = _WIDTHS | {"offndr": 8, "pkt": 7, "orbit": 8}
 _NOT_GROUND = 4
 """PEDR2TAB adds this to the attitude flag A of a shot that didn't reach the ground."""
 
@@ -78,22 +70,38 @@ def read_pedr_text(
         Where a needed column is missing, a line can't be cut into the header's columns, a value is no number or the
         version is not known.
     """
+    table = _in_columns(path) or _by_lines(path)
+    letter = IAU2000_VERSION if table.with_commas and version is None else pedr_version(path, None, version)
+    shots = _shots(table, clock_bias)
+    return in_iau2000(shots) if letter < IAU2000_VERSION else shots
+
+
+def _in_columns(path: Path) -> "_ShotTable | None":
+    """A plain table; None for another one, or one in which something is wrong."""
+    found = plain_table(read_bytes(path, LARGEST_TEXT))
+    if found is None:
+        return None
+    wanted = _wanted(found.names, path)
+    texts = {k: name for k, name in wanted.items() if name == "utc" and "time" not in wanted.values()}
+    columns = found.columns({k: name for k, name in wanted.items() if name != "utc"}, texts)
+    lines = np.arange(len(found.rows)) + found.first_line
+    return None if columns is None else _ShotTable(path, found.with_commas, lines, columns)
+
+
+def _by_lines(path: Path) -> "_ShotTable":
+    """Any table, of columns of texts; InputError for a line that can't be cut into the header's columns."""
     lines = read_text(path).split("\n")
     header = next((k for k, line in enumerate(lines) if line.strip()), None)
     if header is None:
         raise InputError(str(path), "an empty file", "a header and shots")
-    csv = "," in lines[header]
-    names = [plain_name(name) for name in (lines[header].split(",") if csv else lines[header].split())]
+    csv, names = "," in lines[header], names_of(lines[header])
     first = header + 1 + (not csv and len(lines) > header + 1 and set(lines[header + 1]) <= set("-. "))
     body = [(k + 1, line.rstrip()) for k, line in enumerate(lines[first:], first) if line.strip()]
     if not body:
         raise InputError(str(path), "a header alone", "shots below it")
     wanted = _wanted(names, path)
     cut = _cut_csv if csv else _cut_table
-    table = _ShotTable(path, np.array([number for number, _ in body]), cut(body, names, wanted, path))
-    letter = IAU2000_VERSION if csv and version is None else pedr_version(path, None, version)
-    shots = _shots(table, clock_bias)
-    return in_iau2000(shots) if letter < IAU2000_VERSION else shots
+    return _ShotTable(path, csv, np.array([number for number, _ in body]), cut(body, names, wanted, path))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,21 +109,30 @@ class _ShotTable:
     """Columns of a text, by what they mean."""
 
     path: Path
+    with_commas: bool
+    """Whether it is CSV."""
     lines: Index
     """(n,) number of each row's line in the file, from 1."""
-    columns: dict[str, NDArray[np.str_]]
-    """each (n,)."""
+    columns: Mapping[str, Array | Sequence[str]]
+    """each (n,): numbers, or the texts of some."""
 
     def numbers(self, name: str) -> Array:
         """A column as numbers; NaN throughout where there is no such column."""
         if name not in self.columns:
             return np.full(self.lines.size, np.nan)
-        texts = self.columns[name]
+        values = self.columns[name]
+        if isinstance(values, np.ndarray):
+            return values
         where = f"{self.path}, line"
         return np.array([
-            measured(text, where, line, name)
-            for text, line in zip(map(str.strip, texts.tolist()), self.lines.tolist(), strict=True)
+            measured(text, where, line, name) for text, line in zip(values, self.lines.tolist(), strict=True)
         ])
+
+    def texts(self, name: str) -> Sequence[str]:
+        """A column of texts."""
+        texts = self.columns[name]
+        assert not isinstance(texts, np.ndarray)
+        return texts
 
     def whole(self, name: str) -> Index:
         """A column of whole numbers; zero throughout where there is no such column."""
@@ -153,30 +170,26 @@ def _wanted(names: Sequence[str], path: Path) -> dict[int, str]:
 
 def _cut_csv(
     body: Sequence[tuple[int, str]], names: Sequence[str], wanted: dict[int, str], path: Path
-) -> dict[str, NDArray[np.str_]]:
+) -> dict[str, list[str]]:
     rows = [line.split(",") for _, line in body]
     for (number, _), row in zip(body, rows, strict=True):
         if len(row) != len(names):
             raise InputError(f"{path}, line {number}", f"{len(row)} values", f"{len(names)}, as the header has names")
-    return {meaning: np.array([row[k].strip() for row in rows]) for k, meaning in wanted.items()}
+    return {meaning: [row[k].strip() for row in rows] for k, meaning in wanted.items()}
 
 
 def _cut_table(
     body: Sequence[tuple[int, str]], names: Sequence[str], wanted: dict[int, str], path: Path
-) -> dict[str, NDArray[np.str_]]:
+) -> dict[str, list[str]]:
     """Cut at the program's widths where lines have its length, at blanks otherwise."""
-    for widths in (_WIDTHS, _WIDER):
-        if all(name in widths for name in names):
-            edges = np.cumsum([0] + [widths[name] for name in names])
-            if len(body[0][1]) == edges[-1]:
-                for number, line in body:
-                    if len(line) != edges[-1]:
-                        found, expected = f"{len(line)} characters", f"{edges[-1]}, as in the lines before"
-                        raise InputError(f"{path}, line {number}", found, expected, "the file is cut short")
-                return {
-                    meaning: np.array([line[edges[k] : edges[k + 1]].strip() for _, line in body])
-                    for k, meaning in wanted.items()
-                }
+    if edges := edges_of(names, len(body[0][1])):
+        for number, line in body:
+            if len(line) != edges[-1]:
+                found, expected = f"{len(line)} characters", f"{edges[-1]}, as in the lines before"
+                raise InputError(f"{path}, line {number}", found, expected, "the file is cut short")
+        return {
+            meaning: [line[edges[k] : edges[k + 1]].strip() for _, line in body] for k, meaning in wanted.items()
+        }
     rows = [line.split() for _, line in body]
     for (number, _), row in zip(body, rows, strict=True):
         if len(row) != len(names):
@@ -184,7 +197,7 @@ def _cut_table(
                 f"{path}, line {number}", f"{len(row)} values",
                 f"{len(names)}, as the header has names, or lines of PEDR2TAB's length", "write the table anew",
             )
-    return {meaning: np.array([row[k] for row in rows]) for k, meaning in wanted.items()}
+    return {meaning: [row[k] for row in rows] for k, meaning in wanted.items()}
 
 
 def _shots(table: _ShotTable, clock_bias: float) -> AltimeterShots:
@@ -192,10 +205,8 @@ def _shots(table: _ShotTable, clock_bias: float) -> AltimeterShots:
     longitude = table.within("longitude", -360.0, 360.0) * DEG
     latitude = table.within("latitude", -90.0, 90.0) * DEG
     radius = table.within("radius", 3.3e6, 3.5e6)
-    if "time" in table.columns:
-        times = table.numbers("time")
-    else:
-        times = tdb_of_utc(table.columns["utc"].tolist(), f"{table.path}, UTC")
+    in_utc = "time" not in table.columns
+    times = tdb_of_utc(table.texts("utc"), f"{table.path}, UTC") if in_utc else table.numbers("time")
     ranges = table.numbers("range")
     areoid = table.numbers("areoid")
     areoid = np.where(np.isnan(areoid), radius - table.numbers("topography"), areoid)

@@ -13,7 +13,7 @@ from mgsgraph.altimetry.csv_table import CsvTable
 from mgsgraph.altimetry.limits import require_possible_shots
 from mgsgraph.altimetry.lola import is_lola_rdr, lola_shots
 from mgsgraph.altimetry.pds_table import is_label, read_labelled_shots, require_whole
-from mgsgraph.altimetry.pedr import FRAME, read_pedr
+from mgsgraph.altimetry.pedr import FRAME, pedr_shots
 from mgsgraph.altimetry.pedr_text import PEDR_RADII, read_pedr_text
 from mgsgraph.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
 from mgsgraph.errors import InputError
@@ -45,7 +45,15 @@ def read_shots(
         missing; a value that is no number or can't be; radii in no unit in which they are the body's, ranges in another
         than the way from the spacecraft, where the file has that.
     """
-    shots = _as_read(path, clock_bias, version)
+    return shots_of(*unpacked(read_bytes(path), path), path, clock_bias, version)
+
+
+def shots_of(
+    content: bytes, packed: bool, path: Path, clock_bias: float = 0.0, version: str | None = None,
+    table: CsvTable | None = None,
+) -> AltimeterShots:  # fmt: skip
+    """As `read_shots`, of the content of a file, unpacked if it was packed; as a table, where it is one already."""
+    shots = _as_read(content, packed, path, clock_bias, version, table)
     ways = np.linalg.norm(shots.spacecraft - shots.footprints, axis=1)
     known = np.isfinite(ways) & np.isfinite(shots.ranges)
     if np.any(known):
@@ -54,9 +62,10 @@ def read_shots(
     return shots
 
 
-def _as_read(path: Path, clock_bias: float, version: str | None) -> AltimeterShots:
-    content, packed = unpacked(read_bytes(path), path)
-    if not content.strip():
+def _as_read(
+    content: bytes, packed: bool, path: Path, clock_bias: float, version: str | None, table: CsvTable | None
+) -> AltimeterShots:  # fmt: skip
+    if not content or content.isspace():
         raise InputError(str(path), "an empty file", "laser shots")
     if b"\0" in content:
         if is_lola_rdr(content):
@@ -68,12 +77,12 @@ def _as_read(path: Path, clock_bias: float, version: str | None) -> AltimeterSho
                 f"LOLA RDR (records of 256 bytes), PEDR (frames of {FRAME.itemsize} bytes) or text",
             )
         _require_unpacked(packed, path)
-        return read_pedr(path, clock_bias, version)
+        return pedr_shots(content, path, clock_bias, version)
     if content.lstrip().startswith(b"{"):
         raise InputError(str(path), "JSON", "a file of an altimeter's archive", "ISIS lidar data go into [laser]")
     if is_label(content):
         return read_labelled_shots(path, clock_bias)
-    table = table_of(content, path)
+    table = table_of(content, path) if table is None else table
     layout = layout_of(table)
     if layout is not None:
         return shots_of_table(table, layout, clock_bias)

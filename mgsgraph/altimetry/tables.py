@@ -24,6 +24,7 @@ from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, KM, SPEED_OF_LIGHT
 
 _HALF_LIGHT = 0.5e-9 * SPEED_OF_LIGHT
@@ -39,11 +40,11 @@ class Columns(Protocol):
     def read(self, *wanted: str) -> dict[str, Array]:
         """Finite numbers (n,) of those of the wanted columns that there are."""
 
-    def texts(self, name: str) -> list[str]:
+    def texts(self, name: str) -> Names:
         """Texts (n) of a column."""
 
-    def line_numbers(self) -> list[int]:
-        """Numbers (n) of the rows, from 1."""
+    def line_numbers(self) -> Index:
+        """Numbers (n,) of the rows, from 1."""
 
     def where(self, row: int) -> str:
         """File and row, for errors."""
@@ -168,7 +169,7 @@ def _numbers_of(
 ) -> tuple[Index, Index]:
     if seconds is not None and frames is not None and spots is not None:
         return seconds * 100 + frames, spots
-    lines = np.array(table.line_numbers(), dtype=np.int64)
+    lines = table.line_numbers()
     return lines, np.ones(lines.size, dtype=np.int64)
 
 
@@ -208,7 +209,7 @@ def read_selection(table: CsvTable, clock_bias: float) -> AltimeterShots:
         for column, name in _OWN_GAPS.items()
     }
     angles = np.column_stack([needed["longitudedeg"], needed["latitudedeg"]])
-    lines = {"frames": np.array(table.line_numbers()), "shots": np.ones(n)}
+    lines = {"frames": table.line_numbers().astype(np.float64), "shots": np.ones(n)}
 
     def whole(column: str, name: str) -> Index:
         values = needed.get(column, lines.get(name, np.zeros(n)))
@@ -232,7 +233,7 @@ def _flags(table: CsvTable, values: Array) -> Mask:
 def _altimeter(table: CsvTable) -> Altimeter:
     if "altimeter" not in table.names:
         return ANY
-    stated = set(table.texts("altimeter"))
+    stated = set(RepeatedNames.of(table.texts("altimeter").arrow).distinct)
     if len(stated) > 1 or not stated <= {*ALTIMETERS, ANY.name}:
         raise InputError(table.called("altimeter"), ", ".join(sorted(stated))[:60], f"one of {', '.join(ALTIMETERS)}")
     return ALTIMETERS.get(stated.pop(), ANY)

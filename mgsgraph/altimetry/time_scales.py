@@ -9,10 +9,13 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import YEARS
 from mgsgraph.geometry.records import Array
+from mgsgraph.names import Names, RepeatedNames
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 _TT_OF_TAI = 32.184
@@ -29,6 +32,9 @@ _STARTS = np.array([(datetime.fromisoformat(f"{month}-01T00:00Z") - _J2000).tota
 """s UTC past J2000 of these days."""
 _UTC = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d*)?))?Z?")
 """Year, month and day or day of the year, hour, minute, second."""
+_TO_MINUTE = len("2009-09-06T07:50")
+_SECONDS = 61.0
+"""Of a minute at most, a leap second among them."""
 
 
 def tdb_of_tt(times: Array) -> Array:
@@ -44,9 +50,30 @@ def _yearly_term(times: Array) -> Array:
 
 def tdb_of_utc(texts: Sequence[str], where: str) -> Array:
     """S TDB past J2000 of times such as 2009-09-06T07:50:38.773, from 1972 on; InputError names `where`."""
-    minutes, seconds = np.array([_minute_and_second(text, where) for text in texts]).reshape(-1, 2).T
+    minutes, seconds = _in_columns(Names.of(texts).arrow) or _one_by_one(texts, where)
     leaps = np.searchsorted(_STARTS, minutes, side="right") - 1
     return tdb_of_tt(minutes + seconds + leaps + _FIRST_LEAPS + _TT_OF_TAI)
+
+
+def _in_columns(texts: pa.Array) -> tuple[Array, Array] | None:
+    """S UTC past J2000 of the minutes of times (n,), each of which is read once, and their seconds; None where they are
+    written otherwise than to the second, or can't be read.
+    """
+    seconds = pc.utf8_slice_codeunits(texts, _TO_MINUTE)
+    if not pc.all(pc.match_substring_regex(seconds, r"^:\d\d(\.\d+)?Z?$")).as_py():
+        return None
+    past = np.asarray(pc.utf8_rtrim(pc.utf8_slice_codeunits(seconds, 1), "Z").cast(pa.float64()))
+    minutes = RepeatedNames.of(pc.utf8_slice_codeunits(texts, 0, _TO_MINUTE))
+    try:
+        begins = np.array([_minute_and_second(text, "")[0] for text in minutes.distinct] or [0.0])
+    except InputError:
+        return None
+    return (begins[minutes.numbers], past) if np.all(past < _SECONDS) else None
+
+
+def _one_by_one(texts: Sequence[str], where: str) -> tuple[Array, Array]:
+    minutes, seconds = np.array([_minute_and_second(text, where) for text in texts]).reshape(-1, 2).T
+    return minutes, seconds
 
 
 def _minute_and_second(text: str, where: str) -> tuple[float, float]:
@@ -59,7 +86,7 @@ def _minute_and_second(text: str, where: str) -> tuple[float, float]:
         when = datetime(int(year), int(month or 1), int(day or 1), int(hour), int(minute), tzinfo=UTC)
         when += timedelta(days=int(of_year or 1) - 1)
         past = (when - _J2000).total_seconds()
-        if when.year != int(year) or past < _STARTS[0] or float(second or 0.0) >= 61.0:
+        if when.year != int(year) or past < _STARTS[0] or float(second or 0.0) >= _SECONDS:
             raise ValueError(text)
     except (ValueError, OverflowError):
         expected = "UTC such as 2009-09-06T07:50:38.773, from 1972 on"
@@ -72,6 +99,19 @@ def utc_of_tdb(time: float) -> datetime:
     tai = time - float(_yearly_term(np.asarray(time))) - _TT_OF_TAI
     leaps = np.searchsorted(_STARTS + np.arange(_STARTS.size) + _FIRST_LEAPS, tai, side="right") - 1
     return _J2000 + timedelta(seconds=tai - max(int(leaps), 0) - _FIRST_LEAPS)
+
+
+def utc_texts(times: Array) -> Names:
+    """UTC of times (n,) in s TDB past J2000, from 1972 on, as year, month, day, hour, minute, second and thousandths of
+    it, cut off there.
+    """
+    tai = times - _yearly_term(times) - _TT_OF_TAI
+    leaps = np.searchsorted(_STARTS + np.arange(_STARTS.size) + _FIRST_LEAPS, tai, side="right") - 1
+    part, whole = np.modf(tai - np.maximum(leaps, 0) - _FIRST_LEAPS)
+    past = whole.astype(np.int64) * 10**6 + np.rint(part * 1e6).astype(np.int64)
+    since_1970 = past // 1000 + int(_J2000.timestamp()) * 1000
+    texts = pa.array(since_1970).cast(pa.timestamp("ms")).cast(pa.large_string())
+    return Names.of(pc.replace_substring(texts, " ", "T"))
 
 
 def require_years(times: Array, source: str) -> None:

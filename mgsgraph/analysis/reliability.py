@@ -15,8 +15,8 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.leverage import BETWEEN, EFFECT, MISFIT, SHARE
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.redundancy import pair_tests, swept
+from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import PriorRows, at_solution, prior_rows
 from mgsgraph.analysis.measures import (

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.square_root import begins
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import ray_statistics, rejected_points
 from mgsgraph.network import PointClass
@@ -18,8 +19,6 @@ MOST = 0.5
 """Share of a kind of observations beyond which what is left of it proves nothing."""
 MANY = 0.2
 """Share from which on it is worth a warning: blunders are single ones, so many have a cause in common."""
-ABSURD = 10.0
-"""sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
 _FEWEST = 3
 """Fewer observations of a kind are not judged by their share, unless all are lost."""
 

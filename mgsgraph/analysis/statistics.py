@@ -4,6 +4,7 @@ Tables, words and figures all take their numbers here, so that they can't contra
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -39,7 +40,7 @@ def mean_and_rms(values: Array) -> tuple[Array, Array]:
     return values.mean(axis=0), root_mean_square(values, 0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RayStatistics:
     """Image residuals of the rays that took part, by image and class; components line and sample."""
 
@@ -52,12 +53,12 @@ class RayStatistics:
     rms: Array
     """(images, classes, 2) pixels."""
 
-    @property
+    @cached_property
     def rms_of_images(self) -> Array:
         """(images, 2) pixels, over all classes."""
         return self._pooled(1)
 
-    @property
+    @cached_property
     def rms_of_classes(self) -> Array:
         """(classes, 2) pixels, over all images."""
         return self._pooled(0)
@@ -66,7 +67,7 @@ class RayStatistics:
         squares = np.nan_to_num(self.rms) ** 2 * self.count[:, :, None]
         return np.sqrt(_ratio(squares.sum(axis=axis), self.count.sum(axis=axis)))
 
-    @property
+    @cached_property
     def standard_errors(self) -> Array:
         """(images, classes, 2) pixels, of the means; NaN for fewer than two rays."""
         count = self.count[:, :, None]

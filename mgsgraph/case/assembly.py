@@ -1,6 +1,6 @@
 """Points, rays, ranges, shifts and terrain of several files, gathered into one network."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -143,13 +143,9 @@ class Parts:
         sigmas = np.full((profile.measure_shot.size, 2), wanted.image_sigma_px)
         self._add_rays(first, profile.measure_shot, profile.measure_image, profile.measures, sigmas, profile.source)
         if wanted.ranges:
-            pairs = [
-                (i, self._image(name, f"{profile.source}, shot {profile.ids[i]}"))
-                for i, names in enumerate(profile.simultaneous)
-                for name in names
-            ]
-            shot, image = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-            require_ranges_of(profile, shot, [self.images[k] for k in image.tolist()])
+            shot, names = profile.simultaneous_shot, profile.simultaneous_image
+            image = self._numbered(names, lambda k: f"{profile.source}, shot {profile.ids[int(shot[k])]}")
+            require_ranges_of(profile, self.images, image)
             if wanted.range_sigma_m is None:
                 require_range_sigmas(profile)
             own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
@@ -210,10 +206,11 @@ class Parts:
             if wanted.drift_sigma_m is not None:
                 raise InputError(taken.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
             return
-        names = np.array(taken.profile_names(), dtype=object)
-        for profile in dict.fromkeys(names.tolist()):
-            full = name if np.all(names == profile) else f"{name}:{profile}"
-            self._shifts.append((full, wanted.shift_sigma_m, first + np.flatnonzero(names == profile)))
+        names = taken.profile_names()
+        for profile in names.used:
+            mine = np.flatnonzero(names.over([profile]) == 0)
+            full = name if mine.size == len(names) else f"{name}:{profile}"
+            self._shifts.append((full, wanted.shift_sigma_m, first + mine))
             self.footprints[full] = taken.altimeter.spot(taken.ranges)
             if wanted.drift_sigma_m is not None:
                 self.shared.append(SharedUnknown.of_drift(full, wanted.drift_sigma_m))
@@ -258,7 +255,7 @@ class Parts:
                 "altimetry that crosses the images", "take the table out, or check file and images",
             )  # fmt: skip
         name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], wanted.sigma_m
-        first, n = self._claim(Names.of(taken.ids).prefixed(f"{name}:"), cloud.source), len(taken.ids)
+        first, n = self._claim(taken.ids.prefixed(f"{name}:"), cloud.source), len(taken.ids)
         covariances = footprint_covariances(taken.points, horizontal, vertical)
         kinds, classes = np.full(n, int(PointKind.CONSTRAINED)), np.full(n, int(PointClass.LASER))
         self._points.append((classes, kinds, taken.points, covariances))
@@ -365,6 +362,13 @@ class Parts:
             )
         return self._index[name]
 
+    def _numbered(self, names: RepeatedNames, where: Callable[[int], str]) -> Index:
+        """(k,) indices of images; InputError for a name that is none of theirs, which `where` places by its number."""
+        image = names.over([one.name for one in self.images])
+        for k in np.flatnonzero(image < 0)[:1].tolist():
+            self._image(names[k], where(k))
+        return image
+
     def _add_rays(
         self, first: int, point: Index, names: RepeatedNames, places: Array, sigmas: Array, source: str
     ) -> None:
@@ -376,8 +380,6 @@ class Parts:
         self, ids: Names, point: Index, names: RepeatedNames, places: Array, source: str
     ) -> Index:
         """Indices (k,) of the images in which points were measured; all of them are there, and hold their measures."""
-        image = names.over([one.name for one in self.images])
-        for k in np.flatnonzero(image < 0)[:1].tolist():
-            self._image(names[k], f"{source}, point {ids[int(point[k])]}")
+        image = self._numbered(names, lambda k: f"{source}, point {ids[int(point[k])]}")
         require_inside(self.images, image, places, ids, point, source)
         return image

@@ -256,13 +256,13 @@ def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _
     """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
     profile = read_lidar(path)
     require_on_body(profile.footprints, coverage.network.images[0].body, profile.source, profile.ids)
-    named = sorted({name for names in profile.simultaneous for name in names if name in coverage.views})
+    named = sorted(name for name in profile.simultaneous_image.used if name in coverage.views)
     if entry.image is None and len(named) > 1:
         raise InputError(str(path), f"shots simultaneous with {' and '.join(named)}", "one image", _NAME_THE_IMAGE)
     if not (entry.image or named):
         return profile.times, profile.footprints, None
     owner = entry.image or named[0]
-    mine = np.array([owner in names for names in profile.simultaneous], dtype=bool)
+    mine = np.unique(profile.simultaneous_shot[profile.simultaneous_image.over([owner]) == 0])
     return profile.times[mine], profile.footprints[mine], owner
 
 

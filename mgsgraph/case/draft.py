@@ -48,7 +48,7 @@ trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2 (u =
 _NO_MEASURES = """
 # No tie points, ground control or laser shots with measures yet: `mgsgraph match` finds ties. Or name a network:
 # [ties]
-# network = "network.net"               # ISIS control network (.net, .pvl) or table (.csv)
+# network = "network.net"               # ISIS control network (.net, .pvl) or table (.csv, .parquet)
 """
 
 
@@ -196,10 +196,10 @@ def _names_in_networks(kinds: dict[Path, Kind]) -> list[str]:
     for path, kind in kinds.items():
         try:
             if kind in (Kind.NETWORK, Kind.TIE_TABLE):
-                names |= dict.fromkeys(read_tie_points(path).measure_image)
+                names |= dict.fromkeys(read_tie_points(path).measure_image.used)
             elif kind is Kind.LIDAR:
                 shots = read_lidar(path)
-                names |= dict.fromkeys([*shots.measure_image, *(name for one in shots.simultaneous for name in one)])
+                names |= dict.fromkeys([*shots.measure_image.used, *shots.simultaneous_image.used])
         except InputError:  # said where its table is made
             continue
     return list(names)

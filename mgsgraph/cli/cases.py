@@ -19,6 +19,7 @@ from mgsgraph.cli.options import (
     WORKERS,
     image_pair,
     overruling,
+    print_form_of_tables,
     print_sentences,
     print_solution,
 )
@@ -128,8 +129,7 @@ def adjust(
     print_solution(solution)
     if words:
         click.echo(words)
-    if "points.parquet" in written and overrides.tables is None:
-        click.echo("Tables of points and residuals are Parquet, for their size; --tables csv writes CSV")
+    print_form_of_tables(written, overrides.tables)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if is_result(solution) else 1)
 

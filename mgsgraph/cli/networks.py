@@ -58,8 +58,8 @@ def convert(
     strict: bool,
 ) -> None:
     """Read IN... as one network and write it to OUT (the last file, or --out), each in the format of its ending: .pvl
-    and .net (ISIS), .csv, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files' names begin
-    with, and there is one for each pair of images), .gcp and .nvm.
+    and .net (ISIS), .csv, .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
+    names begin with, and there is one for each pair of images), .gcp and .nvm.
 
     --only, --thin and --split, in this order, take parts of it. --thin keeps the best points of N cells of each image
     (in many images, of small sigma, of high GoodnessOfFit), constrained and fixed ones, and the connection of all
@@ -198,11 +198,12 @@ def _write_page(
 
 
 def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> None:
+    from mgsgraph.control.table import is_table
     from mgsgraph.export.exchange_setting import case_setting
     from mgsgraph.review.verdicts import read_verdicts, reviewed_network, write_kept
 
     network = reviewed_network(case) if ties is None else ties
-    setting = case_setting(case) if network.suffix.lower() == ".csv" else None
+    setting = case_setting(case) if is_table(network) else None
     ignored, total = write_kept(
         network, read_verdicts(verdicts), out, setting, lambda: tuple(case_setting(case).sizes)
     )

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
 NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write no figures.")
+TABLES = click.option(
+    "--tables", type=click.Choice(["csv", "parquet"]),
+    help="Form of points and residuals; when absent CSV up to 200,000 rows, else Parquet.",
+)  # fmt: skip
 PAIR = click.option("--pair", metavar="A,B", help="Names of the two images to take; all that overlap when absent.")
 DEVICE = click.option(
     "--device", type=click.Choice(["cpu", "cuda", "auto"]), help="Who goes over the points: the CPU or a GPU."
@@ -39,10 +43,7 @@ _OPTIONS = (
     ),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
     NO_FIGURES,
-    click.option(
-        "--tables", type=click.Choice(["csv", "parquet"]),
-        help="Form of points and residuals; when absent CSV up to 200,000 rows, else Parquet.",
-    ),
+    TABLES,
     DEVICE,
 )
 
@@ -84,6 +85,12 @@ def print_sentences(sentences: Iterable[str]) -> None:
     """Print sentences, each as an item of a list."""
     for sentence in sentences:
         click.echo(f"- {sentence}")
+
+
+def print_form_of_tables(files: Iterable[str], asked: "TableForm | None") -> None:
+    """Print that the tables among written files are Parquet where nobody asked for that."""
+    if "points.parquet" in files and asked is None:
+        click.echo("Tables of points and residuals are Parquet, for their size; --tables csv writes CSV")
 
 
 def print_solution(solution: "Solution") -> None:

@@ -154,5 +154,5 @@ def _numbers(content: np.ndarray, spans: Index) -> Array:
     """(m,) numbers whose decimals lie at spans (m, 2), NaN for an empty one; correctly rounded, as Python's float."""
     there = spans[:, 1] > 0
     found = np.full(spans.shape[0], np.nan)
-    found[there] = np.asarray(names_at(content, spans[there]).arrow.cast(pa.float64()))
+    found[there] = np.from_dlpack(names_at(content, spans[there]).arrow.cast(pa.float64()))
     return found

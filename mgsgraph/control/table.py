@@ -1,12 +1,12 @@
-"""Tables of tie points and control points (CSV, one measure a row), as they are measured by hand.
+"""Tables of tie points and control points (CSV or Parquet, one measure a row), as they are measured by hand.
 
 The first line names the columns (`control.table_columns`): id, image, and isis_line, isis_sample (the first pixel's
 centre is (1, 1)) or line, sample (it is (0.5, 0.5)); all others may be left out. Blank lines and lines that begin with
-# count for nothing. A point without measures has one row without image.
+# count for nothing. A point without measures has one row without image. A Parquet file has the same columns
+(`control.table_parquet`).
 """
 
 import csv
-import io
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,30 +15,36 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.control.network_file import read_control_network, read_network
-from mgsgraph.control.pvl import MEASURE_TYPES
+from mgsgraph.control.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
 from mgsgraph.control.record import (
     ControlMeasure,
     ControlNetwork,
     ControlPoint,
-    MeasureType,
     PointType,
     with_names,
 )
 from mgsgraph.control.table_columns import (
     AXES,
     CARTESIAN,
+    FLAGS,
     GEODETIC,
     ISIS,
+    LARGEST_SIGMA,
     MATRIX,
+    MEASURE_TYPES,
     OF_MEASURE,
     OF_POINT,
     OURS,
     PLACES,
     PLANETOCENTRIC,
+    POINT_TYPES,
+    TURN,
     UNCERTAINTIES,
     header_of,
     whole,
 )
+from mgsgraph.control.table_parquet import PARQUET, parquet_columns, parquet_rows
+from mgsgraph.control.table_ties import csv_ties, tie_points_of
 from mgsgraph.control.ties import tie_points
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import (
@@ -50,22 +56,14 @@ from mgsgraph.geometry.body import (
     require_near,
 )
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.files import finite_number, read_text
+from mgsgraph.io.files import LARGEST_TEXT, finite_number, read_bytes, read_text
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG, ISIS_OFFSET
 
-_TYPES = {kind.name.lower(): kind for kind in PointType}
-_MEASURE_TYPES = {kind.name.lower().replace("_", ""): kind for kind in MeasureType} | {
-    "regpixel": MeasureType.REGISTERED_PIXEL, "regsubpixel": MeasureType.REGISTERED_SUBPIXEL,
-}  # fmt: skip
-"""By their names in ISIS, and as plio shortens them."""
-_FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+TABLES = (".csv", PARQUET)
+"""Endings of tables."""
 _OF_OTHERS = (".gcp", ".match", ".nvm")
 """Files of tie points that must be converted first."""
-_TURN = 360.0
-"""Degrees of a longitude at most, east or west."""
-_LARGEST = 1e100
-"""Of sigmas, whose squares must be numbers."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 
 
@@ -74,8 +72,9 @@ class Row:
     """A row of a table."""
 
     where: str
-    """File, line and point."""
-    line: int
+    """File, line or row, and point."""
+    place: str
+    """Line or row."""
     values: dict[str, str]
     """By column, those that are not empty."""
 
@@ -92,16 +91,16 @@ class Row:
     def positive(self, column: str) -> float:
         """A number above zero."""
         value = self.number(column)
-        if not 0.0 < value < _LARGEST:
+        if not 0.0 < value < LARGEST_SIGMA:
             raise InputError(f"{self.where}, {column}", f"{value:g}", "a positive number below 1e100")
         return value
 
     def flag(self, column: str) -> bool:
         """A truth value, False where there is none."""
         text = self.values.get(column, "false")
-        if text.lower() not in _FLAGS:
+        if text.lower() not in FLAGS:
             raise InputError(f"{self.where}, {column}", repr(text[:60]), "true or false")
-        return _FLAGS[text.lower()]
+        return FLAGS[text.lower()]
 
 
 @dataclass(slots=True, eq=False)
@@ -111,8 +110,8 @@ class _Point:
     row: Row
     """Where each of its columns is first filled in, as one row."""
     measures: list[ControlMeasure] = field(default_factory=list)
-    lines: dict[str, int] = field(default_factory=dict)
-    """Line of the measure in each image."""
+    places: dict[str, str] = field(default_factory=dict)
+    """Line or row of the measure in each image."""
     reference: int | None = None
 
 
@@ -122,7 +121,7 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
     Parameters
     ----------
     path : Path
-        CSV, UTF-8.
+        CSV, UTF-8, or by its ending .parquet Apache Parquet.
     ellipsoid : Ellipsoid, optional
         To which geodetic_latitude_deg and height_m refer, where the table has them; places must be near it.
 
@@ -139,36 +138,45 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
         fixed point without place, a constrained one without sigmas or covariance; a place half the body's radius from
         its centre, or twice it.
     """
-    rows = csv_rows(path)
-    line, fields = next(rows, (1, []))
+    rows = parquet_rows(path) if path.suffix.lower() == PARQUET else _csv_places(path)
+    place, fields = next(rows, ("line 1", []))
     if not fields:
         raise InputError(str(path), "an empty table", "a header: id,image,isis_line,isis_sample,...")
-    names = header_of(fields, f"{path}, line {line}")
+    names = header_of(fields, f"{path}, {place}")
     points: dict[str, _Point] = {}
-    for line, fields in rows:
+    for place, fields in rows:
         if any(text.strip() for text in fields):
-            _add_row(points, _row(path, line, fields, names), names)
+            _add_row(points, _row(path, place, fields, names), names)
     if not points:
         raise InputError(str(path), "no point", "one measure in every row below the header")
-    place, uncertainty = whole(names, PLACES), whole(names, UNCERTAINTIES)
-    made = tuple(_point(name, point, place, uncertainty, ellipsoid) for name, point in points.items())
+    apriori, uncertainty = whole(names, PLACES), whole(names, UNCERTAINTIES)
+    made = tuple(_point(name, point, apriori, uncertainty, ellipsoid) for name, point in points.items())
     return with_names(ControlNetwork("", "", made, source=str(path)))
 
 
 def read_whole(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork:
-    """All of a table (by the ending .csv) or of an ISIS control network; see `read_table`, `read_network`."""
-    return read_table(path, ellipsoid) if path.suffix.lower() == ".csv" else read_network(path)
+    """All of a table (`is_table`) or of an ISIS control network; see `read_table`, `read_network`."""
+    return read_table(path, ellipsoid) if is_table(path) else read_network(path)
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is a table by its ending."""
+    return path.suffix.lower() in TABLES
 
 
 def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints:
-    """Tie points of a table (by the ending .csv) or of an ISIS control network, on this body; see `read_table`,
-    `read_control_network`.
+    """Tie points of a table (by the ending .csv or .parquet) or of an ISIS control network, on this body; see
+    `read_table`, `read_control_network`.
     """
     ending = path.suffix.lower()
-    if ending == ".csv":
-        return tie_points(read_table(path, ellipsoid), body=ellipsoid)
+    if ending in TABLES:
+        if ending == PARQUET:
+            found = tie_points_of(parquet_columns(path), str(path), ellipsoid)
+        else:
+            found = csv_ties(read_bytes(path, LARGEST_TEXT), str(path), ellipsoid)
+        return tie_points(read_table(path, ellipsoid), body=ellipsoid) if found is None else found
     if ending in _OF_OTHERS:
-        expected = "a control network (.pvl, .net) or a table (.csv)"
+        expected = "a control network (.pvl, .net) or a table (.csv, .parquet)"
         raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {path.name} network.net")
     return read_control_network(path, ellipsoid)
 
@@ -184,8 +192,12 @@ def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             raise InputError(f"{path}, line {number}", f"no row of a CSV file ({error})", "RFC 4180") from None
 
 
-def _row(path: Path, line: int, fields: list[str], names: Sequence[str]) -> Row:
-    where = f"{path}, line {line}"
+def _csv_places(path: Path) -> Iterator[tuple[str, list[str]]]:
+    return ((f"line {number}", fields) for number, fields in csv_rows(path))
+
+
+def _row(path: Path, place: str, fields: list[str], names: Sequence[str]) -> Row:
+    where = f"{path}, {place}"
     if len(fields) != len(names):
         remedy = "write decimal points, not commas" if len(fields) > len(names) else ""
         if len(fields) == 1 and ";" in fields[0]:
@@ -194,11 +206,11 @@ def _row(path: Path, line: int, fields: list[str], names: Sequence[str]) -> Row:
     values = {name: text for name, raw in zip(names, fields, strict=True) if (text := raw.strip())}
     if "id" not in values:
         raise InputError(where, "no id", "one in every row")
-    return Row(f"{where}, point {values['id'][:60]}", line, values)
+    return Row(f"{where}, point {values['id'][:60]}", place, values)
 
 
 def _add_row(points: dict[str, _Point], row: Row, names: Sequence[str]) -> None:
-    point = points.setdefault(row.values["id"], _Point(Row(row.where, row.line, {})))
+    point = points.setdefault(row.values["id"], _Point(Row(row.where, row.place, {})))
     for name in OF_POINT:
         if name in row.values and point.row.values.setdefault(name, row.values[name]) != row.values[name]:
             found = f"{row.values[name][:60]!r}, and {point.row.values[name][:60]!r} in an earlier row"
@@ -213,23 +225,23 @@ def _add_row(points: dict[str, _Point], row: Row, names: Sequence[str]) -> None:
 
 def _add_measure(point: _Point, row: Row, place: tuple[str, str]) -> None:
     image = row.values["image"]
-    if image in point.lines:
-        found = f"a second measure in image {image}, the first in line {point.lines[image]}"
+    if image in point.places:
+        found = f"a second measure in image {image}, the first in {point.places[image]}"
         raise InputError(row.where, found, "one per point", "remove the worse one")
-    point.lines[image] = row.line
+    point.places[image] = row.place
     shift = 0.0 if place == ISIS else ISIS_OFFSET
     if row.flag("reference"):
         if point.reference is not None:
             raise InputError(f"{row.where}, reference", "a second reference measure", "one of a point")
         point.reference = len(point.measures)
     kind = row.values.get("measure_type", "Manual").lower().replace("_", "")
-    if kind not in _MEASURE_TYPES:
+    if kind not in MEASURE_TYPES:
         found = repr(row.values["measure_type"][:60])
-        raise InputError(f"{row.where}, measure_type", found, ", ".join(MEASURE_TYPES.values()))
+        raise InputError(f"{row.where}, measure_type", found, ", ".join(ISIS_MEASURE_TYPES.values()))
     point.measures.append(
         ControlMeasure(
             serial_number=image,
-            type=_MEASURE_TYPES[kind],
+            type=MEASURE_TYPES[kind],
             line=row.number(place[0]) + shift,
             sample=row.number(place[1]) + shift,
             line_sigma=row.positive("sigma_line_px") if "sigma_line_px" in row.values else None,
@@ -243,7 +255,7 @@ def _point(
     name: str, point: _Point, place: Sequence[str], uncertainty: Sequence[str], ellipsoid: Ellipsoid | None
 ) -> ControlPoint:  # fmt: skip
     row = point.row
-    kind = _TYPES.get(row.values.get("type", "free").lower())
+    kind = POINT_TYPES.get(row.values.get("type", "free").lower())
     if kind is None:
         raise InputError(f"{row.where}, type", repr(row.values["type"][:60]), "free, constrained or fixed")
     apriori = _place(row, place, ellipsoid) if any(column in row.values for column in place) else None
@@ -284,8 +296,8 @@ def _cartesian(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) ->
         return values
     if abs(values[1]) > 90.0:
         raise InputError(f"{row.where}, {columns[1]}", f"{values[1]:g}", "-90 .. 90 degrees")
-    if abs(values[0]) > _TURN:
-        raise InputError(f"{row.where}, {columns[0]}", f"{values[0]:g}", f"-{_TURN:g} .. {_TURN:g} degrees")
+    if abs(values[0]) > TURN:
+        raise InputError(f"{row.where}, {columns[0]}", f"{values[0]:g}", f"-{TURN:g} .. {TURN:g} degrees")
     turned = values * [DEG, DEG, 1.0]
     if tuple(columns) == PLANETOCENTRIC:
         row.positive("radius_m")
@@ -311,59 +323,3 @@ def _covariance(row: Row, columns: Sequence[str], place: Array, used: bool) -> t
     (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
     axes = np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
     return tuple(((axes.T * sigmas**2) @ axes)[np.triu_indices(3)].tolist())
-
-
-def table_text(network: ControlNetwork) -> str:
-    """A network as a table, counted as in ISIS; numbers are written so that they come back bit for bit.
-
-    Columns that no point fills are left out. Raises InputError for a name that no table can hold, with line breaks or
-    blanks around it.
-    """
-    rows = list[dict[str, str]]()
-    for point in network.points:
-        of_point = _point_fields(point, network.source or "network")
-        placed = [k for k, one in enumerate(point.measures) if one.line is not None and one.sample is not None]
-        rows += [of_point | _measure_fields(point, k, network.source or "network") for k in placed] or [of_point]
-    names = [*("id", "image", "type"), *ISIS]
-    filled = {name for row in rows for name in row}
-    names += [name for name in (*OF_MEASURE, *OF_POINT) if name in filled and name not in names]
-    text = io.StringIO()
-    plain = csv.writer(text, lineterminator="\n")
-    careful = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL)
-    plain.writerow(names)
-    for row in rows:
-        (careful if row["id"].startswith("#") else plain).writerow([row.get(name, "") for name in names])
-    return text.getvalue()
-
-
-def _point_fields(point: ControlPoint, where: str) -> dict[str, str]:
-    fields = {"id": _name(point.id, where), "type": point.type.name.lower()}
-    if point.ignore:
-        fields["point_ignore"] = "true"
-    if point.apriori is not None:
-        fields |= zip(CARTESIAN, map(repr, point.apriori), strict=True)
-        if len(point.apriori_covariance) == len(MATRIX):
-            fields |= zip(MATRIX, map(repr, point.apriori_covariance), strict=True)
-    return fields
-
-
-def _measure_fields(point: ControlPoint, k: int, where: str) -> dict[str, str]:
-    measure = point.measures[k]
-    fields = {
-        "image": _name(measure.serial_number, where), "isis_line": repr(measure.line),
-        "isis_sample": repr(measure.sample), "measure_type": MEASURE_TYPES[measure.type],
-    }  # fmt: skip
-    for name, value in (("sigma_line_px", measure.line_sigma), ("sigma_sample_px", measure.sample_sigma)):
-        if value is not None and value > 0.0:
-            fields[name] = repr(value)
-    if measure.ignore:
-        fields["ignore"] = "true"
-    if point.reference == k:
-        fields["reference"] = "true"
-    return fields
-
-
-def _name(text: str, where: str) -> str:
-    if not text or text != text.strip() or len(text.splitlines()) != 1:
-        raise InputError(where, f"the name {text[:60]!r}", "one line without blanks around it", "rename it (--rename)")
-    return text

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from difflib import get_close_matches
 
+from mgsgraph.control.record import MeasureType, PointType
 from mgsgraph.errors import InputError
 
 ISIS, OURS = ("isis_line", "isis_sample"), ("line", "sample")
@@ -23,6 +24,8 @@ OF_POINT = ("type", "point_ignore", *dict.fromkeys(name for group in (*PLACES, *
 OF_MEASURE = (*ISIS, *OURS, "sigma_line_px", "sigma_sample_px", "measure_type", "ignore", "reference")
 """Columns that are of the measure, besides its image."""
 COLUMNS = ("id", "image", *OF_POINT, *OF_MEASURE)
+TEXTS, TRUTHS = ("id", "image", "type", "measure_type"), ("point_ignore", "ignore", "reference")
+"""Columns of words, and of truth values; all others are numbers."""
 _MEANT = {
     **dict.fromkeys(("product", "product_id", "serial_number", "serialnumber", "camera", "picture", "scene"), "image"),
     **dict.fromkeys(("point", "point_id", "pointid", "name", "number"), "id"),
@@ -33,6 +36,16 @@ _MEANT = {
     "line_sigma": "sigma_line_px", "sample_sigma": "sigma_sample_px", "sigma_px": "sigma_line_px",
 }  # fmt: skip
 """Other programs' names."""
+POINT_TYPES = {kind.name.lower(): kind for kind in PointType}
+MEASURE_TYPES = {kind.name.lower().replace("_", ""): kind for kind in MeasureType} | {
+    "regpixel": MeasureType.REGISTERED_PIXEL, "regsubpixel": MeasureType.REGISTERED_SUBPIXEL,
+}  # fmt: skip
+"""By their names in ISIS, and as plio shortens them."""
+FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+TURN = 360.0
+"""Degrees of a longitude at most, east or west."""
+LARGEST_SIGMA = 1e100
+"""Of sigmas, whose squares must be numbers."""
 _ALIKE = 0.7
 """Of difflib: 'note' is not meant to be 'ignore'."""
 _COUNTS = "name line and sample isis_line and isis_sample if the first pixel is (1, 1), as in ISIS"

@@ -128,11 +128,12 @@ def check_profiles(
 
 def _by_shifts(shots: AltimeterShots, shifts: Collection[str]) -> Iterator[tuple[str, AltimeterShots]]:
     """Shots of a file with the name of their shift: that of the file, or of each of its profiles."""
-    stem, names = Path(shots.source).stem, np.array(shots.profile_names(), dtype=object)
-    parts = [one for one in dict.fromkeys(names.tolist()) if f"{stem}:{one}" in shifts]
-    for one in parts:
-        yield f"{stem}:{one}", shots.chosen(names == one)
-    others = ~np.isin(names, parts)
+    stem, names = Path(shots.source).stem, shots.profile_names()
+    parts = [one for one in names.used if f"{stem}:{one}" in shifts]
+    number = names.over(parts)
+    for k, one in enumerate(parts):
+        yield f"{stem}:{one}", shots.chosen(number == k)
+    others = number < 0
     if np.any(others):
         yield stem, shots.chosen(others)
 

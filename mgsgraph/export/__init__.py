@@ -22,6 +22,8 @@ class Format(StrEnum):
     """ISIS control network, binary."""
     CSV = "csv"
     """Table, one measure a row."""
+    PARQUET = "parquet"
+    """The same table as an Apache Parquet file."""
     MATCH = "match"
     """Match files of the Ames Stereo Pipeline, binary."""
     MATCH_TEXT = "match-text"

@@ -22,7 +22,7 @@ def earlier_network(form: Format, path: Path) -> Output:
             return begins("an ISIS control network as PVL", r"\s*Object\s*=\s*ControlNetwork\b")
         case Format.NET:
             return begins("an ISIS control network (binary)", r"\s*Object\s*=\s*ProtoBuffer\b")
-        case Format.CSV:
+        case Format.CSV | Format.PARQUET:
             return Output("a table of tie points", lambda path: kind_of(path) is Kind.TIE_TABLE)
         case Format.GCP:
             return begins("ground control points of mgsgraph convert", "# id latitude longitude height sigma_x")

@@ -23,7 +23,8 @@ from mgsgraph.control.choosing import images_of, in_images, used_images
 from mgsgraph.control.network_file import read_network
 from mgsgraph.control.pvl_writing import network_text
 from mgsgraph.control.record import ControlNetwork, ControlPoint, Duplicates
-from mgsgraph.control.table import read_table, table_text
+from mgsgraph.control.table import read_table
+from mgsgraph.control.table_writing import table_parquet, table_text
 from mgsgraph.control.thinning import thinned
 from mgsgraph.control.uniting import united
 from mgsgraph.errors import InputError
@@ -42,6 +43,7 @@ _EDGE = 0.5
 """ISIS's count of an image's first edge; the last one is at its lines and samples and as much."""
 _MATCHES = (Format.MATCH, Format.MATCH_TEXT)
 _ISIS = (Format.PVL, Format.NET)
+_TABLES = (Format.CSV, Format.PARQUET)
 _ELSEWHERE = "name another file; or say --replace"
 
 
@@ -195,7 +197,7 @@ def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
         return read_ground_control_network(path, setting.ellipsoid)
     if form == Format.NVM:
         return read_nvm(path, half_sizes(setting.old_sizes()), setting.shifted)
-    return read_table(path, setting.ellipsoid) if form == Format.CSV else read_network(path)
+    return read_table(path, setting.ellipsoid) if form in _TABLES else read_network(path)
 
 
 def _merged(networks: Sequence[ControlNetwork], duplicates: Duplicates, notes: list[str]) -> ControlNetwork:
@@ -248,6 +250,8 @@ def contents(network: ControlNetwork, output: Path, form: Format, setting: Excha
         return nvm_files(network, output, centres)
     if form == Format.CSV:
         return {output: table_text(network).encode()}
+    if form == Format.PARQUET:
+        return {output: table_parquet(network)}
     complete = with_head(network, output, setting)
     return {output: binary_network(complete) if form == Format.NET else network_text(complete).encode()}
 

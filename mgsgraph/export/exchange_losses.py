@@ -24,6 +24,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.wording import listed, many
 
 _ALL = frozenset(PointType)
+_TABLES = (Format.CSV, Format.PARQUET)
 _TAKEN = {
     Format.MATCH: (frozenset({PointType.FREE}), 2), Format.MATCH_TEXT: (frozenset({PointType.FREE}), 2),
     Format.GCP: (_ALL - {PointType.FREE}, 0), Format.NVM: (_ALL, 2),
@@ -50,8 +51,9 @@ _OF_MEASURE = _KEYWORDS | {
     "apriori_sample": "AprioriSample", "apriori_line": "AprioriLine", "sample_sigma": "SampleSigma",
     "line_sigma": "LineSigma",
 }  # fmt: skip
+_OF_TABLE = {"ignore", "reference", "apriori", "apriori_covariance", "sample_sigma", "line_sigma"}
 _HELD = {
-    Format.CSV: {"ignore", "reference", "apriori", "apriori_covariance", "sample_sigma", "line_sigma"},
+    Format.CSV: _OF_TABLE, Format.PARQUET: _OF_TABLE,
     Format.MATCH: {"sample_sigma", "line_sigma"},
     Format.MATCH_TEXT: {"sample_sigma", "line_sigma"},
     Format.GCP: {"apriori", "apriori_covariance", "sample_sigma", "line_sigma"},
@@ -77,7 +79,7 @@ def losses(network: ControlNetwork, form: Format) -> list[str]:
     measures = [measure for point in taken for measure in _measures(point, form)]
     lines += _fields(taken, _OF_POINT, _HELD[form], "point") + _fields(measures, _OF_MEASURE, _HELD[form], "measure")
     lines += _figures(measures)
-    if form == Format.CSV:
+    if form in _TABLES:
         return lines + _of_table(network)
     lines += _line("MeasureType of {}", sum(one.type != MeasureType.CANDIDATE for one in measures), "measure")
     rows = measures_of(network, *_TAKEN[form])
@@ -95,7 +97,7 @@ def _taken(network: ControlNetwork, form: Format) -> list[ControlPoint]:
 
 
 def _measures(point: ControlPoint, form: Format) -> list[ControlMeasure]:
-    return [measure for measure in point.measures if form == Format.CSV or not measure.ignore]
+    return [measure for measure in point.measures if form in _TABLES or not measure.ignore]
 
 
 def _left_out(network: ControlNetwork, form: Format) -> list[str]:

@@ -3,7 +3,8 @@
 This package is the only one that imports matplotlib; import it only where figures are wanted.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -26,10 +27,16 @@ from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.measured import registration_discrepancy as registration_discrepancy
 from mgsgraph.registration.measured import registration_offsets as registration_offsets
+from mgsgraph.workers import called_in_workers
+
+FIGURES_END = "figures", "give this program more memory, or leave the figures out (--no-figures)"
+"""What is said where a worker that draws ends before its time."""
 
 
-def write_figures(solution: Solution, folder: Path, connected: Connectivity | None = None) -> list[str]:
-    """Draw an adjustment.
+def figure_tasks(
+    solution: Solution, folder: Path, connected: Connectivity | None = None
+) -> list[Callable[[], list[str]]]:
+    """What draws an adjustment, in parts that may be called in any order and process (`workers.called_in_workers`).
 
     Parameters
     ----------
@@ -42,24 +49,34 @@ def write_figures(solution: Solution, folder: Path, connected: Connectivity | No
 
     Returns
     -------
-    list of str
-        Names of the files in the folder: residuals, strips and pass (where there are passes), orientation, registration
-        (where laser points are measured in images), map, connectivity and minima (where there are several), each as
-        .png and .svg, numbered (residuals_1, ...) where a kind takes several sheets.
+    list of callable
+        Each writes some figures and returns the names of their files: residuals, strips and pass (where there are
+        passes), orientation, registration (where laser points are measured in images), map, connectivity and minima
+        (where there are several), each as .png and .svg (pictures of cells as .png alone), numbered (residuals_1, ...)
+        where a kind takes several sheets.
     """
-    return save(_sheets(solution, connected), folder)
-
-
-def _sheets(solution: Solution, connected: Connectivity | None) -> Iterator[Sheet]:
-    """One after another, so that no more than one is in memory."""
-    yield from residual_sheets(solution)
-    yield from orientation_sheets(solution, MOST_PASSES)
     rays = solution.network.rays
-    if np.any(solution.network.points.classes[rays.point] == PointClass.LASER):
-        yield from registration_sheets(solution)
-    yield from map_sheets(solution, connected)
-    yield links_sheet(solution, connected)
-    yield from minima_sheets(solution)
+    laser = np.any(solution.network.points.classes[rays.point] == PointClass.LASER)
+    sheets: list[Callable[[], Iterable[Sheet]]] = [
+        partial(orientation_sheets, solution, MOST_PASSES),
+        partial(residual_sheets, solution),
+        *([partial(registration_sheets, solution)] if laser else []),
+        partial(map_sheets, solution, connected),
+        lambda: [links_sheet(solution, connected)],
+        partial(minima_sheets, solution),
+    ]
+    return [partial(_saved, drawn, folder) for drawn in sheets]
+
+
+def _saved(sheets: Callable[[], Iterable[Sheet]], folder: Path) -> list[str]:
+    """Draw and write sheets, one after another, so that no more than one is in memory."""
+    return save(sheets(), folder)
+
+
+def write_figures(solution: Solution, folder: Path, connected: Connectivity | None = None) -> list[str]:
+    """Draw an adjustment (`figure_tasks`), in worker processes; returns the names of the files."""
+    with called_in_workers(figure_tasks(solution, folder, connected), *FIGURES_END) as drawn:
+        return list(chain.from_iterable(drawn()))
 
 
 def write_registration_figures(registration: CaseRegistration, folder: Path) -> list[str]:

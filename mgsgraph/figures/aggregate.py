@@ -1,4 +1,4 @@
-"""Many values made few before they are drawn: means and medians of groups, robust limits of a colour scale, and the
+"""Many values made few before they are drawn: means of groups, robust limits of a colour scale, and the
 images of a large block by the rows of a picture. No loop runs over values.
 """
 
@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.group_medians import counts
 from mgsgraph.figures.sheet import short
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index
 
 LARGE_BLOCK = 16
 """Images up to which all are drawn, one by one; a larger block has overviews, and a choice of its images."""
@@ -22,11 +23,6 @@ _SHARE = 0.98
 """Share of the values that a colour scale covers."""
 
 
-def counts(groups: Index, number: int) -> Index:
-    """(number,) how many of `groups` (n,), from 0 on, are each one."""
-    return np.bincount(groups, minlength=number)
-
-
 def means(values: Array, groups: Index, number: int) -> Array:
     """(number,) mean of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
     sound = np.isfinite(values)
@@ -34,32 +30,6 @@ def means(values: Array, groups: Index, number: int) -> Array:
     of = counts(groups, number)
     total = np.bincount(groups, weights=values, minlength=number)
     return np.where(of > 0, total / np.maximum(of, 1), np.nan)
-
-
-def medians(values: Array, groups: Index, number: int) -> Array:
-    """(number,) median of the finite values (n,) of each group (n,), counted from 0; NaN where there are none.
-
-    Values are rounded to float32, enough for any picture: group and value then fit into one integer of 64 bits, which
-    is sorted at once, some ten times faster than by two keys.
-    """
-    sound = np.isfinite(values)
-    values, groups = values[sound], groups[sound]
-    bits = values.astype(np.float32).view(np.uint32)
-    rising = np.where(bits >> 31 == 1, ~bits, bits | np.uint32(1 << 31))  # in the order of the values they stand for
-    packed = np.sort(groups.astype(np.uint64) << np.uint64(32) | rising)
-    of = counts(groups, number)
-    first = np.cumsum(of) - of
-    some = of > 0
-    found = np.full(number, np.nan)
-    middle = [_unpacked(packed[(first + shift)[some]]) for shift in ((of - 1) // 2, of // 2)]
-    found[some] = 0.5 * (middle[0] + middle[1])
-    return found
-
-
-def _unpacked(packed: np.ndarray) -> Array:
-    rising = (packed & np.uint64(0xFFFFFFFF)).astype(np.uint32)
-    bits = np.where(rising >> 31 == 1, rising & np.uint32(0x7FFFFFFF), ~rising)
-    return np.asarray(bits.view(np.float32), dtype=np.float64)
 
 
 def cell_means(
@@ -96,13 +66,6 @@ def span(values: Array) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.quantile(sound, [1.0 - _SHARE, _SHARE]).tolist()
     return low, max(high, low + 1e-12 + 1e-6 * abs(low))
-
-
-def used_rays(solution: Solution) -> Mask:
-    """(k,) rays that took part and whose point is determined."""
-    return np.asarray(
-        solution.rays_used & np.isfinite(solution.residuals[:, 0]) & np.isfinite(solution.residuals[:, 1])
-    )
 
 
 def image_rows(images: int, most: int = MOST_ROWS) -> Index:

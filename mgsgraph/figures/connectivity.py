@@ -40,6 +40,8 @@ _ISLANDS = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _WEAK, _UNTIED, _APART = "#D55E00", "#777777", "#AA0000"
 _GRAPH, _FEW, _LOWEST = (3.6, 5.6), 6, 4.2
 """inch, width of the graph for up to so many images and for more; inch, least height of both panels."""
+_PAIR, _OF_PAIR = 2, 2.6
+"""Images that stand one above the other in a narrow graph, of so many inches."""
 _BESIDE, _RIM = 1.6, 0.45
 """inch: beside the panels for labels and a colour bar in all, and around the nodes."""
 _STROKES = ("-", "--", "-.", ":")
@@ -66,7 +68,7 @@ def connectivity_sheet(solution: Solution, connected: Connectivity | None = None
     places = east_north(solution.places, centre) / KM
     low, high, (width, height) = frame(np.concatenate([*outlines, places]), least=(2.6, _LOWEST))
     caption = " ".join(connectivity_statements(connected)) or "One image."
-    across = _GRAPH[len(outlines) > _FEW]
+    across = _OF_PAIR if len(outlines) <= _PAIR else _GRAPH[len(outlines) > _FEW]
     middles, sizes = _middles(outlines), np.sqrt(areas(connected.footprints)) / KM
     circle = on_one_another(middles, sizes)
     sheet = new_sheet(
@@ -106,7 +108,7 @@ def _middles(outlines: list[Array]) -> Array:
 
 
 def _graph_words(connected: Connectivity, circle: bool) -> str:
-    if len(connected.names) < 2:
+    if len(connected.names) <= _PAIR:
         return ""
     drawn = f"; the strongest {_MOST_LINKS} links are drawn" if connected.links.size > _MOST_LINKS else ""
     if circle:
@@ -133,7 +135,8 @@ def node_places(middles: Array, sizes: Array, box: tuple[float, float]) -> Array
     if len(middles) == 1:
         return 0.5 * size[None]
     if on_one_another(middles, sizes):
-        turn = 2.0 * np.pi * np.arange(len(middles)) / len(middles) + np.pi
+        first = -0.5 * np.pi if len(middles) == _PAIR else np.pi  # two of them stand on the longer way, upright
+        turn = 2.0 * np.pi * np.arange(len(middles)) / len(middles) + first
         ring = np.column_stack([np.cos(turn), -np.sin(turn)])
         return np.asarray(0.5 * size + (0.5 * size - _RIM) * ring)
     scale = (size - 2.0 * _RIM) / np.maximum(extent, 0.1 * extent.max())
@@ -188,8 +191,9 @@ def _draw_graph(
         )  # fmt: skip
     away = 0.55 * marker + 1.0
     sides = ((0.0, away), (0.0, -away), (away, 0.0), (-away, 0.0))
-    write_names(panel, [short(name, 24) for name in connected.names],
-                [[(x, y, *side) for side in sides] for x, y in nodes.tolist()], 7.0, nodes)  # fmt: skip
+    write_names(panel, [short(name, 24 if count > _PAIR else 36) for name in connected.names],
+                [[(x, y, *side) for side in (sides[1:] if count == _PAIR and k else sides)]
+                 for k, (x, y) in enumerate(nodes.tolist())], 7.0, nodes)  # fmt: skip
     if np.any(alone):
         handles.append(Line2D([], [], ls="", marker="o", mfc="white", mec=INK, ms=5.0, label="image without links"))
     return handles

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PathCollection
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.content import centre_of, east_north
-from mgsgraph.figures.overview_map import overview_map
+from mgsgraph.figures.overview_map import MOST_TRACK, WEAK, WEAK_COLOUR, overview_map, weak_points
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_MARKER,
@@ -35,6 +35,8 @@ _OUTLINES = ((INK, "-"), ("#CC79A7", "--"), ("#56B4E9", "-."), (SOFT, ":"))
 """Colours and strokes of the first outlines; in larger blocks all look alike."""
 _FEW = 500
 """Marks of known points that are large enough to be told apart."""
+_MOST_WEAK = 50
+"""Weak points of a large block that are marked."""
 _WIDEST, _TALLEST, _LEAST, _SIDE = 7.2, 7.4, 3.0, 2.9
 """inch: bounds of the map, and the column beside it for legend and colour bar."""
 
@@ -42,7 +44,7 @@ _WIDEST, _TALLEST, _LEAST, _SIDE = 7.2, 7.4, 3.0, 2.9
 def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
     """The map, and of a block with many points their cells; `connected` saves finding the footprints anew."""
     yield map_sheet(solution, connected)
-    if np.count_nonzero(solution.determined) > MOST_MARKS:
+    if _is_large(solution):
         yield overview_map(solution)
 
 
@@ -60,6 +62,7 @@ def map_sheet(solution: Solution, connected: Connectivity | None = None) -> Shee
     handles = _draw_outlines(panel, solution, outlines)
     coloured = _draw_ties(panel, solution, places)
     handles += _draw_known(panel, solution, places)
+    handles += _draw_weak(panel, solution, places)
     if coloured is not None:
         name = CLASS_NAME[PointClass.TIE]
         handles.append(Line2D([], [], ls="", marker="o", ms=4.5, color="#21918C", label=f"{name}, coloured by sigma"))
@@ -110,9 +113,8 @@ def _bounds(corners: Array) -> tuple[Array, Array]:
 def _draw_outlines(panel: Axes, solution: Solution, outlines: list[Array]) -> list[Line2D]:
     images = solution.network.images
     if len(images) > len(_OUTLINES):
-        drawn = [panel.plot(*outline.T, color=SOFT, lw=0.7, zorder=2)[0] for outline in outlines]
-        drawn[0].set_label(f"outlines of {len(images)} images")
-        return drawn[:1]
+        panel.add_collection(LineCollection(outlines, colors=SOFT, linewidths=0.7, zorder=2), autolim=False)
+        return [Line2D([], [], color=SOFT, lw=0.7, label=f"outlines of {len(images)} images")]
     return [
         panel.plot(*outline.T, color=colour, ls=stroke, lw=1.1, zorder=2, label=short(image.name, 32))[0]
         for image, outline, (colour, stroke) in zip(images, outlines, _OUTLINES, strict=False)
@@ -125,9 +127,12 @@ def _draw_ties(panel: Axes, solution: Solution, places: Array) -> PathCollection
     if not ties.size:
         return None
     low, high = np.quantile(sigmas, [0.02, 0.98])
-    shown = thinned(ties.size, MOST_MARKS)
+    many, shown = ties.size > MOST_MARKS, thinned(ties.size, MOST_MARKS)
+    if many:  # the largest lie on top, and weak ones are marked apart
+        shown = shown[np.argsort(sigmas[shown], kind="stable")]
+        shown = shown[~weak_points(solution)[ties[shown]]]
     return panel.scatter(
-        places[ties[shown], 0], places[ties[shown], 1], c=sigmas[shown], s=11.0, cmap="viridis",
+        places[ties[shown], 0], places[ties[shown], 1], c=sigmas[shown], s=3.0 if many else 11.0, cmap="viridis",
         vmin=low, vmax=max(high, low + 1e-12),
         edgecolors="none", zorder=3,
     )
@@ -145,13 +150,34 @@ def _draw_known(panel: Axes, solution: Solution, places: Array) -> list[Line2D]:
         mine = solution.members(point_class)
         if not mine.size:
             continue
-        mine = mine[thinned(mine.size, MOST_MARKS)]
-        handles += panel.plot(
-            *places[mine].T, ls="", marker=CLASS_MARKER[point_class], ms=4.2 if mine.size <= _FEW else 1.6, mfc="none",
-            mew=0.9 if mine.size <= _FEW else 0.4,
-            color=CLASS_COLOUR[point_class], label=CLASS_NAME[point_class], zorder=4,
-        )
+        most = MOST_TRACK if point_class == PointClass.LASER and _is_large(solution) else MOST_MARKS
+        size, width = (4.2, 0.9) if mine.size <= _FEW else (1.6, 0.4)
+        mine = mine[thinned(mine.size, most)]
+        colour, marker = CLASS_COLOUR[point_class], CLASS_MARKER[point_class]
+        panel.plot(*places[mine].T, ls="", marker=marker, ms=size, mfc="none", mew=width, color=colour, zorder=4)
+        handles.append(
+            Line2D([], [], ls="", marker=marker, ms=4.2, mfc="none", mew=0.9, color=colour,
+                   label=CLASS_NAME[point_class])
+        )  # fmt: skip
     return handles
+
+
+def _is_large(solution: Solution) -> bool:
+    """Whether cells have the points (`overview_map`), so that the map shows a choice of them."""
+    return np.count_nonzero(solution.determined) > MOST_MARKS
+
+
+def _draw_weak(panel: Axes, solution: Solution, places: Array) -> list[Line2D]:
+    """Of a large block, tie points of a sigma far above the median, which are left out of the coloured ones; where they
+    are many, cells have them alone (`overview_map`), for their marks would hide a narrow block.
+    """
+    weak = np.flatnonzero(weak_points(solution) & (solution.network.points.classes == PointClass.TIE))
+    if not 0 < weak.size <= _MOST_WEAK or not _is_large(solution):
+        return []
+    return panel.plot(
+        *places[weak].T, ls="", marker="x", ms=4.0, mew=0.9, color=WEAK_COLOUR, zorder=5,
+        label=f"sigma above {WEAK:g} times the median",
+    )
 
 
 def _caption(solution: Solution) -> str:
@@ -169,5 +195,9 @@ def _caption(solution: Solution) -> str:
     lost = int(np.count_nonzero(~solution.determined))
     text += f"; points that nothing determines are left out ({lost})" if lost else ""
     if max(counts.values()) > MOST_MARKS:
-        text += f"; at most {MOST_MARKS} points of a kind are drawn"
+        laser = f" ({MOST_TRACK} laser points)" if counts[PointClass.LASER] > MOST_TRACK else ""
+        text += (
+            f"; at most {MOST_MARKS} points of a kind are drawn{laser}, none of the tie points whose sigma is above "
+            f"{WEAK:g} times the median but as crosses, if there are no more than {_MOST_WEAK}"
+        )
     return f"{text}; distances from the centre are true (azimuthal equidistant, planetocentric latitude)."

@@ -11,7 +11,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.figures.aggregate import Rows, limit, means, medians, used_rays
+from mgsgraph.analysis.group_medians import medians, used_rays
+from mgsgraph.figures.aggregate import Rows, limit, means
 from mgsgraph.figures.sheet import AFTER, BEFORE, CLASS_NAME, SOFT, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass

@@ -14,7 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.figures.aggregate import cell_numbers, counts, limit, medians, span
+from mgsgraph.analysis.group_medians import counts, medians
+from mgsgraph.figures.aggregate import cell_numbers, limit, span
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.sheet import CLASS_COLOUR, CLASS_NAME, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.body import east_north_up
@@ -29,11 +30,11 @@ _DEGREE = 5
 """Of the polynomial that the middle line of a long block follows."""
 _CELLS_ALONG, _CELLS_ACROSS = 240, 40
 """Cells of a long block; another one has as many along its longer side, of square shape."""
-_WEAK = 5.0
+WEAK = 5.0
 """Times the median sigma: points beyond are no part of cells, whose colours they would take, but marked one by one."""
-_MOST_WEAK, _MOST_TRACK = 500, 400
+_MOST_WEAK, MOST_TRACK = 500, 400
 """Marks of weak points, and places of a laser track that are drawn."""
-_WEAK_COLOUR, _EMPTY = "#CC0000", "#EEEEEE"
+WEAK_COLOUR, _EMPTY = "#CC0000", "#EEEEEE"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +175,7 @@ def weak_points(solution: Solution) -> Mask:
     sigma = np.sqrt(np.trace(solution.covariances, axis1=1, axis2=2))
     sound = solution.determined & np.isfinite(sigma)
     middle = float(np.median(sigma[sound])) if np.any(sound) else 0.0
-    return np.asarray(sound & (np.nan_to_num(sigma) > _WEAK * middle))
+    return np.asarray(sound & (np.nan_to_num(sigma) > WEAK * middle))
 
 
 def _draw_marks(panels: Sequence[Axes], solution: Solution, frame: GroundFrame, weak: Mask) -> list[Line2D]:
@@ -182,15 +183,15 @@ def _draw_marks(panels: Sequence[Axes], solution: Solution, frame: GroundFrame, 
     handles = []
     laser = solution.members(PointClass.LASER)
     if laser.size:
-        track = frame.places[laser[thinned(laser.size, _MOST_TRACK)]]
+        track = frame.places[laser[thinned(laser.size, MOST_TRACK)]]
         colour, name = CLASS_COLOUR[PointClass.LASER], f"{CLASS_NAME[PointClass.LASER]} (thinned)"
         panels[0].plot(*track.T, ls="", marker=".", ms=2.0, mew=0.0, color=colour)
         handles.append(Line2D([], [], ls="", marker="o", ms=3.5, mew=0.0, color=colour, label=name))
     few = np.flatnonzero(weak)
     if few.size:
         places = frame.places[few[thinned(few.size, _MOST_WEAK)]]
-        handles += panels[1].plot(*places.T, ls="", marker="x", ms=4.0, mew=0.9, color=_WEAK_COLOUR,
-                                  label=f"sigma above {_WEAK:g} times the median")  # fmt: skip
+        handles += panels[1].plot(*places.T, ls="", marker="x", ms=4.0, mew=0.9, color=WEAK_COLOUR,
+                                  label=f"sigma above {WEAK:g} times the median")  # fmt: skip
     return handles
 
 
@@ -205,6 +206,6 @@ def _caption(solution: Solution, frame: GroundFrame, cells: GroundCells, weak: M
         f"drawn {worded}, in cells of {edge[0]} by {edge[1]} km: in the cell in the middle {medians_of[0]} points per "
         f"km², a median 3-D sigma of {medians_of[1]} m, a median horizontal correction (adjusted minus before) of "
         f"{medians_of[2]} m and {medians_of[3]} m upward; colours end at the 2 % and 98 % quantiles of the cells; "
-        f"{int(np.count_nonzero(weak))} points of a sigma above {_WEAK:g} times the median are left out of the "
+        f"{int(np.count_nonzero(weak))} points of a sigma above {WEAK:g} times the median are left out of the "
         f"cells and marked apart (at most {_MOST_WEAK}, those within the panel)."
     )

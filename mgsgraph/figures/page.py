@@ -1,9 +1,9 @@
 """Figures of the report page: those of the results and, of ground points, arrows of correction; each as a data URI."""
 
 import base64
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -103,17 +103,28 @@ def data_uri(kind: str, data: bytes) -> str:
 # --- by the page's sections
 
 
-def solution_figures(solution: Solution, connected: Connectivity) -> dict[str, list[Picture]]:
-    """Figures that a solution alone allows, by section of the page."""
+def figure_tasks(
+    solution: Solution, connected: Connectivity
+) -> list[tuple[str, Callable[[], list[Picture]]]]:
+    """What draws the figures that a solution alone allows, each with the section of the page that it belongs to, in the
+    order of the page; they may be called in any order and process (`workers.called_in_workers`).
+    """
     rays = solution.network.rays
     laser = bool(np.any(solution.network.points.classes[rays.point] == PointClass.LASER))
-    maps = map_sheets(solution, connected), [links_sheet(solution, connected)], minima_sheets(solution)
-    return {
-        "map": drawn(chain.from_iterable(maps)),
-        "registration": drawn(registration_sheets(solution)) if laser else [],
-        "orientation": drawn(orientation_sheets(solution)),
-        "residuals": [*drawn(residual_sheets(solution)), *drawn(correction_sheets(solution))],
-    }
+    sheets: list[tuple[str, Callable[[], Iterable[Sheet]]]] = [
+        ("orientation", partial(orientation_sheets, solution)),
+        ("residuals", partial(residual_sheets, solution)),
+        ("residuals", partial(correction_sheets, solution)),
+        *([("registration", partial(registration_sheets, solution))] if laser else []),
+        ("map", partial(map_sheets, solution, connected)),
+        ("map", lambda: [links_sheet(solution, connected)]),
+        ("map", partial(minima_sheets, solution)),
+    ]
+    return [(section, partial(_pictures, some)) for section, some in sheets]
+
+
+def _pictures(sheets: Callable[[], Iterable[Sheet]]) -> list[Picture]:
+    return drawn(sheets())
 
 
 def registration_figures(registration: CaseRegistration) -> list[Picture]:

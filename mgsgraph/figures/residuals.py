@@ -9,7 +9,8 @@ from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.figures.aggregate import LARGE_BLOCK, cell_means, medians, used_rays
+from mgsgraph.analysis.group_medians import median_residuals, worst_first
+from mgsgraph.figures.aggregate import LARGE_BLOCK, cell_means
 from mgsgraph.figures.content import ImageResiduals, image_residuals, rms
 from mgsgraph.figures.overview import residual_overview
 from mgsgraph.figures.sheet import (
@@ -70,12 +71,9 @@ def residual_sheets(solution: Solution) -> Iterator[Sheet]:
 
 def _worst_and_typical(solution: Solution) -> list[int]:
     """Images whose median residual, in units of its sigma, is largest, and those whose one is in the middle; sorted."""
-    rays, number = solution.network.rays, len(solution.network.images)
-    mine = np.flatnonzero(used_rays(solution))
-    size = np.max(np.abs(solution.residuals[mine]) / rays.sigmas[mine], axis=1)
-    found = medians(size, rays.image[mine], number)
-    order = np.argsort(-np.nan_to_num(found, nan=-1.0), kind="stable")
-    middle = (max(int(np.count_nonzero(np.isfinite(found))), number // 2) - _TYPICAL) // 2
+    order = worst_first(solution)
+    known = int(np.count_nonzero(np.isfinite(median_residuals(solution))))
+    middle = (max(known, order.size // 2) - _TYPICAL) // 2
     return sorted({*order[:_WORST].tolist(), *order[max(middle, _WORST):][:_TYPICAL].tolist()})
 
 

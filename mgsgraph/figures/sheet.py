@@ -156,10 +156,22 @@ def encoded(sheet: Sheet, kind: str, **options: Any) -> bytes:
     """A sheet as png, jpg or svg; the same sheet gives the same bytes."""
     file = BytesIO()
     canvas = (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(sheet.figure)  # savefig would draw twice
-    sheet.figure.align_labels()
+    _align_labels(sheet.figure)
     _lay_out(sheet.figure)
     getattr(canvas, f"print_{kind}")(file, **options)
     return file.getvalue()
+
+
+def _align_labels(figure: Figure) -> None:
+    """As `Figure.align_labels`, of axes that have a label. Matplotlib looks for the place of each label at the ticks of
+    all axes that it is aligned with, four times in a drawing and for empty labels, too: these get a place at once.
+    """
+    figure.align_xlabels([axes for axes in figure.axes if axes.get_xlabel()])
+    figure.align_ylabels([axes for axes in figure.axes if axes.get_ylabel()])
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.get_label_text():
+                axis.set_label_coords(0.5, 0.5)
 
 
 def _lay_out(figure: Figure) -> None:

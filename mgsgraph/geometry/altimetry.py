@@ -16,6 +16,8 @@ from mgsgraph.geometry.records import (
     frozen,
     frozen_index,
     frozen_mask,
+    of_kind,
+    read_only,
     require_covariances,
     require_names,
 )
@@ -94,8 +96,10 @@ class LaserProfile:
     """(n, 3) m, body-fixed."""
     covariances: Array
     """(n, 3, 3) m^2, body-fixed, positive definite."""
-    simultaneous: tuple[tuple[str, ...], ...]
-    """(n) names of the images taken from the same place at the same time (their orientation carries the range)."""
+    simultaneous_shot: Index
+    """(r,) index of a shot that has images taken from the same place at the same time, in order of the shots."""
+    simultaneous_image: RepeatedNames
+    """(r) name of such an image, whose orientation carries the range; made of any sequence of them."""
     measure_shot: Index
     """(k,) index of the shot measured."""
     measure_image: RepeatedNames
@@ -104,7 +108,8 @@ class LaserProfile:
     """(k, 2) line, sample, first pixel's centre at (0.5, 0.5)."""
 
     def __post_init__(self) -> None:
-        assign(self, ids=Names.of(self.ids, self.source), measure_image=RepeatedNames.of(self.measure_image))
+        measured, along = RepeatedNames.of(self.measure_image), RepeatedNames.of(self.simultaneous_image)
+        assign(self, ids=Names.of(self.ids, self.source), measure_image=measured, simultaneous_image=along)
         n, k = len(self.ids), len(self.measure_image)
         require_names(self.ids, self.source)
         ranges = frozen(self.ranges, f"{self.source}, ranges", (n,))
@@ -121,6 +126,7 @@ class LaserProfile:
             range_sigmas=sigmas,
             footprints=frozen(self.footprints, f"{self.source}, footprints", (n, 3)),
             covariances=covariances,
+            simultaneous_shot=frozen_index(self.simultaneous_shot, f"{self.source}, images", len(along), n),
             measure_shot=frozen_index(self.measure_shot, f"{self.source}, measures", k, n),
             measures=frozen(self.measures, f"{self.source}, measures", (k, 2)),
         )
@@ -200,10 +206,11 @@ class AltimeterShots:
         """(n) names "orbit:frame:shot", each once in a file."""
         return Names.joined(self.orbits, self.frames, self.shots)
 
-    def profile_names(self) -> tuple[str, ...]:
+    def profile_names(self) -> RepeatedNames:
         """(n) of each shot, what its profile is called: the orbit's number, or the minute in which a crossing began."""
-        names = {orbit: _minute(orbit) if orbit >= _FIRST_MINUTE else str(orbit) for orbit in set(self.orbits.tolist())}
-        return tuple(names[orbit] for orbit in self.orbits.tolist())
+        orbits, numbers = np.unique(self.orbits, return_inverse=True)
+        names = (_minute(orbit) if orbit >= _FIRST_MINUTE else str(orbit) for orbit in orbits.tolist())
+        return RepeatedNames(tuple(names), numbers)
 
     @property
     def spacing(self) -> float:
@@ -217,7 +224,7 @@ class AltimeterShots:
     def chosen(self, which: Mask | Index) -> "AltimeterShots":
         """The shots of a mask (n,) or of indices, in their order."""
         names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
-        return replace(self, **{name: getattr(self, name)[which] for name in names})
+        return replace(self, **{name: read_only(getattr(self, name)[which]) for name in names})
 
     def moved(self, footprints: Array, spacecraft: Array) -> "AltimeterShots":
         """The same shots with other places (n, 3) in m, body-fixed, of footprints and spacecraft."""
@@ -276,7 +283,8 @@ class AltimeterShots:
             range_sigmas=np.sqrt(range_sigma**2 + broad),
             footprints=self.footprints,
             covariances=covariances + broad[:, None, None] * beams[:, :, None] * beams[:, None],
-            simultaneous=((simultaneous,) if simultaneous else (),) * n,
+            simultaneous_shot=np.arange(n if simultaneous else 0),
+            simultaneous_image=RepeatedNames((simultaneous or "",), np.zeros(n if simultaneous else 0, dtype=np.int64)),
             measure_shot=np.zeros(0, dtype=np.int64),
             measure_image=RepeatedNames.of(()),
             measures=np.zeros((0, 2)),
@@ -317,8 +325,8 @@ class AltimetryCloud:
 
     source: str
     """File they come from, for messages."""
-    ids: tuple[str, ...]
-    """(n) names, each once."""
+    ids: Names
+    """(n) names, each once; made of any sequence of them."""
     points: Array
     """(n, 3) m, body-fixed."""
     times: Array
@@ -332,6 +340,7 @@ class AltimetryCloud:
     """m, diameter of the laser's spot on the ground; NaN where unknown."""
 
     def __post_init__(self) -> None:
+        assign(self, ids=Names.of(self.ids, self.source))
         n = len(self.ids)
         require_names(self.ids, self.source)
         require_names(self.profiles, f"{self.source}, profiles")
@@ -352,7 +361,7 @@ class AltimetryCloud:
         kept, profile = np.unique(self.profile[which], return_inverse=True)
         return replace(
             self,
-            ids=tuple(self.ids[k] for k in np.flatnonzero(which)),
+            ids=self.ids[which],
             points=self.points[which],
             times=self.times[which],
             profiles=tuple(self.profiles[k] for k in kept),
@@ -364,8 +373,10 @@ class AltimetryCloud:
 
 
 def _with_gaps(value: Array, where: str, shape: tuple[int, ...]) -> Array:
-    """Copy to a read-only float64 array of a shape, in which NaN stands for what is not known."""
-    array = np.array(value, dtype=np.float64)
+    """Copy to a read-only float64 array of a shape, in which NaN stands for what is not known; what nobody can write to
+    is not copied.
+    """
+    array = of_kind(value, np.float64)
     if array.shape != shape:
         raise InputError(where, f"an array of shape {array.shape}", f"shape {shape}")
     if np.any(np.isinf(array)):

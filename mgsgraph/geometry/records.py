@@ -37,6 +37,12 @@ def of_kind(value: Any, kind: type[_Scalar]) -> NDArray[_Scalar]:
     return found
 
 
+def read_only(made: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """An array that was just made, and that nobody else knows: it becomes read-only, so that no record copies it."""
+    made.flags.writeable = False
+    return made
+
+
 def repeated(value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Read-only array of a shape that holds one value again and again, in the memory of one."""
     one = np.array(value, dtype=np.float64)

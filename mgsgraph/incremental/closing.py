@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.shared import shared_of
 from mgsgraph.network.parts import Unknown
 from mgsgraph.notebook import card
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
 
 CLOSE = 1e-2
 """Sigmas within which incremental and batch results count as the same."""
@@ -60,7 +63,7 @@ class Closing:
         )
 
 
-def closing(solution: Solution, values: Mapping[Unknown, Array], places: Array) -> Closing:
+def closing(solution: "Solution", values: Mapping[Unknown, Array], places: Array) -> Closing:
     """Compare values of the unknowns and places (n, 3) of the points with a batch solution of the same network."""
     worst, which = 0.0, next(iter(values), Unknown("image", "-"))
     for unknown, batch in shared_of(solution).items():
@@ -73,7 +76,7 @@ def closing(solution: Solution, values: Mapping[Unknown, Array], places: Array) 
     return Closing(which, worst, solution.network.points.ids[k], off, adopted, converged)
 
 
-def _farthest(solution: Solution, places: Array) -> tuple[int, float]:
+def _farthest(solution: "Solution", places: Array) -> tuple[int, float]:
     """The point that lies farthest off, and its largest difference of a coordinate in its sigma."""
     known = np.isfinite(places[:, 0])
     with np.errstate(invalid="ignore", divide="ignore"):

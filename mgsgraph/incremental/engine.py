@@ -9,66 +9,65 @@ from collections import OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.shared import image_motion
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, StateStore, stretches
-from mgsgraph.incremental.sweep import Sweep, probes
+from mgsgraph.incremental.sweep import Sweep
 from mgsgraph.incremental.trajectories import expected, prior_rows
 from mgsgraph.incremental.tree import TOGETHER, PriorRows, Tree
 from mgsgraph.network import Network
 from mgsgraph.network.definitions import Definitions, definitions
-from mgsgraph.network.parts import Members, Unknown, bundles, known_images, part
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images
 from mgsgraph.ties import PointKind
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
 
 _MOST_UPDATES = 12
 _REACH = 0.5 * NOTICEABLE
 """Sigmas of a bundle's unknowns below which a change isn't followed any farther: its points can't move by more sigmas
 than they do, and several ways may lead farther, hence the half."""
 _LIKELY = 0.7 * NOTICEABLE
-"""Sigmas by which a probe has to move, or share by which its sigmas have to change, for its bundle to be looked at."""
+"""Sigmas by which a point has to move for its bundle to be written, or share by which its sigmas have to change."""
 _ANYWHERE = 1e3
 """m, sigma of a point's coordinate from which on its place is of no use as a beginning."""
 _KEPT = 150_000
 """Points that stay laid out for the kernel between two changes (about 1 kB each)."""
 
 
-_Laid = TypeVar("_Laid")
-
-
-class _Kept(Generic[_Laid]):
-    """What was made last, up to a total size; what was asked for longest ago goes first."""
+class _Kept:
+    """Sweeps that were laid out last, up to a total of points; what was asked for longest ago goes first."""
 
     def __init__(self, most: int) -> None:
         self._most, self._size = most, 0
-        self._all: OrderedDict[Members, tuple[int, _Laid]] = OrderedDict()
+        self._all: OrderedDict[Members, Sweep] = OrderedDict()
 
-    def get(self, members: Members) -> _Laid | None:
-        """The entry of a bundle; None where there is none."""
+    def get(self, members: Members) -> Sweep | None:
+        """The sweep of a bundle; None where there is none."""
         if members not in self._all:
             return None
         self._all.move_to_end(members)
-        return self._all[members][1]
+        return self._all[members]
 
-    def put(self, members: Members, size: int, laid: _Laid) -> None:
-        """Keep an entry of a size."""
+    def put(self, members: Members, sweep: Sweep) -> None:
+        """Keep the sweep of a bundle."""
         self.drop(members)
-        self._all[members] = size, laid
-        self._size += size
+        self._all[members] = sweep
+        self._size += len(sweep.network.points)
         while self._size > self._most and len(self._all) > 1:
-            _, (count, _) = self._all.popitem(last=False)
-            self._size -= count
+            _, oldest = self._all.popitem(last=False)
+            self._size -= len(oldest.network.points)
 
     def drop(self, members: Members) -> None:
-        """Remove the entry of a bundle."""
+        """Remove the sweep of a bundle."""
         if members in self._all:
-            self._size -= self._all.pop(members)[0]
+            self._size -= len(self._all.pop(members).network.points)
 
 
 class Engine:
@@ -94,7 +93,7 @@ class Engine:
         self._take_values()
 
     def _lay_nothing_out(self) -> None:
-        self._sweeps, self._probes = _Kept[Sweep](_KEPT), _Kept[tuple[Index, Sweep]](_KEPT)
+        self._sweeps = _Kept(_KEPT)
         self._changing = dict[Members, Sweep]()
 
     def _plant(self) -> None:
@@ -172,7 +171,9 @@ class Engine:
         likely = expected(rows, nodes, self.value) if nodes else {}
         return {unknown: likely.get(unknown, one.value) for unknown, one in new.items()}
 
-    def adopted(self, shared: Mapping[Unknown, Shared], solution: Solution, network: Network) -> dict[Members, Bundle]:
+    def adopted(
+        self, shared: Mapping[Unknown, Shared], solution: "Solution", network: Network
+    ) -> dict[Members, Bundle]:
         """Begin again from a batch solution of a network: its values of the unknowns, and all bundles."""
         self._lay_nothing_out()
         self.shared, self.known, every = dict(shared), definitions(network), bundles(network)
@@ -243,7 +244,6 @@ class Engine:
     def _forget(self, gone: Iterable[Members]) -> None:
         for members in gone:
             self._sweeps.drop(members)
-            self._probes.drop(members)
             if (system := self.systems.pop(members, None)) is not None:
                 self._let_go(members, system)
 
@@ -361,7 +361,7 @@ class Engine:
     def _settle_down(self) -> None:
         """The bundles of a change are in the store from now on."""
         for members, sweep in self._changing.items():
-            self._sweeps.put(members, len(sweep.network.points), sweep)
+            self._sweeps.put(members, sweep)
         self._changing = {}
 
     def _laid_out(self, members: Members) -> Sweep:
@@ -371,58 +371,69 @@ class Engine:
         if (sweep := self._sweeps.get(members)) is None:
             bundle = self._store.bundle(members)
             sweep = Sweep(bundle.network, self._settings, bundle.places)
-            self._sweeps.put(members, len(bundle.network.points), sweep)
+            self._sweeps.put(members, sweep)
         return sweep
 
     def _placed(self, bundles: Iterable[Members], joint: Mapping[Members, Array]) -> dict[Members, Bundle]:
-        """Bundles with their points where the present unknowns put them."""
+        """Bundles of a change with their points where the present unknowns put them."""
         return {
             members: self._laid_out(members).placed(self.value, self.systems.get(members), joint.get(members))
             for members in bundles
         }
+
+    def _placed_together(
+        self, bundles: Iterable[Members], joint: Mapping[Members, Array]
+    ) -> Iterator[tuple[Members, Bundle, Bundle]]:
+        """Bundles of the store as they were and as the present unknowns put them: many at a time, for laying out and
+        sweeping dozens of small ones one by one would take ten times as long.
+        """
+        for batch in self._batches(bundles):
+            if len(batch) == 1:
+                (now,) = self._placed(batch, joint).items()
+                together = dict([now])
+            else:
+                network = joined([one.network for one in batch.values()])
+                sweep = Sweep(network, self._settings, _places_of(network, places_by_name(batch.values())))
+                together = sweep.placed_bundles(self.value, batch, self.systems, joint)
+            yield from ((members, batch[members], now) for members, now in together.items())
+
+    def _batches(self, bundles: Iterable[Members]) -> Iterator[dict[Members, Bundle]]:
+        """Bundles, as many together as may be laid out; alone those that are laid out already, and those with
+        orientation images or stereo surfaces.
+        """
+        batch, size = dict[Members, Bundle](), 0
+        for members in bundles:
+            one = self._store.bundle(members)
+            if self._sweeps.get(members) or one.network.passes or one.network.stereo is not None:
+                yield {members: one}
+                continue
+            if batch and size + len(one.network.points) > _KEPT:
+                yield batch
+                batch, size = {}, 0
+            batch[members] = one
+            size += len(one.network.points)
+        if batch:
+            yield batch
 
     def _far(self, made: Iterable[Members], joint: Mapping[Members, Array]) -> dict[Members, Bundle]:
         """Bundles whose points are the same as before: those whose system was made anew, with it; and of those reached
         (with the covariance of their unknowns) the ones that have moved noticeably, with their places now, and their
         covariances, if their sigmas have changed by as much.
         """
-        found = {members: self._renewed(members) for members in made}
-        for members, spread in joint.items():
-            moved, changed, every = self._changed_noticeably(members, spread)
-            if moved and changed:
-                found[members] = every or self._placed([members], joint)[members]
-            elif moved and every is not None:
-                found[members] = replace(self._renewed(members), places=every.places)
-            elif moved:
-                found[members] = replace(self._renewed(members), places=self._laid_out(members).places(self.value))
+        found = {members: replace(self._store.bundle(members), reduced=self.systems.get(members)) for members in made}
+        for members, was, now in self._placed_together(joint, joint):
+            moved, changed = _noticeably(was, now)
+            if moved:
+                found[members] = now if changed else replace(now, covariances=was.covariances)
         return found
 
-    def _renewed(self, members: Members) -> Bundle:
-        return replace(self._store.bundle(members), reduced=self.systems.get(members))
 
-    def _changed_noticeably(self, members: Members, joint: Array) -> tuple[bool, bool, Bundle | None]:
-        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed, by its probes; and
-        the bundle as it is now where these are all of its points.
-        """
-        bundle = self._store.bundle(members)
-        if (found := self._probes.get(members)) is None:
-            chosen = probes(bundle)
-            if chosen.size == 0:
-                return False, False, None
-            whole = chosen.size == len(bundle.network.points)
-            few = bundle.network if whole else part(bundle.network, chosen)
-            sweep = self._laid_out(members) if whole else Sweep(few, self._settings, bundle.places[chosen])
-            found = chosen, sweep
-            self._probes.put(members, chosen.size, found)
-        chosen, sweep = found
-        system = self.systems[members]
-        now = sweep.placed(self.value, system, joint, system.unknowns)
-        sigmas = np.sqrt(np.diagonal(bundle.covariances[chosen], axis1=1, axis2=2))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            moved = np.abs(now.places - bundle.places[chosen]) / sigmas
-            changed = np.abs(now.sigmas / sigmas - 1.0)
-        every = now if chosen.size == len(bundle.network.points) else None
-        return bool(np.any(moved > _LIKELY)), bool(np.any(changed > _LIKELY)), every
+def _noticeably(was: Bundle, now: Bundle) -> tuple[bool, bool]:
+    """Whether any point has moved noticeably, and whether any sigma has changed."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        moved = np.abs(now.places - was.places) / was.sigmas
+        changed = np.abs(now.sigmas / was.sigmas - 1.0)
+    return bool(np.any(moved > _LIKELY)), bool(np.any(changed > _LIKELY))
 
 
 def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:

@@ -316,8 +316,7 @@ def _moved_of(bundle: Bundle, places: Array, sigmas: Array) -> tuple[list[str], 
     new = np.isnan(places[:, 0]) & np.isfinite(bundle.places[:, 0])
     chosen = np.flatnonzero(new | (size > NOTICEABLE))
     table = np.column_stack([new, moves, size, sigmas, bundle.sigmas])
-    ids = bundle.network.points.ids
-    return [ids[k] for k in chosen.tolist()], table[chosen]
+    return bundle.network.points.ids[chosen].tolist(), table[chosen]
 
 
 def _left_undetermined(kept: Mapping[Members, Bundle], was: _Was) -> tuple[str, ...]:
@@ -327,7 +326,7 @@ def _left_undetermined(kept: Mapping[Members, Bundle], was: _Was) -> tuple[str, 
         missing = np.isnan(bundle.places[:, 0])
         if np.any(missing):
             had = np.isfinite(was.of(members, bundle)[0][:, 0])
-            found += [bundle.network.points.ids[k] for k in np.flatnonzero(missing & had).tolist()]
+            found += bundle.network.points.ids[missing & had].tolist()
     return tuple(found)
 
 

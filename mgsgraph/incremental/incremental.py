@@ -4,13 +4,11 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.rounds import Progress
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
@@ -58,6 +56,10 @@ from mgsgraph.notebook import card
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import MRAD
 
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.rounds import Progress
+    from mgsgraph.adjustment.solution import Solution
+
 Observations = TiePoints | LaserProfile | Sequence[TiePoints | LaserProfile]
 
 
@@ -80,7 +82,7 @@ class IncrementalAdjustment:
         self._engine = Engine(self.settings, self.store)
 
     @classmethod
-    def of(cls, solution: Solution, store: StateStore | None = None) -> "IncrementalAdjustment":
+    def of(cls, solution: "Solution", store: StateStore | None = None) -> "IncrementalAdjustment":
         """An incremental adjustment that begins with a batch solution."""
         found = cls(solution.settings, store)
         found.adopt(solution)
@@ -236,11 +238,13 @@ class IncrementalAdjustment:
         changed = without(self.store, images, after, turned_bundles(self.store, before, after))
         return self._change("remove", list(images), [], *changed, after)
 
-    def close(self, name: str = "adjustment", progress: Progress = lambda _: None) -> tuple[Closing, Solution]:
+    def close(self, name: str = "adjustment", progress: "Progress" = lambda _: None) -> tuple[Closing, "Solution"]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
 
         Where anything is farther off than `EXACT` sigmas, what batch has found takes the place of what was there.
         """
+        from mgsgraph.adjustment.adjust import adjust_network  # a whole batch solver, which changes do without
+
         network, stored = self._everything()
         places = Sweep(network, self.settings, stored).places(self._engine.value)
         solution = adjust_network(network, replace(self.settings, starts=0), name, progress)
@@ -249,7 +253,7 @@ class IncrementalAdjustment:
             self.adopt(solution)
         return found, solution
 
-    def adopt(self, solution: Solution) -> None:
+    def adopt(self, solution: "Solution") -> None:
         """Take a batch solution over: its images, points and unknowns in the place of all that was there."""
         engine = self._engine
         rejected = solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected

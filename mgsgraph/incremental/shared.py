@@ -5,10 +5,10 @@ coefficient of the orientation moves image points and the ground under the image
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
@@ -21,6 +21,9 @@ from mgsgraph.network.joining import seconds
 from mgsgraph.network.node_priors import normalised
 from mgsgraph.network.parts import KnownImage, Unknown, known_images, pass_unknowns, unknowns
 from mgsgraph.network.shared import image_effect
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
 
 _PLACES = 17
 """Times of each image at which the basis between nodes is looked at."""
@@ -126,7 +129,7 @@ def shared_by_images(one: NamedShared, images: Mapping[str, KnownImage], angles:
     return _unmoving(one.sigmas, found, one.considered)
 
 
-def shared_of(solution: Solution) -> dict[Unknown, Shared]:
+def shared_of(solution: "Solution") -> dict[Unknown, Shared]:
     """The adjusted unknowns of a batch solution."""
     network, found = solution.network, dict[Unknown, Shared]()
     names, count = unknowns(network), len(network.images)

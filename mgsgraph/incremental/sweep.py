@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,9 +34,6 @@ _STEP = 10.0
 """m, within which a stereo surface's slope and curvature are taken."""
 _MOST_ROUNDS = 20
 """Times that rows of stereo surfaces are made anew for the same unknowns."""
-_PROBES = 48
-"""Points that represent all of a bundle: their moves are polynomials of the line, of low degree."""
-
 _NOTHING = NodePrior(np.full(6, np.inf), np.zeros(6), np.zeros(6))
 """Prior of orientation images of which nothing is known."""
 
@@ -103,6 +101,15 @@ def _near(network: Network, one: Pass) -> OrientationImages:
     return one.nodes.with_nodes_at(one.nodes.times[first:last])
 
 
+class _Joint(NamedTuple):
+    """What is known of some unknowns."""
+
+    covariance: Array
+    """(d, d) m and rad, joint covariance."""
+    place: Mapping[Unknown, slice]
+    """Where each of them lies in it."""
+
+
 class Sweep:
     """A bundle that the kernel goes over.
 
@@ -138,20 +145,21 @@ class Sweep:
         near = NEAR_ENOUGH if task == COSTS else NEAR
         if last is not None and last.serves(shared, task):
             return last
-        found = self._reduced(shared, task)
+        found = self._reduced(shared, task, None if last is None else last.points)
         strong = without_weak(self._layout, found, self._selection)
         if not np.array_equal(strong.out, self._selection.out):
             self._select(self._layout, strong)
-            found = self._reduced(shared, task)
+            found = self._reduced(shared, task, found.points)
         layout = self._layout.without_steps
         for _ in range(1 if layout.stereo is None else _MOST_ROUNDS):
-            exact = about_predicted_lines(layout, shared, found.points, near)
+            exact = about_predicted_lines(layout, shared, found.points, near, own=True)
             if exact is layout:
                 break
-            layout = exact
+            same = exact.patterns is layout.patterns
+            begin = found.points if same else layout.network_order(found.points)[exact.point_order]
+            layout, self._last = exact, None  # its points may be in another order
             self._select(exact, self._selection)
-            self._last = None  # its points are in another order
-            found = self._reduced(shared, task)
+            found = self._reduced(shared, task, begin)
         self._last = found
         return found
 
@@ -162,7 +170,7 @@ class Sweep:
             return None
         names, at, normal, gradient = self._joined(found)
         if self._spread is None or self._relief is None:  # hardly change where the points are as near as this
-            self._spread = np.trace(self._covariances(found, None, {}), axis1=1, axis2=2)
+            self._spread = self._free_variances(found)
             self._relief = self._stereo_relief(found)
         allowed = slack(self.network, self._settings, motion, self._spread, self._relief)
         return ReducedSystem(names, at, normal, gradient, found.cost, allowed)
@@ -183,13 +191,12 @@ class Sweep:
             As in `slack`, of each bundle.
         """
         found, layout = self.reduce(values), self._layout
-        places, free = self._ordered(found.points), np.trace(self._covariances(found, None, {}), axis1=1, axis2=2)
+        places, free = self._ordered(found.points), self._free_variances(found)
         covariances = self._ordered(
             joint_point_covariances(layout, self._rows, found.orientation, found.points, joint)
         )
-        piece_group = self._rows.pattern_group[self._rows.piece[:, 0]]
+        piece_group, group = self._rows.pattern_group[self._rows.piece[:, 0]], self._group_of_points()
         costs = np.bincount(piece_group, found.piece_cost, len(layout.group_variables))
-        group = layout.network_order(np.repeat(piece_group, self._rows.piece[:, 2]))
         kept = dict[Members, Bundle]()
         for members, (network, mine) in zip(bundles, _with_points(bundles, self.network), strict=True):
             (own,) = np.unique(group[mine]).tolist()
@@ -227,43 +234,73 @@ class Sweep:
 
     def placed(
         self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None,
-        of: Members = (),
     ) -> Bundle:  # fmt: skip
-        """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of some unknowns, of
-        those of the system when not said, in their order; absent where it has none.
+        """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of those of the
+        system, in their order; absent where it has none.
         """
         found = self.reduce(values, COSTS)
-        of = of or (() if system is None else system.unknowns)
-        place = stretches(of, values)
-        return Bundle(self.network, system, self._ordered(found.points), self._covariances(found, joint, place))
+        known = None if joint is None or system is None else _Joint(joint, stretches(system.unknowns, values))
+        covariances = self._covariances(found, [known] * len(self._layout.group_variables))
+        return Bundle(self.network, system, self._ordered(found.points), covariances)
 
-    def _covariances(self, found: Reduction, joint: Array | None, place: Mapping[Unknown, slice]) -> Array:
-        """(n, 3, 3) m^2 of the points, NaN for undetermined ones; without `joint`, as if the unknowns were known. These
-        have a place in it.
+    def placed_bundles(
+        self, values: Mapping[Unknown, Array], bundles: Mapping[Members, Bundle],
+        systems: Mapping[Members, ReducedSystem], joint: Mapping[Members, Array],
+    ) -> dict[Members, Bundle]:  # fmt: skip
+        """All bundles of the network with their points where the unknowns put them, by one pass over all points;
+        `joint` are the covariances (d, d) of the unknowns of each system. Networks as of `of_bundles`.
+        """
+        found, groups = self.reduce(values, COSTS), self._group_of_points()
+        known: list[_Joint | None] = [None] * len(self._layout.group_variables)
+        there = list(_with_points({members: one.network for members, one in bundles.items()}, self.network))
+        for members, (_, mine) in zip(bundles, there, strict=True):
+            (own,) = np.unique(groups[mine]).tolist()
+            if members in joint:
+                known[own] = _Joint(joint[members], stretches(systems[members].unknowns, values))
+        places, covariances = self._ordered(found.points), self._covariances(found, known)
+        return {
+            members: Bundle(network, systems.get(members), places[mine], covariances[mine])
+            for members, (network, mine) in zip(bundles, there, strict=True)
+        }
+
+    def _group_of_points(self) -> Index:
+        """(n,) group of the layout to which each point belongs, network order."""
+        piece_group = self._rows.pattern_group[self._rows.piece[:, 0]]
+        return self._layout.network_order(np.repeat(piece_group, self._rows.piece[:, 2]))
+
+    def _covariances(self, found: Reduction, joint: "Sequence[_Joint | None]") -> Array:
+        """(n, 3, 3) m^2 of the points, NaN for undetermined ones, from the joint covariance of the unknowns that each
+        group of points feels; of a group without one as if they were known.
         """
         layout, target = self._layout, self._blocks
         blocks = np.zeros(target.size)
-        if joint is not None:
-            for group, members in enumerate(layout.group_variables):
-                blocks += sparse(self._joint_of(members, joint, place), layout.groups, target, group)
+        for group, (members, known) in enumerate(zip(layout.group_variables, joint, strict=True)):
+            if known is not None:
+                blocks += sparse(self._joint_of(members, known), layout.groups, target, group)
         return self._ordered(
             point_covariances(
                 self._rows, layout.groups, target, layout.model, found.orientation, blocks, found.points
             )
         )
 
-    def _joint_of(self, members: Sequence[int], joint: Array, place: Mapping[Unknown, slice]) -> Array:
+    def _free_variances(self, found: Reduction) -> Array:
+        """(n,) m^2, variance of each point in all directions as if all unknowns were known."""
+        nothing = [None] * len(self._layout.group_variables)
+        return np.asarray(np.trace(self._covariances(found, nothing), axis1=1, axis2=2))
+
+    def _joint_of(self, members: Sequence[int], known: "_Joint") -> Array:
         """Covariance (d, d) of some variables, out of that of unknowns. An orientation image that is not among these is
         one about which a ray has just come to lie: it has no weight there yet.
         """
+        joint, place = known
         every = np.arange(joint.shape[0])
         columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
             every[place[name]] if (name := self._names[v]) in place else np.full(self._layout.variables.width[v], -1)
             for v in members
         )])  # fmt: skip
-        known = np.flatnonzero(columns >= 0)
+        there = np.flatnonzero(columns >= 0)
         found = np.zeros((columns.size, columns.size))
-        found[np.ix_(known, known)] = joint[np.ix_(columns[known], columns[known])]
+        found[np.ix_(there, there)] = joint[np.ix_(columns[there], columns[there])]
         return found
 
     def _stereo_relief(self, found: Reduction) -> Array:
@@ -296,8 +333,8 @@ class Sweep:
         self._layout, self._selection, self._rows = layout, selection, selection.rows(layout)
         self._blocks = group_blocks(layout.groups)
 
-    def _reduced(self, shared: Array, task: int) -> Reduction:
-        layout, begin = self._layout, None if self._last is None else self._last.points
+    def _reduced(self, shared: Array, task: int, begin: Array | None) -> Reduction:
+        layout = self._layout
         return reduce(self._rows, layout.groups, self._blocks, layout.model, shared, task, begin)
 
     def _vector(self, values: Mapping[Unknown, Array]) -> Array:
@@ -319,11 +356,3 @@ def _with_points(bundles: Mapping[Members, Network], network: Network) -> Iterat
     numbers = network.points.ids.find(every)
     ends = np.cumsum([len(one.points) for one in bundles.values()])
     return zip(bundles.values(), np.split(numbers, ends[:-1]), strict=True)
-
-
-def probes(bundle: Bundle) -> Index:
-    """Some determined points of a bundle, evenly chosen."""
-    there = np.flatnonzero(np.isfinite(bundle.places[:, 0]))
-    if there.size <= 2 * _PROBES:  # all of them cost no more than some, which would be looked at once more
-        return there
-    return there[np.unique(np.linspace(0, there.size - 1, min(_PROBES, there.size)).astype(np.int64))]

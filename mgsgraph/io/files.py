@@ -32,7 +32,7 @@ LARGEST_TEXT = 1 << 30
 DEEPEST = 100
 """Levels of brackets in JSON and TOML; support data has four."""
 _NUMBER = re.compile(r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?", re.ASCII)
-_NULL = 1e300
+LARGEST_NUMBER = 1e300
 """ISIS writes its Null as -1.797e308 where a number was never set: larger ones are no numbers."""
 _LARGEST_COUNT = 1 << 63
 """Whole numbers beyond are no counts, ticks or ids."""
@@ -124,8 +124,13 @@ def read_text(
     path: Path, expected: str = "a text file", limit: int = LARGEST_TEXT, encoding: str = "utf-8-sig"
 ) -> str:
     """The whole of a text file, lines ended by line feeds; InputError as `opened` has them, or where it is not text."""
+    return decoded_text(read_bytes(path, limit), path, expected, encoding)
+
+
+def decoded_text(content: bytes, path: Path, expected: str = "a text file", encoding: str = "utf-8-sig") -> str:
+    """The content of a text file as `read_text` gives it; InputError where it is not text."""
     try:
-        return read_bytes(path, limit).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+        return content.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
 
@@ -256,7 +261,7 @@ def _too_deep(where: str) -> InputError:
 def finite_number(text: str) -> float:
     """The number a text spells in decimal; ValueError for anything else, NaN, infinity and ISIS's Null included."""
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
-    if not abs(value) < _NULL:
+    if not abs(value) < LARGEST_NUMBER:
         raise ValueError(text)
     return value
 

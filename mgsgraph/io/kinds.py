@@ -15,6 +15,7 @@ from mgsgraph.altimetry.pedr import FRAME
 from mgsgraph.altimetry.shots import is_archive_table
 from mgsgraph.altimetry.tables import table_of
 from mgsgraph.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
+from mgsgraph.control.table_parquet import MAGIC, parquet_names
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import head_of, json_object, read_bytes, read_text
 from mgsgraph.io.image_label import label_text
@@ -93,6 +94,9 @@ def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
     yield Kind.NETWORK if begin else None
     yield Kind.MODEL_STATE if text.startswith(MODEL) else None
     yield _json(path) if text.startswith("{") else None
+    if head.startswith(MAGIC):
+        yield Kind.TIE_TABLE if {"id", "image"} <= set(parquet_names(path)) else None
+        return
     if b"\0" in head:
         yield _shots(head, path)
         return

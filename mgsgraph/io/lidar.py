@@ -15,24 +15,27 @@ import numpy as np
 
 from mgsgraph.altimetry.time_scales import require_years
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimeters import YEARS
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.decoding import Name, Number, validated
-from mgsgraph.io.files import head_of, name_of, read_json
+from mgsgraph.io.files import LARGEST_TEXT, decoded_text, head_of, json_object, name_of, read_bytes
+from mgsgraph.io.lidar_columns import LARGEST_ELEMENT, NUMBERS, TRIANGLE, LidarColumns, lidar_columns
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _FROM_TRIANGLE = np.array([[3, 1, 4], [1, 0, 2], [4, 2, 5]])
 """Where in the file's triangle (lat-lat, lat-lon, lat-rad, lon-lon, lon-rad, rad-rad) each element of the covariance of
 longitude, latitude, radius stands, which is the order of `planetocentric_jacobian`."""
-_HEAD, _TURN = 4096, 360.0
+_HEAD, _TURN, _POLE = 4096, 360.0, 90.0
 """bytes in which JSON begins, and degrees."""
-_Length = Annotated[float, msgspec.Meta(gt=0.0, le=1e9)]
+_LONGEST = 1e9
 """Of whatever unit: nothing that is measured is longer, and squares of more would be no numbers."""
-_Element = Annotated[float, msgspec.Meta(ge=-1e18, le=1e18)]
-_Triangle = Annotated[list[_Element], msgspec.Meta(min_length=6, max_length=6)]
-_Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+_Length = Annotated[float, msgspec.Meta(gt=0.0, le=_LONGEST)]
+_Element = Annotated[float, msgspec.Meta(ge=-LARGEST_ELEMENT, le=LARGEST_ELEMENT)]
+_Triangle = Annotated[list[_Element], msgspec.Meta(min_length=TRIANGLE, max_length=TRIANGLE)]
+_Latitude = Annotated[float, msgspec.Meta(ge=-_POLE, le=_POLE)]
 
 
 class LidarMeasure(msgspec.Struct, rename="camel"):
@@ -91,23 +94,56 @@ def read_lidar(path: Path) -> LaserProfile:
     """
     if not head_of(path, _HEAD).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
         raise InputError(str(path), "no JSON", "ISIS lidar data", "an altimeter's own file goes into [[shots]]")
-    shots = validated(read_json(path), _LidarData, path).points
+    content = read_bytes(path, LARGEST_TEXT)
+    found = lidar_columns(content.removeprefix(b"\xef\xbb\xbf"))
+    return _profile(found if found and _can_be(found) else _one_by_one(content, path), str(path))
+
+
+def _can_be(shots: LidarColumns) -> bool:
+    """Whether all numbers of shots are within the bounds of `LidarShot`; which isn't is said by `_one_by_one`."""
+    of, years = shots.numbers, YEARS
+    lengths = all(np.all((of[name] > 0.0) & (of[name] <= _LONGEST)) for name in ("range", "sigmaRange", "radius"))
+    angles = np.all(np.abs(of["latitude"]) <= _POLE) and np.all(np.abs(of["longitude"]) <= _TURN)
+    times = np.all((of["time"] >= years[0]) & (of["time"] <= years[1]))
+    return bool(lengths and angles and times and shots.ids.first_repeated is None)
+
+
+def _one_by_one(content: bytes, path: Path) -> LidarColumns:
+    """Shots as records, each of which is looked at: for what `lidar_columns` leaves."""
+    shots = validated(json_object(decoded_text(content, path), str(path)), _LidarData, path).points
     _require_sound(shots, str(path))
-    places = np.array([(shot.longitude * DEG, shot.latitude * DEG, shot.radius * KM) for shot in shots])
-    triangles, jacobian = np.array([shot.apriori_matrix for shot in shots]), planetocentric_jacobian(places)
-    measures = [measure for shot in shots for measure in shot.measures]
+    numbers = np.array([(one.time, one.range, one.sigma_range, one.longitude, one.latitude, one.radius)
+                        for one in shots])  # fmt: skip
+    along = [(k, name) for k, shot in enumerate(shots) for name in shot.simultaneous_images]
+    measures = [(k, one) for k, shot in enumerate(shots) for one in shot.measures]
+    return LidarColumns(
+        Names.of(shot.id for shot in shots), dict(zip(NUMBERS, numbers.T, strict=True)),
+        np.array([shot.apriori_matrix for shot in shots]),
+        np.array([k for k, _ in along], dtype=np.int64), RepeatedNames.of([name for _, name in along]),
+        np.array([k for k, _ in measures], dtype=np.int64),
+        RepeatedNames.of([one.serial_number for _, one in measures]),
+        np.array([(one.line, one.sample) for _, one in measures], dtype=np.float64).reshape(-1, 2),
+    )  # fmt: skip
+
+
+def _profile(shots: LidarColumns, source: str) -> LaserProfile:
+    """Columns of a file in SI units, and pixels counted from its corner."""
+    of = shots.numbers
+    places = np.column_stack([of["longitude"] * DEG, of["latitude"] * DEG, of["radius"] * KM])
+    jacobian = planetocentric_jacobian(places)
     return LaserProfile(
-        source=str(path),
-        ids=Names.of(shot.id for shot in shots),
-        times=np.array([shot.time for shot in shots]),
-        ranges=np.array([shot.range * KM for shot in shots]),
-        range_sigmas=np.array([shot.sigma_range for shot in shots]),
+        source=source,
+        ids=shots.ids,
+        times=of["time"],
+        ranges=of["range"] * KM,
+        range_sigmas=of["sigmaRange"],
         footprints=from_planetocentric(places),
-        covariances=jacobian @ triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
-        simultaneous=tuple(tuple(shot.simultaneous_images) for shot in shots),
-        measure_shot=np.repeat(np.arange(len(shots)), [len(shot.measures) for shot in shots]),
-        measure_image=RepeatedNames.of([measure.serial_number for measure in measures]),
-        measures=np.array([(one.line, one.sample) for one in measures]).reshape(-1, 2) - ISIS_OFFSET,
+        covariances=jacobian @ shots.triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
+        simultaneous_shot=shots.simultaneous_shot,
+        simultaneous_image=shots.simultaneous_image,
+        measure_shot=shots.measure_shot,
+        measure_image=shots.measure_image,
+        measures=shots.measures - ISIS_OFFSET,
     )
 
 

@@ -145,7 +145,7 @@ class _Rows(NamedTuple):
             return np.array([[*map(finite_number, row)] if any(row) else none for row in texts])
         except ValueError:
             for k, row in enumerate(texts):
-                record = Row(self.where(k), self.lines[k], dict(zip(names, row, strict=True)))
+                record = Row(self.where(k), f"line {self.lines[k]}", dict(zip(names, row, strict=True)))
                 for name in names if any(row) else ():
                     record.number(name)
             raise

@@ -3,6 +3,7 @@
 Compiled once and cached on disk; it holds no lock, so that threads share a sweep, each with pieces of its own.
 """
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -228,6 +229,10 @@ def even_parts(rows: Rows, parts: int) -> Index:
 @cache
 def _threads(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)  # threads don't come along
 
 
 def with_frozen_terrain(rows: Rows) -> Rows:

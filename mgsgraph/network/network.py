@@ -157,7 +157,8 @@ class Network:
     def considering(self, names: Iterable[str]) -> "Network":
         """The network with those of some names considered that are unknowns of its own."""
         there = (*self.shift_names, *(one.name for one in self.shared))
-        return replace(self, considered=tuple(name for name in names if name in there))
+        considered = tuple(name for name in names if name in there)
+        return self if considered == self.considered else replace(self, considered=considered)
 
     def with_rejected(self, rays: Mask | None, ranges: Mask | None, stereo: Mask | None = None) -> "Network":
         """The network with rays (k,), ranges (r,) and heights of points (n,) above stereo surfaces marked as blunders;

@@ -45,7 +45,7 @@ def observed(
     parts = [
         _of_ties(images, one, tie_sigma) if isinstance(one, TiePoints) else _of_shots(images, one, shot_sigma)
         for one in observations
-        if len(one.measure_image) or (isinstance(one, LaserProfile) and any(one.simultaneous))
+        if len(one.measure_image) or (isinstance(one, LaserProfile) and len(one.simultaneous_image))
     ]
     return joined(parts) if parts else None
 
@@ -62,16 +62,14 @@ def _of_ties(images: Mapping[str, KnownImage], ties: TiePoints, sigma: float) ->
 
 
 def _of_shots(images: Mapping[str, KnownImage], profile: LaserProfile, sigma: float) -> Network:
-    pairs = [(i, name) for i, simultaneous in enumerate(profile.simultaneous) for name in simultaneous]
-    carrying = RepeatedNames.of([name for _, name in pairs])
-    named = RepeatedNames.concatenated([profile.measure_image, carrying])
+    named = RepeatedNames.concatenated([profile.measure_image, profile.simultaneous_image])
     names, image = _numbered(images, named, profile.source)
     k, n = len(profile.measure_image), len(profile.ids)
-    shot = np.array([i for i, _ in pairs], dtype=np.int64)
+    shot = profile.simultaneous_shot
     classes, kinds = np.full(n, int(PointClass.LASER)), np.full(n, int(PointKind.CONSTRAINED))
     points = GroundPoints(profile.ids, classes, kinds, profile.footprints, profile.covariances)
     rays = ImageRays(profile.measure_shot, image[:k], profile.measures, np.full((k, 2), sigma))
-    require_ranges_of(profile, shot, [images[name].image for _, name in pairs])
+    require_ranges_of(profile, [images[name].image for name in names], image[k:])
     require_range_sigmas(profile)
     ranges = Ranges(shot, image[k:], profile.times[shot], profile.ranges[shot], profile.range_sigmas[shot])
     return _network([images[name] for name in names], points, rays, ranges, profile.source)
@@ -140,15 +138,12 @@ def nominal_ground(images: Sequence[PushbroomImage], rays: ImageRays, heights: A
 # --- ranges that can't be
 
 
-def require_ranges_of(profile: LaserProfile, shots: Index, along: Sequence[PushbroomImage]) -> None:
-    """Raise InputError where ranges of shots (m,), by their numbers, are not the distances from the trajectories of the
-    images (m) that carry them, or are of times beyond these; see `require_ranges`.
+def require_ranges_of(profile: LaserProfile, images: Sequence[PushbroomImage], along: Index) -> None:
+    """Raise InputError where ranges are not the distances from the trajectories of the simultaneous images, of which
+    `along` (r,) has the indices, or are of times beyond these; see `require_ranges`.
     """
-    of_image: dict[str, list[int]] = {}
-    for k, image in enumerate(along):
-        of_image.setdefault(image.name, []).append(k)
-    for members in of_image.values():
-        mine, image = shots[members], along[members[0]]
+    for j in dict.fromkeys(along.tolist()):
+        mine, image = profile.simultaneous_shot[along == j], images[j]
         times, ground, ranges = profile.times[mine], profile.footprints[mine], profile.ranges[mine]
         past, (start, stop) = times - image.trajectory.epoch, image.trajectory.coverage
         worst = int(np.argmax(np.maximum(start - past, past - stop)))

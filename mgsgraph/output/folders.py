@@ -39,7 +39,7 @@ _KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, EXPORT)
 TABLES = (
     RECORD, "solution.npz", "summary.json", "points.csv", "points.parquet", "orientation.csv", "residuals.csv",
     "residuals.parquet", "connectivity.csv",
-    "shared.csv", "passes.csv", "report.html",
+    "shared.csv", "passes.csv", "drivers.csv", "report.html",
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",

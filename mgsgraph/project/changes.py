@@ -27,6 +27,7 @@ from mgsgraph.project.store import ProjectStore
 if TYPE_CHECKING:
     from mgsgraph.adjustment.rounds import Progress
     from mgsgraph.adjustment.solution import Solution
+    from mgsgraph.reports.large_tables import TableForm
 
 Stages = Callable[[str], AbstractContextManager[None]]
 
@@ -112,13 +113,16 @@ class SolvedProject:
     """How far the incremental result was off; None where there was none."""
     folder: Path
     """Folder of the products."""
+    files: tuple[str, ...]
+    """Names of the files in it."""
 
 
 def solve(
-    project: Project, figures: bool = True, progress: "Progress" = lambda _: None, device: Device | None = None
-) -> SolvedProject:
-    """Adjust everything by batch, compare it with the incremental result, and keep its products. When absent, the
-    `device` that goes over the points is that of the settings.
+    project: Project, figures: bool = True, tables: "TableForm | None" = None,
+    progress: "Progress" = lambda _: None, device: Device | None = None,
+) -> SolvedProject:  # fmt: skip
+    """Adjust everything by batch, compare it with the incremental result, and keep its products; `figures` and `tables`
+    as of `write_results`, the `device` that goes over the points that of the settings when absent.
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.reports.results import write_results
@@ -139,8 +143,10 @@ def solve(
             _incremental(project, settings).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
-    folder = project.keep_solution(solution, lambda to: write_results(solution, to, figures, networks=project.networks))
-    return SolvedProject(solution, closing, folder)
+    folder, files = project.keep_solution(
+        solution, lambda to: write_results(solution, to, figures, networks=project.networks, tables=tables)
+    )
+    return SolvedProject(solution, closing, folder, tuple(files))
 
 
 def put_in(store: ProjectStore, addition: Addition) -> None:

@@ -262,16 +262,18 @@ class Project:
         images = len(self.store.image_names())
         return self._insert_solution((converged, message, None, None, None, images, points, None, "incremental"))
 
-    def keep_solution(self, solution: "Solution", write: Callable[[Path], object]) -> Path:
-        """Write a batch solution's products to a folder of their own, by a function of it, and note it; that folder."""
+    def keep_solution(self, solution: "Solution", write: Callable[[Path], _Kind]) -> tuple[Path, _Kind]:
+        """Write a batch solution's products to a folder of their own, by a function of it, and note it; that folder,
+        and what the function gives back.
+        """
         self._sweep()
         (number,) = self._connection.execute(
             "SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'solution'"
         ).fetchone()
         folder = f"{SOLUTIONS}/{number:04d}"
-        write(self.folder / folder)
+        written = write(self.folder / folder)
         self.record_batch(solution, folder)
-        return self.folder / folder
+        return self.folder / folder, written
 
     def record_batch(self, solution: "Solution", folder: str | None = None) -> int:
         """Note a batch solution of everything, and the folder of its products, if it has any; its number."""

@@ -5,6 +5,7 @@ import sqlite3
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,8 @@ _BUNDLE = (
 )  # fmt: skip
 _AT_HAND = 100
 """Bundles that are kept after they were read: a change looks at the same ones several times."""
+_TEXTS = 1 << 16
+"""Members of bundles that are kept after their text was read: a change reads those of all bundles several times."""
 _COMMON: dict[str, Any] = {"pass": NamedPass, "shared_by_images": NamedShared}
 """Records of passes and of unknowns that images share, by table."""
 _SHARED = ("prior", "motion", "ground", "value", "covariance")
@@ -68,6 +71,7 @@ class ProjectStore:
         self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
         self._stereo = StoredStereo(connection, where)
         self._definitions: Definitions | None = None
+        self._names: tuple[Names, Index, Index] | None = None
 
     # --- images
 
@@ -171,7 +175,9 @@ class ProjectStore:
     def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
         """For those of the points that are there: their bundle."""
         wanted = list(ids)
-        names, bundles, sizes = self._cells.names()
+        if self._names is None:  # a change asks several times, and a million names take their time
+            self._names = self._cells.names()
+        names, bundles, sizes = self._names
         found = Names.of(wanted).find(names)
         there = np.flatnonzero(found >= 0)
         of_point = np.repeat(bundles, sizes)[there].tolist()
@@ -222,6 +228,7 @@ class ProjectStore:
 
     def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
         """Take bundles out and put others in, none of which is there."""
+        self._names = None
         for members in gone:
             self._bundles.pop(members, None)
             self._drop(members)
@@ -430,6 +437,7 @@ def _text(members: Members) -> str:
     return json.dumps(members, ensure_ascii=False, separators=(",", ":"))
 
 
+@lru_cache(_TEXTS)
 def _members(text: str) -> Members:
     found = tuple(Unknown(kind, name) for kind, name in json.loads(text))
     if not all(isinstance(word, str) for unknown in found for word in unknown):

@@ -2,16 +2,18 @@
 
 import numpy as np
 
-from mgsgraph.altimetry.time_scales import utc_of_tdb
+from mgsgraph.altimetry.time_scales import utc_of_tdb, utc_texts
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Mask
 from mgsgraph.io.writing import begins
+from mgsgraph.names import RepeatedNames
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.registration.crossings import Crossing, ShotsOverImages
 from mgsgraph.units import DEG, MILLISECOND
 from mgsgraph.wording import many
 
 _DAY = 86400.0
-_MINUTES, _SECONDS = "%Y-%m-%dT%H:%M", "%Y-%m-%dT%H:%M:%S.%f"
+_MINUTES = "%Y-%m-%dT%H:%M"
 
 
 def crossings_table(found: tuple[Crossing, ...]) -> Table:
@@ -46,13 +48,15 @@ def selection_table(over: ShotsOverImages) -> Table:
     shots, rows = over.shots.chosen(over.chosen), over.chosen
     longitude, latitude, radius = planetocentric(shots.footprints).T
 
-    def names(which: np.ndarray) -> list[str]:
-        return [";".join(over.images[j].name for j in np.flatnonzero(which[:, k])) for k in rows.tolist()]
+    def names(which: Mask) -> RepeatedNames:
+        seen, numbers = np.unique(which[:, rows], axis=1, return_inverse=True)
+        texts = RepeatedNames.of([";".join(over.images[j].name for j in np.flatnonzero(one)) for one in seen.T])
+        return texts[numbers.ravel()]
 
     return Table("shots", "Laser shots over images", (
-        Column("altimeter", [shots.altimeter.name] * rows.size),
-        Column("profile", list(shots.profile_names()), meaning="orbit, or the minute (UTC) in which a crossing began"),
-        Column("utc", [f"{utc_of_tdb(time + 0.5 * MILLISECOND):{_SECONDS}}"[:-3] for time in shots.times.tolist()]),
+        Column("altimeter", RepeatedNames((shots.altimeter.name,), np.zeros(rows.size, dtype=np.int64))),
+        Column("profile", shots.profile_names(), meaning="orbit, or the minute (UTC) in which a crossing began"),
+        Column("utc", utc_texts(shots.times + 0.5 * MILLISECOND)),
         Column("images", names(over.inside), meaning="in which the footprint falls"),
         Column("simultaneous", names(over.inside & (over.seconds == 0.0)), meaning="those taken while it was fired"),
         Column("orbit", shots.orbits), Column("frame", shots.frames), Column("shot", shots.shots),

@@ -54,11 +54,11 @@ class ShotsOverImages:
     def crossings(self) -> tuple[Crossing, ...]:
         """Image by image: profiles taken along first, then by their orbits."""
         found = list[Crossing]()
-        names = np.array(self.shots.profile_names(), dtype=object)
+        names = self.shots.profile_names()
         for j, image in enumerate(self.images):
             along = self.seconds[j] == 0.0
             mine = [
-                self._crossing(j, image.name, str(names[members[0]]), members, along)
+                self._crossing(j, image.name, names[members[0]], members, along)
                 for orbit in np.unique(self.shots.orbits[self.inside[j] | along])
                 for members in [np.flatnonzero(self.shots.orbits == orbit)]
             ]

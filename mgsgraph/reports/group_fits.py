@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.group_fits import ODDS, GroupFit, group_fits
-from mgsgraph.analysis.soundness import ABSURD
 from mgsgraph.analysis.strained import strained_orientations
 from mgsgraph.output.table import Column, Table
 from mgsgraph.wording import listed

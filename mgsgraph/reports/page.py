@@ -20,8 +20,11 @@ from mgsgraph.reports.page_comparison import compare
 from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
 from mgsgraph.reports.soundness import state_of
 from mgsgraph.reports.summary import statements
+from mgsgraph.workers import called_in_workers
 
 _TEMPLATE = "reports/templates/report.html"
+_SECTIONS = ("map", "registration", "orientation", "residuals")
+"""Sections of the page that have figures of the solution."""
 _ENDINGS = (".html", ".htm")
 
 
@@ -78,27 +81,31 @@ def _content(
     solution: Solution, case: Case | None, earlier: Solution | None, inputs: Mapping[str, str | None]
 ) -> dict[str, Any]:
     """Everything that the template shows."""
-    from mgsgraph.figures.page import sigma_figures, solution_figures
+    from mgsgraph.figures.page import figure_tasks, sigma_figures
 
     compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
     registration = None if case is None or not case.profiles else register_case(case, solution)
     connected = solution_connectivity(solution)
-    sigmas, without_sigmas = sigma_figures(solution)
-    figures = solution_figures(solution, connected)
-    return {
-        "solution": solution,
-        "statements": statements(solution, connected),
-        "key_figures": _key_figures(solution),
-        "figures": figures | {"sigmas": sigmas},
-        "without_sigmas": without_sigmas,
-        **_registered(solution, case, registration),
-        "tables": tables(solution),
-        "compared": compared,
-        "settings": [settings_table(solution), versions_table(solution)],
-        "inputs": inputs_table(inputs),
-        "case_name": "" if case is None else case.path.name,
-        "version": solution.versions.get("mgsgraph", NONE),
-    }
+    sections, tasks = zip(*figure_tasks(solution, connected), strict=True)
+    with called_in_workers(tasks, "figures of the page", "give this program more memory") as drawn:
+        sigmas, without_sigmas = sigma_figures(solution)
+        content = {
+            "solution": solution,
+            "statements": statements(solution, connected),
+            "key_figures": _key_figures(solution),
+            "without_sigmas": without_sigmas,
+            **_registered(solution, case, registration),
+            "tables": tables(solution),
+            "compared": compared,
+            "settings": [settings_table(solution), versions_table(solution)],
+            "inputs": inputs_table(inputs),
+            "case_name": "" if case is None else case.path.name,
+            "version": solution.versions.get("mgsgraph", NONE),
+        }
+        figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS} | {"sigmas": sigmas}
+        for section, pictures in zip(sections, drawn(), strict=True):
+            figures[section] += pictures
+    return content | {"figures": figures}
 
 
 def _registered(solution: Solution, case: Case | None, registration: CaseRegistration | None) -> dict[str, Any]:

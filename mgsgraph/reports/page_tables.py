@@ -15,6 +15,7 @@ from mgsgraph.analysis.statistics import (
 from mgsgraph.geometry.records import Index
 from mgsgraph.output.csv_json import picked
 from mgsgraph.output.table import Column, Table, cut
+from mgsgraph.reports.drivers import drivers_table
 from mgsgraph.reports.group_fits import group_fits_table
 from mgsgraph.reports.minima import minima_table
 from mgsgraph.reports.passes import passes_table
@@ -25,6 +26,8 @@ MOST_ROWS = 1000
 """Rows of one table; the CSV files have all."""
 MOST_IMAGES = 300
 """Images of which the orientation is stated."""
+_MOST_DRIVERS = 10
+"""Images and points listed of each quantity that drives an adjustment which did not come to rest."""
 _MOST_MEASURES = 300
 """Measures listed, those that fit worst."""
 
@@ -32,12 +35,21 @@ _MOST_MEASURES = 300
 def tables(solution: Solution) -> list[Table]:
     """All tables of a solution that have rows."""
     found = [
-        _images(solution), group_fits_table(group_fits(solution)), _points_by_class(solution), _ranges(solution),
-        _shifts(solution),
+        _drivers(solution), _images(solution), group_fits_table(group_fits(solution)), _points_by_class(solution),
+        _ranges(solution), _shifts(solution),
         minima_table(solution.minima), shared_table(solution).pick(*ON_PAGE), passes_table(solution),
         _measures(solution), _points(solution),
     ]  # fmt: skip
     return [table for table in found if len(table)]
+
+
+def _drivers(solution: Solution) -> Table:
+    every = () if solution.drivers is None else solution.drivers.contributions
+    ends = np.cumsum([0, *(one.members.size for one in every)])[:-1]
+    shown = [np.arange(min(one.members.size, _MOST_DRIVERS)) + end for one, end in zip(every, ends, strict=True)]
+    table, rows = drivers_table(solution), np.concatenate([np.zeros(0, dtype=np.int64), *shown])
+    note = table.note + cut(len(table), rows.size, "the first ones of each", "drivers.csv")
+    return replace(table.take(rows), note=note)
 
 
 def _images(solution: Solution) -> Table:

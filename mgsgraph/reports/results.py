@@ -1,7 +1,9 @@
 """All files of one adjustment, in one folder; and the record of all figures of merit, solution.json."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import ARCHIVE, write_archive
 from mgsgraph.reports.control import control_json
+from mgsgraph.reports.drivers import drivers_json, drivers_table
 from mgsgraph.reports.group_fits import fits_json
 from mgsgraph.reports.large_tables import TableForm, write_large_tables
 from mgsgraph.reports.likelihood import linearity_json
@@ -39,6 +42,7 @@ from mgsgraph.reports.soundness import soundness_json
 from mgsgraph.reports.summary import statements
 from mgsgraph.reports.tables import classes_table, connectivity_table, orientation_table
 from mgsgraph.units import ARCSEC
+from mgsgraph.workers import called_in_workers
 
 FORMAT = 1
 """Version of solution.json's layout."""
@@ -89,7 +93,27 @@ def write_into(
     known: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
     files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
     known |= {"networks": files} if files else {}
-    write_json(folder / RECORD, solution_json(solution, connected) | known)
+    with _drawn_meanwhile(solution, folder, connected, figures) as drawn:
+        write_json(folder / RECORD, solution_json(solution, connected) | known)
+        return [*_write_tables(solution, folder, connected, tables), *drawn()]
+
+
+@contextmanager
+def _drawn_meanwhile(
+    solution: Solution, folder: Path, connected: Connectivity, figures: bool
+) -> Iterator[Callable[[], list[str]]]:
+    """Let workers draw while the tables are written; yields what waits for them and gives the names of their files."""
+    if not figures:
+        yield list
+        return
+    from mgsgraph.figures import FIGURES_END, figure_tasks  # matplotlib takes its time; only those who draw wait for it
+
+    with called_in_workers(figure_tasks(solution, folder, connected), *FIGURES_END) as drawn:
+        yield lambda: list(chain.from_iterable(drawn()))
+
+
+def _write_tables(solution: Solution, folder: Path, connected: Connectivity, tables: TableForm | None) -> list[str]:
+    """Tables and the archive; the names of all files but the figures."""
     orientation_table(solution).write_csv(folder / "orientation.csv")
     large = write_large_tables(solution, folder, tables)
     connectivity_table(connected).write_csv(folder / "connectivity.csv")
@@ -101,11 +125,10 @@ def write_into(
     if solution.network.passes:
         nodes_table(solution).write_csv(folder / "passes.csv")
         names.append("passes.csv")
-    if not figures:
-        return names
-    from mgsgraph.figures import write_figures  # matplotlib takes its time; only those who draw wait for it
-
-    return names + write_figures(solution, folder, connected)
+    if solution.drivers is not None:
+        drivers_table(solution).write_csv(folder / "drivers.csv")
+        names.append("drivers.csv")
+    return names
 
 
 def case_of(folder: str | Path) -> Path:
@@ -151,6 +174,7 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "degrees_of_freedom": fit.degrees_of_freedom,
         "fits": fits_json(solution),
         "soundness": soundness_json(solution),
+        "drivers": drivers_json(solution),
         "linearity": linearity_json(solution.linearity),
         "minima": minima_json(solution.minima),
         "observations": fit.observations,

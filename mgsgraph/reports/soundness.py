@@ -2,8 +2,9 @@
 
 from typing import Any
 
+from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.soundness import ABSURD, MOST, Loss, soundness
+from mgsgraph.analysis.soundness import MOST, Loss, soundness
 from mgsgraph.wording import listed
 
 _NAMED = 4

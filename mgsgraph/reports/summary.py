@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.group_fits import ODDS, group_fits
+from mgsgraph.analysis.group_medians import worst_first
 from mgsgraph.analysis.statistics import (
     PLACES,
     RayStatistics,
@@ -24,6 +25,7 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_statements
 from mgsgraph.reports.control import control_statements
+from mgsgraph.reports.drivers import drivers_statements
 from mgsgraph.reports.group_fits import group_fits_table, weight_unit
 from mgsgraph.reports.likelihood import linearity_statements
 from mgsgraph.reports.minima import minima_statements
@@ -52,6 +54,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
     return [
         *_ending(solution),
         *soundness_statements(solution),
+        *drivers_statements(solution),
         *weight_unit(solution),
         *_strained(solution),
         *linearity_statements(solution.linearity),
@@ -256,7 +259,12 @@ def _unchecked(dimensions: NDArray[np.int8]) -> list[str]:
 def summary_table(solution: Solution) -> str:
     """Images, points, ranges and sigma0 as aligned text of at most 110 columns."""
     there = np.array([point_class for point_class, _ in solution.network.of_class()], dtype=np.int64)
-    images = images_table(solution).text(_ROWS, "more image: see solution.json", indent=2)
+    order, every = images_table(solution), len(solution.network.images)
+    chosen = ""
+    if every > _ROWS:
+        order = order.take(worst_first(solution)[:_ROWS])
+        chosen = f"  (of {every} images the {_ROWS} with the largest median residual over its sigma, largest first)"
+    images = [*order.text(indent=2), *([chosen] if chosen else [])]
     points = classes_table(solution).take(there).text(indent=2)
     sections = [
         _head(solution),

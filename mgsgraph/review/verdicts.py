@@ -23,7 +23,8 @@ from mgsgraph.case.groups import in_images
 from mgsgraph.control.binary import write_binary_network
 from mgsgraph.control.pvl_writing import write_pvl_network
 from mgsgraph.control.record import ControlNetwork
-from mgsgraph.control.table import read_whole, table_text
+from mgsgraph.control.table import is_table, read_whole
+from mgsgraph.control.table_writing import table_text
 from mgsgraph.control.ties import tie_points
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
@@ -176,7 +177,7 @@ def write_kept(
     Parameters
     ----------
     network : Path
-        That was reviewed: ISIS's PVL or binary form, or a table (.csv).
+        That was reviewed: ISIS's PVL or binary form, or a table (.csv, .parquet).
     verdicts : Verdicts
         About it.
     out : Path
@@ -201,7 +202,7 @@ def write_kept(
         raise InputError(str(out), "the network that was reviewed", "another file", "it is kept as it was")
     form = {_BINARY: Format.NET, _TABLE: Format.CSV}.get(out.suffix.lower(), Format.PVL)
     require_free(out, earlier_network(form, out), remedy="choose another --out")
-    table = [path.suffix.lower() == _TABLE for path in (network, out)]
+    table = [is_table(network), out.suffix.lower() == _TABLE]
     if table == [False, True]:
         raise InputError(str(out), f"a table, of a network in another form ({network})", ".pvl or .net",
                          "a table can't hold all of it: `mgsgraph convert` says what it can't")  # fmt: skip

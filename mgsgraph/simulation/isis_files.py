@@ -96,10 +96,13 @@ def _shots(laser: LaserProfile) -> Iterator[LidarShot]:
     pixels = (laser.measures + ISIS_OFFSET).tolist()
     for shot, name, (line, sample) in zip(laser.measure_shot.tolist(), laser.measure_image, pixels, strict=True):
         measures[shot].append(LidarMeasure(line, sample, name))
+    along = list[list[str]]([] for _ in laser.ids)
+    for shot, name in zip(laser.simultaneous_shot.tolist(), laser.simultaneous_image, strict=True):
+        along[shot].append(name)
     for i, name in enumerate(laser.ids):
         latitude, longitude, radius = coordinates[i].tolist()
         yield LidarShot(
             id=name, range=float(laser.ranges[i] / KM), sigma_range=float(laser.range_sigmas[i]),
             time=float(laser.times[i]), latitude=latitude, longitude=longitude, radius=radius,
-            apriori_matrix=matrices[i], simultaneous_images=list(laser.simultaneous[i]), measures=measures[i],
+            apriori_matrix=matrices[i], simultaneous_images=along[i], measures=measures[i],
         )  # fmt: skip

@@ -193,14 +193,15 @@ def profile(
     source: str,
     ids: tuple[str, ...],
     given: Shots,
-    simultaneous: tuple[tuple[str, ...], ...],
+    along: Index,
+    image: str,
     shot: Index,
     images: tuple[str, ...],
     measures: Array,
     noise: NoiseSettings,
 ) -> LaserProfile:
-    """Laser shots as an adjustment is given them: n shots by name, each with the images taken along with it; k measures
-    of shot (k,) in images (k names) at lines and samples (k, 2); and the sigmas of the settings.
+    """Laser shots as an adjustment is given them: n shots by name, those of `along` taken with an image; k measures of
+    shot (k,) in images (k names) at lines and samples (k, 2); and the sigmas of the settings.
     """
     n = len(ids)
     return LaserProfile(
@@ -211,7 +212,8 @@ def profile(
         range_sigmas=np.full(n, noise.range),
         footprints=given.points,
         covariances=np.broadcast_to(noise.ground**2 * np.eye(3), (n, 3, 3)),
-        simultaneous=simultaneous,
+        simultaneous_shot=along,
+        simultaneous_image=RepeatedNames((image,), np.zeros(along.size, dtype=np.int64)),
         measure_shot=shot,
         measure_image=RepeatedNames.of(images),
         measures=measures,

@@ -183,7 +183,8 @@ class Steps:
             SOURCE,
             tuple(f"S{2 * (i // self.shots):03d}-{i % self.shots + 1:04d}" for i in numbers.tolist()),
             self._given(numbers),
-            tuple((own,) if 2 * (i // self.shots) == k else () for i in numbers.tolist()),
+            np.flatnonzero(2 * (numbers // self.shots) == k),
+            own,
             local,
             self._names(image),
             pixels + self.noise.shot_image * rng.standard_normal(pixels.shape),
@@ -267,6 +268,9 @@ def _with_measures(
 ) -> LaserProfile:
     """Some shots (n,) of a step with measures (shot, image, and the step and row where they stand) of any."""
     measures = sorted(measures, key=lambda measure: measure[0])
+    number = np.full(len(part.ids), -1)
+    number[which] = np.arange(which.size)
+    along = number[part.simultaneous_shot]
     return replace(
         part,
         ids=part.ids[which],
@@ -275,7 +279,8 @@ def _with_measures(
         range_sigmas=part.range_sigmas[which],
         footprints=part.footprints[which],
         covariances=part.covariances[which],
-        simultaneous=tuple(part.simultaneous[i] for i in which.tolist()),
+        simultaneous_shot=along[along >= 0],
+        simultaneous_image=part.simultaneous_image[along >= 0],
         measure_shot=np.array([measure[0] for measure in measures], dtype=np.int64),
         measure_image=RepeatedNames.of([measure[1] for measure in measures]),
         measures=np.array([parts[step].measures[row] for _, _, step, row in measures]).reshape(-1, 2),

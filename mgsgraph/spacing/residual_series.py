@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -268,7 +268,8 @@ def test_profile_for_the_adjustment(tmp_path: Path) -> None:
     profile = shots.chosen(~np.isnan(shots.ranges)).profile(10.0, 12.0, "E02-00665", "ap18933")
 
     assert profile.ids[0] == "ap18933:18933:1:1"
-    assert profile.simultaneous == (("E02-00665",),) * 19
+    assert profile.simultaneous_shot.tolist() == list(range(19))
+    assert profile.simultaneous_image == ("E02-00665",) * 19
     np.testing.assert_array_equal(profile.range_sigmas, 10.0)
     np.testing.assert_allclose(profile.covariances, np.broadcast_to(144.0 * np.eye(3), (19, 3, 3)))
 

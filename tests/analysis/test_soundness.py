@@ -8,9 +8,10 @@ import pytest
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.soundness import ABSURD, MOST, Kind, is_result, soundness
+from mgsgraph.analysis.soundness import MOST, Kind, is_result, soundness
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.network import Network, PointClass

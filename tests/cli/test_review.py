@@ -9,7 +9,7 @@ import pytest
 from commands import refused, run
 
 from mgsgraph.control.network_file import read_control_network, read_network
-from mgsgraph.control.table import table_text
+from mgsgraph.control.table_writing import table_text
 
 
 @pytest.fixture

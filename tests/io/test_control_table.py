@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.control.table import read_table, read_tie_points, table_text
+from mgsgraph.control.table import read_table, read_tie_points
+from mgsgraph.control.table_writing import table_text
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.units import DEG

@@ -63,7 +63,8 @@ def test_units_and_pixels(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.arctan2(got.footprints[0, 1], got.footprints[0, 0]), longitude, rtol=1e-14)
     assert got.measure_shot.tolist() == [0, 0, 1, 1]
     np.testing.assert_allclose(got.measures[:2], [[0.5, 4979.1], [18987.8, 0.5]], rtol=1e-15)
-    assert got.simultaneous[0] == ("LRO/1/286265995:36824/NACL",)
+    assert got.simultaneous_shot.tolist() == [0, 1]
+    assert got.simultaneous_image == ("LRO/1/286265995:36824/NACL",) * 2
     assert got.measure_image[1] == "LRO/1/286272781:34203/NACL"
 
 
@@ -107,7 +108,7 @@ def test_real_shots(shared_data: Path) -> None:
 
     assert len(got.ids) == 52
     assert got.measure_shot.tolist() == [k // 2 for k in range(104)]
-    assert {image for images in got.simultaneous for image in images} <= set(got.measure_image)
+    assert set(got.simultaneous_image.used) <= set(got.measure_image.used)
     np.testing.assert_allclose(got.covariances, np.broadcast_to(100.0 * np.eye(3), (52, 3, 3)), rtol=0, atol=1e-3)
     assert np.all((got.ranges > 50e3) & (got.ranges < 60e3))
     assert np.all(np.abs(np.linalg.norm(got.footprints, axis=1) - 1737400.0) < 5e3)

@@ -12,6 +12,8 @@ import profiles
 import pytest
 from msgspec import structs
 from projects import digest
+from pyarrow.csv import read_csv
+from pyarrow.parquet import read_table
 
 import mgsgraph
 from mgsgraph.aside import beside
@@ -21,6 +23,7 @@ from mgsgraph.control.pvl_writing import write_pvl_network
 from mgsgraph.control.record import ControlNetwork
 from mgsgraph.errors import InputError
 from mgsgraph.project.project import open_project
+from mgsgraph.reports import large_tables
 from mgsgraph.reports.archive import read_solution
 
 
@@ -50,7 +53,7 @@ def other_image(case_file: Path, lines: int = 1) -> Path:
 
 COMPILER = {"numba", "llvmlite", "scipy"}
 """What compiles the poses of an image that is read."""
-HEAVY = COMPILER | {"gtsam", "matplotlib", "jinja2", "shapely", "rasterio", "spiceypy", "dask", "cv2"}
+HEAVY = COMPILER | {"gtsam", "pandas", "matplotlib", "jinja2", "shapely", "rasterio", "spiceypy", "dask", "cv2"}
 """Libraries that take a tenth of a second or more to load, or that solving and drawing alone need."""
 
 
@@ -75,6 +78,22 @@ def test_looking_at_a_project_loads_no_solver(project: Path, case_file: Path) ->
         assert {name for name in there if name.startswith("mgsgraph.adjustment.")} == {"mgsgraph.adjustment.settings"}
 
 
+def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> None:
+    """What is loaded before the first image is read is most of what a command takes."""
+    assert call("solve", project, "--no-figures") == 0
+    assert call("remove", project, "SIM/B") == 0
+    folder = case_file.parent
+    ties = ("--ties", folder / "network.pvl", "--shots", folder / "lidar.json")
+    there = loaded("add", project, folder / "image_B.isd", *ties)
+    assert {name.split(".")[0] for name in there} & (HEAVY | {"asyncio"}) == COMPILER | {"gtsam"}
+    assert {name for name in there if name.startswith("mgsgraph.reports")} == {
+        "mgsgraph.reports", "mgsgraph.reports.archive_arrays"
+    }  # fmt: skip
+    batch = ("adjust", "cluster", "solution", "starts", "held", "linearity")
+    assert not there & {f"mgsgraph.adjustment.{name}" for name in batch}
+    assert not [name for name in there if name.startswith(("mgsgraph.figures", "mgsgraph.analysis"))]
+
+
 def refused(project: Path, said: str, *arguments: str | Path) -> None:
     """One line, and nothing has changed."""
     before = state(project)
@@ -82,6 +101,32 @@ def refused(project: Path, said: str, *arguments: str | Path) -> None:
         call(*arguments)
     assert "\n" not in str(caught.value)
     assert state(project) == before
+
+
+def test_tables_of_a_solution_in_either_form(
+    project: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CSV and Parquet of the same numbers, as asked; where nothing is, what is large is Parquet, and said to be."""
+    for form in ("csv", "parquet"):
+        assert call("solve", project, "--no-figures", "--tables", form) == 0
+        assert "--tables" not in capsys.readouterr().out
+    first, second = project / "solutions" / "0001", project / "solutions" / "0002"
+    for name in ("points", "residuals"):
+        assert (first / f"{name}.csv").is_file()
+        assert not (first / f"{name}.parquet").exists()
+        assert not (second / f"{name}.csv").exists()
+        text, binary = read_csv(first / f"{name}.csv"), read_table(second / f"{name}.parquet")
+        assert [column for column in binary.column_names if column != "geometry"] == text.column_names
+        for column in text.column_names:
+            one, other = (table[column].to_pylist() for table in (binary, text))
+            if isinstance(other[0], int | float) and not isinstance(other[0], bool):
+                np.testing.assert_allclose(np.array(one, float), np.array(other, float), rtol=1e-6, atol=1e-6)
+            elif other.count(None) < len(other):
+                assert one == other
+    monkeypatch.setattr(large_tables, "MOST_CSV_ROWS", 10)
+    assert call("solve", project, "--no-figures") == 0
+    assert "--tables csv" in capsys.readouterr().out
+    assert (project / "solutions" / "0003" / "points.parquet").is_file()
 
 
 def test_from_a_case_to_a_solution_and_back(

@@ -19,17 +19,46 @@ sys.path.append(str(SCRIPTS))
 
 import benchmark  # noqa: E402
 import benchmark_gate as gate  # noqa: E402
+import benchmark_project as project  # noqa: E402
 import benchmark_scaling as scaling  # noqa: E402
 import benchmark_speed as speed  # noqa: E402
 import nees_peer  # noqa: E402
 import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
+from mgsgraph.errors import SolverError  # noqa: E402
+
 
 def test_a_page_without_the_peer_says_so() -> None:
     text = speed.page({"S": {gate.OURS: [figures()]}}, 5, 2)
     assert "The peer took no part" in text
     assert "| S | 2 | 400 | 800 | 0.100 | 0.100 | 0.200 | 0.500 | 0.750 | 3 | 0.100 | 50 | 250 |" in text
+
+
+def test_commands_of_a_project_by_their_medians(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    runs = [project.Took(9.0, 1.0), project.Took(1.0, 3.0), project.Took(2.0, 2.0)]
+    assert project.median(runs) == (2.0, 2.0)
+
+    def measured(strip: object, images: int, chosen: object, work: Path) -> project.Costs:
+        add = project.Took(2.5, 0.1 * images)
+        return project.Costs(100 * images, 7.0, add, 0.5, runs[0], runs[1], None if images == 2 else runs[2])
+
+    monkeypatch.setattr(project, "measured", measured)
+    given = "project", "2", "3", "--ties", "10", "--out", str(tmp_path / "a.md")
+    monkeypatch.setattr(sys, "argv", ["benchmark", *given])
+    assert benchmark.main() == 0
+    text = (tmp_path / "a.md").read_text(encoding="utf-8")
+    assert "| 2 | 200 | 7 | 2.50, 0.200 | 1.00 | 0.50 | 9.00, 1.00 | 1.00, 3.00 | - |" in text
+    assert "| 3 | 300 | 7 | 2.50, 0.300 | 1.50 | 0.50 | 9.00, 1.00 | 1.00, 3.00 | 2.00, 2.00 |" in text
+
+
+def test_a_command_is_timed_as_it_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/echo")
+    took = project.run(tmp_path, "status")
+    assert 0.0 <= took.processor <= took.wall + 0.01
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(SolverError, match="status"):
+        project.run(tmp_path, "status")
 
 
 def test_memory_is_what_the_adjustment_adds() -> None:

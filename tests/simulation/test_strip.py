@@ -183,7 +183,8 @@ def test_shots_have_the_stated_noise_and_lie_under_their_image(many: list[Simula
             lines = image.timing.lines(laser.times - image.trajectory.epoch)
             places, _ = image.ground_to_image(points, true)
             assert np.abs(places - np.column_stack([lines, np.full(lines.size, 512.0)])).max() < 1e-4
-            assert set(laser.simultaneous) == {(image.name,)}
+            assert laser.simultaneous_shot.tolist() == list(range(len(laser.ids)))
+            assert laser.simultaneous_image.used == (image.name,)
             eye = image.trajectory.pose(laser.times - image.trajectory.epoch).position
             eye = eye + true.at(image.moments(lines))[0][:, :3]
             ranges.append(laser.ranges - np.linalg.norm(points - eye, axis=1))
@@ -225,7 +226,7 @@ def test_additions_are_the_whole(strip: SimulatedStrip) -> None:
         known |= new
         ties |= rows
         shots |= fired
-        ranges += [name for name, on in zip(added.laser.ids, added.laser.simultaneous, strict=True) if on]
+        ranges += added.laser.ids[added.laser.simultaneous_shot].tolist()
     assert ties == of_ties(strip.ties)
     whole: Measures = {}
     for laser in strip.lasers:
@@ -260,7 +261,8 @@ def test_known_shots_come_again_as_they_were_and_without_a_range_that_counts(str
         for i, name in enumerate(laser.ids):
             assert given[name] == (laser.times[i], laser.ranges[i], *laser.footprints[i])
             own = int(name[1:4]) == k
-            assert laser.simultaneous[i] == ((strip.images[k].name,) if own else ())
+            images = laser.simultaneous_image[laser.simultaneous_shot == i]
+            assert images == ((strip.images[k].name,) if own else ())
             again += not own
     assert again > 30
 

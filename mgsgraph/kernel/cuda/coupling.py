@@ -4,9 +4,7 @@ side J'r - Y L^-1 g (`kernel.elimination`), with rows by single columns taken al
 
 import math
 
-from numba import cuda
-
-from mgsgraph.kernel.cuda.device import kernel, on_device
+from mgsgraph.kernel.cuda.device import cuda, kernel, on_device
 from mgsgraph.kernel.cuda.loading import (
     along,
     basis_value,

@@ -7,10 +7,9 @@ out by each thread part by part.
 import math
 
 import numpy as np
-from numba import cuda
 
 from mgsgraph.kernel.cuda.coupling import scaled_rows, whose
-from mgsgraph.kernel.cuda.device import kernel, on_device
+from mgsgraph.kernel.cuda.device import cuda, kernel, on_device
 from mgsgraph.kernel.cuda.loading import block_of, left_at, part, parts_of, row_count, rows_at
 from mgsgraph.kernel.cuda.solving import back, left_of
 from mgsgraph.kernel.cuda.summing import basis_of

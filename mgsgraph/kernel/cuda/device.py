@@ -12,12 +12,13 @@ from numba.core import config
 
 if not hasattr(np, "row_stack"):  # gone from NumPy 2.5; numba-cuda 0.30 asks for it when it is imported
     vars(np)["row_stack"] = np.vstack
-from numba import cuda
+from numba import cuda as _cuda
 
 from mgsgraph.compiled import make_equations_compilable, sources_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+cuda: Any = _cuda
 _config: Any = config
 SIMULATED = bool(_config.ENABLE_CUDASIM)
 """Whether the simulator stands in for a device."""

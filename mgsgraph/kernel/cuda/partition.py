@@ -4,12 +4,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import cuda
 from numpy.typing import NDArray
 
 from mgsgraph.kernel.cuda.coupling import couple, residuals
 from mgsgraph.kernel.cuda.covariance import cover, judge
-from mgsgraph.kernel.cuda.device import SIMULATED, THREADS
+from mgsgraph.kernel.cuda.device import SIMULATED, THREADS, cuda
 from mgsgraph.kernel.cuda.solving import NUMBERS, solve, sum_costs
 from mgsgraph.kernel.cuda.summing import add_up, clear
 from mgsgraph.kernel.cuda.tables import Jobs, Tables, make_jobs, make_tables, numbers_left, parts
@@ -23,7 +22,7 @@ MIDDLE = 6
 _BYTES = 8
 
 
-def to_device(values: NDArray[Any]) -> Any:
+def to_device(values: Any) -> Any:
     """A copy of an array on the device; in the simulator's memory, which is this process's, where that stands in."""
     return np.array(values) if SIMULATED else cuda.to_device(np.ascontiguousarray(values))
 
@@ -49,6 +48,11 @@ def zeros(size: int) -> Any:
     if size:
         clear[_blocks(size), THREADS](values)
     return values
+
+
+def _of_plain_numbers(model: Model) -> Model:
+    """The same, whose types are those for which kernels are compiled."""
+    return Model(int(model.line), int(model.angles), int(model.loss), float(model.width))
 
 
 class Workspace:
@@ -98,7 +102,7 @@ class Partition:
         self, rows: Rows, groups: Groups, target: NormalBlocks, model: Model, deterministic: bool = False
     ) -> None:
         self._rows, self._groups, self._target = rows, groups, target
-        self.model, self._deterministic = Model(*map(int, model[:3]), float(model.width)), deterministic
+        self.model, self._deterministic = _of_plain_numbers(model), deterministic
         self._tables, self._coupling = make_tables(rows, groups, target, model)
         self._jobs: dict[bool, Any] = {}
         self._arrays: _Arrays | None = None

@@ -3,9 +3,7 @@
 import time
 from typing import NamedTuple
 
-from numba import cuda
-
-from mgsgraph.kernel.cuda.device import SIMULATED, THREADS, kernel
+from mgsgraph.kernel.cuda.device import SIMULATED, THREADS, cuda, kernel
 from mgsgraph.kernel.cuda.partition import zeros
 
 _STEPS, _CHAINS = (4, 8) if SIMULATED else (4096, 8)

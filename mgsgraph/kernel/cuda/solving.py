@@ -6,9 +6,8 @@ As `kernel.points` does it; what a thread does depends on its own point alone.
 import math
 
 import numpy as np
-from numba import cuda
 
-from mgsgraph.kernel.cuda.device import THREADS, kernel, on_device
+from mgsgraph.kernel.cuda.device import THREADS, cuda, kernel, on_device
 from mgsgraph.kernel.cuda.loading import place_among
 from mgsgraph.kernel.cuda.measurements import loss_of, observation_rows
 from mgsgraph.kernel.cuda.tables import BEGIN, COUNT, END, FIRST, HEIGHTS, KIND, KNOWN, PATTERN

@@ -7,9 +7,8 @@ makes 36 multiplications.
 """
 
 import numpy as np
-from numba import cuda
 
-from mgsgraph.kernel.cuda.device import THREADS, kernel, on_device
+from mgsgraph.kernel.cuda.device import THREADS, cuda, kernel, on_device
 from mgsgraph.kernel.cuda.loading import block_of, left_at, part, row_count, rows_at
 from mgsgraph.kernel.cuda.tables import (
     COUNT,

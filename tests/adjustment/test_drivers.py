@@ -1,0 +1,199 @@
+"""What drives an adjustment that does not come to rest: planted images and points must be named, healthy ones not."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from once import once
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.driver_search import drivers_of
+from mgsgraph.adjustment.driver_words import driver_sentences
+from mgsgraph.adjustment.drivers import Drivers, Kind
+from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.adjustment.outstanding import outstanding
+from mgsgraph.adjustment.posterior import fit
+from mgsgraph.adjustment.residuals import residuals
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.squares import squares_of
+from mgsgraph.case.reading import read_case
+from mgsgraph.errors import SolverError
+from mgsgraph.geometry import rotation
+from mgsgraph.kernel.rows import CAUCHY, HUBER, NO_LOSS, TUKEY
+from mgsgraph.network import Network
+from mgsgraph.simulation.archive import archive_settings
+from mgsgraph.simulation.archive import lay_out as lay_out_archive
+from mgsgraph.simulation.archive_files import write_archive
+
+Planted = tuple[Network, list[str], list[str]]
+"""Network, and names of the images, or ids of the points, that are wrong in it."""
+PLAIN = SolverSettings(starts=0)
+
+
+@once
+def block(seed: int) -> Network:
+    """A block of 16 images, healthy."""
+    with TemporaryDirectory() as folder:
+        archive = lay_out_archive(archive_settings("kaguya", 16, 800), seed)
+        return read_case(write_archive(archive, Path(folder))).network
+
+
+def _one(net: Network, rng: np.random.Generator) -> int:
+    return int(rng.integers(len(net.images)))
+
+
+def _with_image(net: Network, j: int, **parts: object) -> Network:
+    images = list(net.images)
+    images[j] = replace(images[j], trajectory=replace(images[j].trajectory, **parts))  # type: ignore[type-var]
+    return replace(net, images=tuple(images))
+
+
+def turned(net: Network, rng: np.random.Generator, angle: float = 0.8) -> Planted:
+    """One image looks elsewhere, by 0.8 rad: 8,000 sigmas."""
+    j, axis = _one(net, rng), rng.normal(size=3)
+    turn = rotation.exponential(angle * axis[None] / np.linalg.norm(axis))[0]
+    camera = net.images[j].trajectory.camera  # type: ignore[attr-defined]
+    return _with_image(net, j, camera=replace(camera, constant=turn @ camera.constant)), [net.images[j].name], []
+
+
+def late(net: Network, rng: np.random.Generator, seconds: float = 40.0) -> Planted:
+    """One image has the positions of another time."""
+    j = _one(net, rng)
+    table = net.images[j].trajectory.position  # type: ignore[attr-defined]
+    moved = replace(table, positions=table.positions + seconds * table.velocities)
+    return _with_image(net, j, position=moved), [net.images[j].name], []
+
+
+def mirrored(net: Network, rng: np.random.Generator) -> Planted:
+    """Samples of one image count from the other side."""
+    j, places = _one(net, rng), net.rays.places.copy()
+    places[net.rays.image == j, 1] = net.images[j].samples - places[net.rays.image == j, 1]
+    return replace(net, rays=replace(net.rays, places=places)), [net.images[j].name], []
+
+
+def interchanged(net: Network, rng: np.random.Generator) -> Planted:
+    """Lines and samples of one image are interchanged."""
+    j, places = _one(net, rng), net.rays.places.copy()
+    places[net.rays.image == j] = places[net.rays.image == j][:, ::-1]
+    return replace(net, rays=replace(net.rays, places=places)), [net.images[j].name], []
+
+
+def mismatched(net: Network, rng: np.random.Generator, count: int = 12) -> Planted:
+    """So many points have one measure anywhere in its image."""
+    points, places = rng.choice(np.flatnonzero(net.ray_counts > 2), count, replace=False), net.rays.places.copy()
+    for i in points.tolist():
+        k = int(rng.choice(np.flatnonzero(net.rays.point == i)))
+        image = net.images[net.rays.image[k]]
+        places[k] = rng.uniform(0.0, [image.lines, image.samples])
+    return replace(net, rays=replace(net.rays, places=places)), [], [net.points.ids[i] for i in points.tolist()]
+
+
+def _named(found: Drivers, net: Network) -> list[str]:
+    """The first three names of what is said first; the image with the largest share where nothing stands out."""
+    one = (*found.outstanding, *found.contributions)[0]
+    names = [image.name for image in net.images] if one.kind == Kind.IMAGE else net.points.ids
+    return [names[i] for i in one.members[: min(3, one.outstanding or 1)].tolist()]
+
+
+PLANTS = [turned, late, mirrored, interchanged, mismatched]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("plant", PLANTS, ids=lambda one: one.__name__)
+@pytest.mark.parametrize(
+    "settings", [PLAIN, replace(PLAIN, max_iterations=3), replace(PLAIN, method="gauss-newton")],
+    ids=["plain", "three iterations", "gauss-newton"],
+)  # fmt: skip
+def test_what_is_planted_is_named(plant: Callable[..., Planted], settings: SolverSettings, seed: int) -> None:
+    net, images, points = plant(block(seed), np.random.default_rng(seed))
+    solution = adjust_network(net, settings)
+    assert (solution.drivers is None) == (solution.converged and not solution.fit.absurd)
+    if solution.drivers is not None:
+        assert set(_named(solution.drivers, net)) & {*images, *points}
+        assert any(name in " ".join(driver_sentences(solution.drivers, net)) for name in (*images, *points))
+
+
+def test_the_plants_do_harm() -> None:
+    """Else the tests above would prove nothing."""
+    every = [plant(block(1), np.random.default_rng(1))[0] for plant in PLANTS]
+    assert sum(adjust_network(net, PLAIN).drivers is not None for net in every) >= 4
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize("settings", [replace(PLAIN, max_iterations=1), SolverSettings(starts=0, loss="tukey")],
+                         ids=["one iteration", "tukey"])  # fmt: skip
+def test_nobody_is_accused_of_good_data(settings: SolverSettings, seed: int) -> None:
+    solution = adjust_network(block(seed), settings)
+    assert solution.converged == (solution.drivers is None)
+    if solution.drivers is not None:
+        assert not solution.drivers.outstanding
+        assert len(driver_sentences(solution.drivers, solution.network)) == 1
+
+
+def test_an_adjustment_that_comes_to_rest_has_no_drivers() -> None:
+    solution = adjust_network(block(1), PLAIN)
+    assert solution.converged
+    assert solution.drivers is None
+    assert "drivers" not in solution.seconds
+
+
+def test_shares_add_up_to_the_cost() -> None:
+    """Images' shares and points' shares: every measure belongs to one image and to one point; priors to images."""
+    net = mismatched(block(1), np.random.default_rng(1))[0]
+    layout = lay_out(net, PLAIN)
+    graph = BundleGraph(layout)
+    reduction = graph.reduction(0.3 * np.random.default_rng(4).standard_normal(layout.columns) * layout.scales)
+    found = drivers_of(graph, reduction, None)
+    assert found.cost == pytest.approx(graph.cost(reduction), rel=1e-9)
+    images = next(one for one in found.contributions if one.kind == Kind.IMAGE)
+    assert images.members.size == len(net.images)
+    assert images.shares.sum() == pytest.approx(1.0, abs=1e-12)
+    assert np.isnan(found.step)
+
+
+def test_the_step_is_the_optimisers() -> None:
+    """Its length is that of the step which the optimiser takes next, and the cost after it the one that it finds."""
+    net = block(2)
+    one, two = (adjust_network(net, replace(PLAIN, max_iterations=n, line="measured")) for n in (1, 2))
+    assert one.drivers is not None
+    assert one.drivers.step == pytest.approx(two.history[1].step, rel=1e-3)
+    assert one.drivers.cost_after == pytest.approx(two.history[1].cost, rel=1e-9)
+
+
+@pytest.mark.parametrize(("loss", "code"), [("none", NO_LOSS), ("huber", HUBER), ("cauchy", CAUCHY), ("tukey", TUKEY)])
+def test_measures_have_the_kernels_cost(loss: str, code: int) -> None:
+    layout = lay_out(block(1), SolverSettings(loss=loss))  # type: ignore[arg-type]
+    graph, at = BundleGraph(layout), np.zeros(layout.columns)
+    reduction = graph.reduction(at)
+    found = residuals(layout, at, reduction.points)
+    every = squares_of(layout, layout.rows, at, reduction.points, found)
+    assert layout.model.loss == code
+    costs = sum(one.costs(layout.model).sum() for one in every.values())
+    assert costs == pytest.approx(reduction.cost, rel=1e-6)
+    observations = fit(layout, layout.rows, at, reduction.points, found).observations
+    assert observations == 2 * every["rays"].point.size + layout.prior.rows
+
+
+def test_points_without_a_place_are_named_in_the_error() -> None:
+    """An optimisation that can't begin says which points stand in its way."""
+    net = block(1)
+    layout = lay_out(net, PLAIN)
+    wild = np.zeros(layout.columns)
+    wild[layout.columns_of(3)][3:5] = 2.5  # rad: image 3 looks up
+    with pytest.raises(SolverError) as error:
+        adjust_network(net, PLAIN, begin=layout.variables.split(wild))
+    assert net.images[3].name in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_median_is_not_moved_by_those_that_stand_out() -> None:
+    values, measures = np.ones(50), np.full(50, 100)
+    values *= 100.0
+    assert not np.any(outstanding(values, measures, 4.0))
+    values[[3, 7]] *= 50.0
+    assert np.flatnonzero(outstanding(values, measures, 4.0)).tolist() == [3, 7]
+    measures[3] = 0  # of nobody's measures nothing is said
+    assert np.flatnonzero(outstanding(values, measures, 4.0)).tolist() == [7]
