@@ -14,7 +14,7 @@ from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.driver_search import drivers_of
 from mgsgraph.adjustment.driver_words import driver_sentences
 from mgsgraph.adjustment.drivers import Drivers
-from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
+from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values
@@ -112,6 +112,7 @@ def adjust_network(
     clock = _Clock()
     if cluster is not None:
         require_bundles(settings, cluster.where)
+    require_usable(settings)
     network.require_observed()
     require_observed_nodes(network, None if left_in is None else left_in.rays)
     layout = lay_out(network, settings)

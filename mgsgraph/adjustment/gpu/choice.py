@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from mgsgraph.adjustment.gpu.devices import WHERE, find_gpu
+from mgsgraph.adjustment.gpu.devices import WHERE, Gpu, find_gpu
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.settings import SolverSettings
@@ -14,6 +14,17 @@ _WORTHWHILE = 100_000
 """Observations below which a GPU saves less time than its start takes."""
 
 
+def require_usable(settings: SolverSettings) -> None:
+    """Raise InputError where settings ask for a GPU that isn't there (`find_gpu`), or for what none carries out."""
+    if settings.device != "cuda":
+        return
+    for name, expected in _WAYS:
+        if (value := getattr(settings, name)) != expected:
+            remedy = "take that, or device = 'cpu'"
+            raise InputError(WHERE, f"'cuda' for {name} {value!r}", f"{name} {expected!r} on a GPU", remedy)
+    find_gpu()
+
+
 def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
     """Who goes over a layout's points without a cluster: this process, or a GPU; of "auto" a GPU where there is one
     with a float64 rate worth using, and enough to do.
@@ -21,25 +32,23 @@ def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
     Raises
     ------
     InputError
-        A GPU that is asked for and can't be used (`find_gpu`), has too little memory, or can't carry out what the
-        settings say.
+        A GPU that is asked for and can't be used, or has too little memory.
     """
-    observations, asked = layout.rows.weight.shape[1], settings.device == "cuda"
-    other = next((name for name, value in _WAYS if getattr(settings, name) != value), None)
-    if settings.device == "cpu" or not (asked or (observations >= _WORTHWHILE and other is None)):
+    require_usable(settings)
+    if settings.device == "cuda":
+        return _by_gpu(find_gpu(), settings, layout)
+    usual = all(getattr(settings, name) == value for name, value in _WAYS)
+    if settings.device == "cpu" or not usual or layout.rows.weight.shape[1] < _WORTHWHILE:
         return IN_PROCESS
-    if other is not None:
-        found, expected = f"'cuda' for {other} {getattr(settings, other)!r}", f"{other} {dict(_WAYS)[other]!r} on a GPU"
-        raise InputError(WHERE, found, expected, "take that, or device = 'cpu'")
     try:
         gpu = find_gpu()
     except InputError:
-        if asked:
-            raise
         return IN_PROCESS
-    if gpu.remark and not asked:
-        return IN_PROCESS
-    from mgsgraph.adjustment.gpu.sweeper import GpuSweeper
+    return IN_PROCESS if gpu.remark else _by_gpu(gpu, settings, layout)
+
+
+def _by_gpu(gpu: Gpu, settings: SolverSettings, layout: Layout) -> Sweeper:
+    from mgsgraph.adjustment.gpu.sweeper import GpuSweeper  # numba-cuda
 
     return GpuSweeper(gpu, layout, settings.deterministic)
 
