@@ -111,7 +111,8 @@ def compiled(function: Function) -> Function:
 def cached_kernel(function: Function, **options: Any) -> Function:
     """Compile a function that Python calls, as `compiled` does, and cache it on disk; `options` of `numba.njit`.
 
-    Numba looks for changes in the function's file alone; this cache looks at all files of its folder and of `factors`.
+    Numba looks for changes in the function's file alone; this cache looks at all files of its folder and of `factors`
+    (`sources_of`).
     """
     from numba import njit
     from numba.core.caching import FunctionCache
@@ -123,12 +124,17 @@ def cached_kernel(function: Function, **options: Any) -> Function:
             super().__init__(function)
             self._cache_file._version += digest  # compared before anything is unpickled: classes may be gone or renamed
 
-    files = function.__code__.co_filename, find_spec("mgsgraph.factors").origin  # type: ignore[union-attr]
-    digest = _digest_of(*(Path(str(file)).parent for file in files))
+    digest = sources_of(function)
     kernel = njit(nogil=True, error_model="numpy", **options)(function)
     if hasattr(kernel, "enable_caching"):  # else it is plain Python (NUMBA_DISABLE_JIT)
         kernel._cache = Cache(function)
     return cast(Function, kernel)
+
+
+def sources_of(function: Callable[..., Any], *packages: str) -> str:
+    """Digest of the files of a function's folder, of `factors` and of other packages."""
+    found = (find_spec(name).origin for name in ("mgsgraph.factors", *packages))  # type: ignore[union-attr]
+    return _digest_of(*(Path(str(file)).parent for file in (function.__code__.co_filename, *found)))
 
 
 _under_way: list[Any] = []

@@ -63,7 +63,7 @@ ONLY_IN = {
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
-        "mgsgraph.analysis", "mgsgraph.adjustment.blunders", "mgsgraph.adjustment.datum",
+        "mgsgraph.analysis", "mgsgraph.adjustment.blunders", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.gpu",
         "mgsgraph.adjustment.graph.prior",
         "mgsgraph.adjustment.marginals",
         "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.common_errors", "mgsgraph.geometry.footprint",
@@ -81,6 +81,8 @@ ONLY_IN = {
     "requests": ("mgsgraph.fetch",),
     "urllib3": ("mgsgraph.fetch",),
     "sqlite3": ("mgsgraph.project",),
+    "cupy": ("mgsgraph.adjustment.gpu",),
+    "cupyx": ("mgsgraph.adjustment.gpu",),
     "dask": ("mgsgraph.adjustment.cluster",),
     "distributed": ("mgsgraph.adjustment.cluster",),
 }

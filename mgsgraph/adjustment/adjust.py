@@ -14,6 +14,7 @@ from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.driver_search import drivers_of
 from mgsgraph.adjustment.driver_words import driver_sentences
 from mgsgraph.adjustment.drivers import Drivers
+from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values
@@ -103,18 +104,20 @@ def adjust_network(
         Nothing determines some direction of the orientation.
     InputError
         Orientation images with too few rays near them, closer than the data supports.
-        The explicit form, or one of GTSAM's optimisers, on a cluster; a partition that is too large for its worker.
+        The explicit form, or one of GTSAM's optimisers, on a cluster or a GPU; a partition that is too large for its
+        worker; no GPU, or one with too little memory, where one is asked for.
     SolverError
         The cluster has gone.
     """
     clock = _Clock()
     if cluster is not None:
         require_bundles(settings, cluster.where)
+    require_usable(settings)
     network.require_observed()
     require_observed_nodes(network, None if left_in is None else left_in.rays)
     layout = lay_out(network, settings)
     clock.stop("set up")
-    with _sweeper(layout, cluster) as sweeper:
+    with _sweeper(layout, settings, cluster) as sweeper:
         if cluster is not None:
             clock.stop("send to workers")
         layout, selection, before = _nominal(layout, sweeper, left_in)
@@ -132,7 +135,8 @@ def adjust_network(
             clock.stop("starts")
         _require_ties(name, solved)
         del before, layout, places  # the posterior needs the memory
-        return replace(_posterior(settings, name, solved, nominal, clock, sweeper, mixture), minima=minima)
+        found = _posterior(settings, name, solved, nominal, clock, sweeper, mixture)
+        return replace(found, minima=minima, message=" ".join([found.message, *remarks_of(sweeper)]))
 
 
 class Adjustment:
@@ -174,10 +178,10 @@ def _require_ties(name: str, solved: Solved) -> None:
 
 
 @contextmanager
-def _sweeper(layout: Layout, cluster: Connection | None) -> Iterator[Sweeper]:
+def _sweeper(layout: Layout, settings: SolverSettings, cluster: Connection | None) -> Iterator[Sweeper]:
     """Who goes over the points."""
     if cluster is None:
-        yield IN_PROCESS
+        yield sweeper_of(settings, layout)
         return
     with Partitions(cluster, layout) as partitions:
         yield partitions

@@ -8,8 +8,8 @@ With A (columns, m) the directions and N dx = -g the normal equations, the step 
 import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph
+from mgsgraph.adjustment.graph.bundle import Solving
 from mgsgraph.adjustment.problems import BundleProblem, ReducedEquations
-from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.sweep import GRADIENT, SYSTEM
@@ -23,7 +23,7 @@ class HeldEquations(ReducedEquations):
     ) -> None:
         super().__init__(graph, reduction, kept)
         self._directions = directions
-        self._through: tuple[Factor, Array] | None = None if kept is None else kept._through
+        self._through: tuple[Solving, Array] | None = None if kept is None else kept._through
 
     def step(self, damping: float) -> Array | None:
         """Solution of the damped equations; None when they are not positive definite."""

@@ -4,14 +4,22 @@ Covariances are stated for sigma0 = 1, as the a-priori sigmas imply; multiply by
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.datum.datum import POORLY, defects, scaled_normal
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, pair_factor, point_key, prior_factors, variable_key
+from mgsgraph.adjustment.graph.bundle import (
+    IN_PROCESS,
+    Sweeper,
+    factor_of_blocks,
+    pair_factor,
+    point_key,
+    prior_factors,
+    variable_key,
+)
 from mgsgraph.adjustment.graph.bundle import shared_values as gtsam_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
 from mgsgraph.adjustment.residuals import Residuals
@@ -112,7 +120,7 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction, consider: b
     for v, w, block in layout.blocks.each(flat, layout.variables.width):
         if (v, w) in more:
             block += more[v, w]
-    return joint_covariance(graph.factor(replace(reduction, blocks=flat)).square_root())
+    return joint_covariance(factor_of_blocks(layout, flat).square_root())
 
 
 def _considered_information(layout: Layout, joint: JointCovariance) -> Iterator[tuple[tuple[int, int], Array]]:

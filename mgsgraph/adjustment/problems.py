@@ -8,11 +8,11 @@ import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph
-from mgsgraph.adjustment.graph.bundle import shared_vector, variable_key
+from mgsgraph.adjustment.graph.bundle import Solving, shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.settling import minimum, settled_minimum
-from mgsgraph.adjustment.sparse_cholesky import Factor, NotDefinite
+from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
@@ -31,7 +31,7 @@ class ReducedEquations:
     def __init__(self, graph: BundleGraph, reduction: Reduction, kept: "ReducedEquations | None" = None) -> None:
         self._graph, self._reduction, self.gradient = graph, reduction, graph.gradient(reduction)
         self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
-        self._factor: Factor | None = None
+        self._factor: Solving | None = None
         self.kept = kept is not None
         if kept is not None:
             self._factor, self._damping = kept._factor, kept._damping
@@ -41,7 +41,8 @@ class ReducedEquations:
         if self._factor is None or damping != self._damping:
             assert self._reduction.task == SYSTEM, "a kept factor has the damping that it was made with"
             try:
-                self._factor, self._damping = self._graph.factor(self._reduction, damping), damping
+                self._factor = self._graph.sweeper.factor(self._graph.layout, self._reduction, damping)
+                self._damping = damping
             except NotDefinite:
                 return None
         return self._factor.solve(-self.gradient)

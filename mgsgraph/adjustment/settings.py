@@ -11,6 +11,11 @@ Form = Literal["bundle", "explicit"]
 Line = Literal["predicted", "measured"]
 Method = Literal["levenberg-marquardt", "gauss-newton", "dogleg"]
 Loss = Literal["none", "huber", "cauchy", "tukey"]
+Device = Literal["cpu", "cuda", "auto"]
+
+_CHOICES = (
+    ("form", Form), ("method", Method), ("line", Line), ("angles", Angles), ("loss", Loss), ("device", Device),
+)  # fmt: skip
 
 LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
 """Width in sigmas of each loss at which it is 95% efficient under normal errors (Holland & Welsch 1977)."""
@@ -51,9 +56,17 @@ class SolverSettings:
     """GB of memory that the adjustment may take: where the constants of its rows would take more than a quarter of it,
     they lie in a mapped file of the temporary folder (TMPDIR), of which the system keeps in memory what there is room
     for; results are the same. None: all that the machine, or the container, has."""
+    device: Device = "cpu"
+    """Who goes over the points: cpu; cuda, an NVIDIA GPU (the extra `cuda`); auto: a GPU where there is one that is
+    worth it, and a hundred thousand observations or more. A GPU serves the bundle form and our own optimiser, and gives
+    the same result to 1e-9."""
+    deterministic: bool = False
+    """On a GPU: whether the same sweep gives the same bits twice. What is added to the same numbers is then one block
+    of threads' task, which takes longer where few images share many points. On a CPU that is so anyway, for the same
+    number of threads."""
 
     def __post_init__(self) -> None:
-        for name, kind in (("form", Form), ("method", Method), ("line", Line), ("angles", Angles), ("loss", Loss)):
+        for name, kind in _CHOICES:
             if getattr(self, name) not in get_args(kind):
                 choices = ", ".join(repr(choice) for choice in get_args(kind))
                 raise InputError(f"solver, {name}", repr(getattr(self, name)), f"one of {choices}")

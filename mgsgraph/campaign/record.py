@@ -12,11 +12,11 @@ import stat
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import msgspec
 
-from mgsgraph.adjustment.settings import Form, Loss, SolverSettings
+from mgsgraph.adjustment.settings import Device, Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import json_object
 from mgsgraph.io.writing import claim
@@ -52,10 +52,12 @@ class Overrides:
     """Starts over a terrain model's unknown shift, as `SolverSettings.starts`."""
     tables: TableForm | None = None
     """Form of the tables of points and residuals, as `write_results`."""
+    device: Device | None = None
+    """Who goes over the points, as `SolverSettings.device`."""
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""
-        chosen: dict[str, Any] = {"form": self.form, "loss": self.loss, "reject": self.reject, "starts": self.starts}
+        chosen = {name: getattr(self, name) for name in ("form", "loss", "reject", "starts", "device")}
         return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
 
 

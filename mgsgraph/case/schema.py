@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
+from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.mountings import MountingInput
 from mgsgraph.case.numbers import Factor, Positive, Sigma
@@ -273,6 +273,8 @@ class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     starts: Annotated[int, msgspec.Meta(ge=0)] | None = _DEFAULTS.starts
     max_iterations: Annotated[int, msgspec.Meta(ge=1)] = _DEFAULTS.max_iterations
     memory_gb: Positive | None = _DEFAULTS.memory_gb
+    device: Device = _DEFAULTS.device
+    deterministic: bool = _DEFAULTS.deterministic
 
     @property
     def settings(self) -> SolverSettings:

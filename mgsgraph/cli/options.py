@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.settings import Form, Loss
+    from mgsgraph.adjustment.settings import Device, Form, Loss
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.reports.large_tables import TableForm
 
@@ -20,6 +20,9 @@ TABLES = click.option(
     help="Form of points and residuals; when absent CSV up to 200,000 rows, else Parquet.",
 )  # fmt: skip
 PAIR = click.option("--pair", metavar="A,B", help="Names of the two images to take; all that overlap when absent.")
+DEVICE = click.option(
+    "--device", type=click.Choice(["cpu", "cuda", "auto"]), help="Who goes over the points: the CPU or a GPU."
+)
 WORKERS = click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
 _OPTIONS = (
     click.option(
@@ -41,6 +44,7 @@ _OPTIONS = (
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
     NO_FIGURES,
     TABLES,
+    DEVICE,
 )
 
 
@@ -57,11 +61,12 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
         no_laser: bool,
         no_figures: bool,
         tables: "TableForm | None",
+        device: "Device | None",
         **others: Any,
     ) -> None:
         from mgsgraph.campaign import Overrides
 
-        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts, tables), **others)
+        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts, tables, device), **others)
 
     for option in reversed(_OPTIONS):
         option(with_overrides)

@@ -5,9 +5,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PATH, TABLES, print_form_of_tables, print_sentences, print_solution
+from mgsgraph.cli.options import (
+    DEVICE,
+    NO_FIGURES,
+    PATH,
+    TABLES,
+    print_form_of_tables,
+    print_sentences,
+    print_solution,
+)
 
 if TYPE_CHECKING:
+    from mgsgraph.adjustment.settings import Device
     from mgsgraph.incremental.closing import Closing
     from mgsgraph.incremental.impact import Impact
     from mgsgraph.project.addition import Addition
@@ -175,11 +184,13 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 @click.argument("project", type=PATH)
 @NO_FIGURES
 @TABLES
+@DEVICE
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
 def solve(
-    ctx: click.Context, project: Path, no_figures: bool, tables: "TableForm | None", verbose: bool
-) -> None:
+    ctx: click.Context, project: Path, no_figures: bool, tables: "TableForm | None", device: "Device | None",
+    verbose: bool,
+) -> None:  # fmt: skip
     """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
 
     Exit status: 0 converged, 1 not converged or to what is no result (results are written), 2 bad input (nothing has
@@ -194,7 +205,7 @@ def solve(
         open_project(project, write=True, thorough=True) as opened,
         iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
-        solved = solve_all(opened, not no_figures, tables, bar)
+        solved = solve_all(opened, not no_figures, tables, bar, device)
     print_solution(solved.solution)
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence()}")

@@ -21,14 +21,14 @@ from mgsgraph.kernel.measurements import all_rows
 from mgsgraph.kernel.rows import GOOD, NO_LOSS, SURFACE, WEAK
 from mgsgraph.kernel.tile import BEGIN, END, PATTERN, load, observations_of
 
-_INNER_STEPS = 250
+INNER_STEPS = 250
 """Quadratic rows need one to three; far from its optimum a Cauchy or Tukey loss converges slowly."""
-_PLAIN_TOLERANCE = 1e-3
+PLAIN_TOLERANCE = 1e-3
 """Sigmas: after a shorter step the next would be some 1e-7 long (rows are linear to 1e-4 over a sigma), and what it
 would gain is known from the linear model to 1e-14: no second look is needed."""
-_SLOW_TOLERANCE = 1e-7
+SLOW_TOLERANCE = 1e-7
 """Sigmas, where a robust loss or the curvature of a terrain model makes the convergence linear."""
-_SINGULAR = 1e-13
+SINGULAR = 1e-13
 """Pivot relative to its diagonal below which a point counts as not determined."""
 
 
@@ -49,7 +49,7 @@ def factorise(w):
         l21 = (v21 - l20 * l10) * i11
         d2 = v22 - l20 * l20 - l21 * l21
         i22 = 1.0 / np.sqrt(d2)
-        strong = (d0 > 0.0) & (d1 > _SINGULAR * v11) & (d2 > _SINGULAR * v22)
+        strong = (d0 > 0.0) & (d1 > SINGULAR * v11) & (d2 > SINGULAR * v22)
         weak = (not strong) & (w[ACTIVE + l] > 0.0) & (w[STATUS + l] == GOOD)
         w[STATUS + l] = WEAK if weak else w[STATUS + l]
         i00, i11, i22 = (i00 if strong else 0.0), (i11 if strong else 0.0), (i22 if strong else 0.0)
@@ -103,7 +103,7 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
             w[ACTIVE + l] = 1.0
     plainly = move and robust and not fixed
     slow = robust or on_terrain(rows, segments)
-    for _ in range(2 * _INNER_STEPS):
+    for _ in range(2 * INNER_STEPS):
         all_rows(rows, model, robust and not plainly, segments, count, x, w, depth, kept)
         if fixed:
             break
@@ -111,7 +111,7 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
         if not move:
             break
         step_points(w)
-        tolerance = _SLOW_TOLERANCE if slow and not plainly else _PLAIN_TOLERANCE
+        tolerance = SLOW_TOLERANCE if slow and not plainly else PLAIN_TOLERANCE
         if largest_step(w) < tolerance * tolerance:
             if not plainly:
                 break
@@ -134,4 +134,4 @@ def on_terrain(rows, segments):
 def take_back(w):
     """Where the steps ran out before they were short, the linear model's promise of the last one doesn't count."""
     for l in range(LANES):
-        w[COST + l] += 0.5 * w[STEP_SQUARED + l] if w[STEP_SQUARED + l] > _PLAIN_TOLERANCE * _PLAIN_TOLERANCE else 0.0
+        w[COST + l] += 0.5 * w[STEP_SQUARED + l] if w[STEP_SQUARED + l] > PLAIN_TOLERANCE * PLAIN_TOLERANCE else 0.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.settings import Device, SolverSettings
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.incremental.closing import Closing
@@ -43,9 +44,11 @@ def is_solved(project: Project) -> bool:
     return adjusted and needed.issubset(known)
 
 
-def _incremental(project: Project) -> IncrementalAdjustment:
-    """From the state that the project holds; points are always eliminated there, to the same result."""
-    return IncrementalAdjustment(replace(project.settings.solver.settings, form="bundle"), project.store)
+def _incremental(project: Project, settings: SolverSettings | None = None) -> IncrementalAdjustment:
+    """From the state that the project holds, with its settings or others; points are always eliminated there, to the
+    same result.
+    """
+    return IncrementalAdjustment(replace(settings or project.settings.solver.settings, form="bundle"), project.store)
 
 
 def add(project: Project, addition: Addition) -> Impact | None:
@@ -115,15 +118,17 @@ class SolvedProject:
 
 
 def solve(
-    project: Project, figures: bool = True, tables: "TableForm | None" = None, progress: "Progress" = lambda _: None
-) -> SolvedProject:
+    project: Project, figures: bool = True, tables: "TableForm | None" = None,
+    progress: "Progress" = lambda _: None, device: Device | None = None,
+) -> SolvedProject:  # fmt: skip
     """Adjust everything by batch, compare it with the incremental result, and keep its products; `figures` and `tables`
-    as of `write_results`.
+    as of `write_results`, the `device` that goes over the points that of the settings when absent.
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.reports.results import write_results
 
     name, settings, store = project.name, project.settings.solver.settings, project.store
+    settings = settings if device is None else replace(settings, device=device)
     if not store.members():
         found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"
         if project.case is not None:
@@ -132,10 +137,10 @@ def solve(
     closing: Closing | None = None
     with errors_from(str(project.folder)):
         if is_solved(project):
-            closing, solution = _incremental(project).close(name, progress)
+            closing, solution = _incremental(project, settings).close(name, progress)
         else:
             solution = adjust_network(store.network(), replace(settings, starts=0), name, progress)
-            _incremental(project).adopt(solution)
+            _incremental(project, settings).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
     folder, files = project.keep_solution(

@@ -34,10 +34,11 @@ from mgsgraph.adjustment.cluster.held import (
     size_of,
 )
 from mgsgraph.adjustment.cluster.workers import GIGA
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.sampled_rays import SampledRays
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import Reduction
@@ -60,6 +61,8 @@ def require_bundles(settings: SolverSettings, where: str) -> None:
         if found != expected:
             found, remedy = f"solver, {name} {found!r}", "take that, or leave the cluster out"
             raise InputError(where, found, f"{expected!r} on a cluster", remedy)
+    if settings.device == "cuda":
+        raise InputError(where, "solver, device 'cuda'", "'cpu' on a cluster", "take one of both")
 
 
 @dataclass(slots=True, eq=False)
@@ -225,6 +228,10 @@ class Partitions:
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Residuals (t, 8) of all observations beside their leverage."""
         return self._with_covariance(RELIABILITY, layout, rows, orientation, joint, points)
+
+    def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Factor:
+        """Factor of the full linear system at a reduction: this process's task."""
+        return sparse_factor(layout, reduction, damping)
 
     def _with_covariance(
         self, task: int, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array

@@ -77,8 +77,31 @@ def pair_factor(first: int, second: int, block: Array) -> gtsam.HessianFactor:
     return gtsam.HessianFactor(first, second, none, block, zero, other, zeros, 0.0)
 
 
+class Solving(Protocol):
+    """Factored equations."""
+
+    def solve(self, right: Array) -> Array:
+        """Solution (columns,), m and rad, for a right side per m and rad."""
+        ...
+
+
+def sparse_factor(layout: Layout, reduction: Reduction, damping: float = 0.0) -> Factor:
+    """Cholesky factor of the full linear system at a reduction, damped in units of the unknowns' scales.
+
+    Raises NotDefinite.
+    """
+    assert reduction.blocks is not None
+    return factor_of_blocks(layout, reduction.blocks, damping)
+
+
+def factor_of_blocks(layout: Layout, blocks: Array, damping: float = 0.0) -> Factor:
+    """The same, of a reduced normal matrix (flat blocks of a layout)."""
+    flat = blocks + layout.prior_information if layout.prior_information.size else blocks
+    return layout.cholesky.factor(flat, layout.prior.weights**2 + damping / layout.scales**2, layout.scales)
+
+
 class Sweeper(Protocol):
-    """Who goes over all points: this process, or the workers of a cluster. Rows are a layout's, or made of them."""
+    """Who goes over all points: this process, a cluster's workers, or a GPU. Rows are a layout's, or made of them."""
 
     def reduction(
         self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
@@ -100,6 +123,10 @@ class Sweeper(Protocol):
 
     def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
         """Rays about the lines predicted for points (n, 3), see `following.about_followed_lines`."""
+        ...
+
+    def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Solving:
+        """Factor of the full linear system at a reduction, see `sparse_factor`."""
         ...
 
 
@@ -129,6 +156,10 @@ class InProcess:
         """Rays about the lines predicted for points (n, 3)."""
         return about_followed_lines(layout, orientation, points, near, own)
 
+    def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Factor:
+        """Factor of the full linear system at a reduction."""
+        return sparse_factor(layout, reduction, damping)
+
 
 IN_PROCESS = InProcess()
 
@@ -148,7 +179,6 @@ class BundleGraph:
     def __init__(self, layout: Layout, rows: Rows | None = None, sweeper: Sweeper = IN_PROCESS) -> None:
         self.layout, self.sweeper = layout, sweeper
         self.rows = layout.rows if rows is None else rows
-        self._keys = {v: variable_key(layout, v) for v in layout.variables.adjusted()}
 
     def reduction(self, orientation: Array, task: int = SYSTEM, points: Array | Reduction | None = None) -> Reduction:
         """All points solved (and eliminated) at an orientation vector (columns,), beginning at `points` (n, 3), or
@@ -188,10 +218,12 @@ class BundleGraph:
 
         Raises NotDefinite.
         """
-        assert reduction.blocks is not None
-        layout = self.layout
-        flat = reduction.blocks + layout.prior_information if layout.prior_information.size else reduction.blocks
-        return layout.cholesky.factor(flat, layout.prior.weights**2 + damping / layout.scales**2, layout.scales)
+        return sparse_factor(self.layout, reduction, damping)
+
+    @cached_property
+    def _keys(self) -> dict[int, int]:
+        """GTSAM keys of the adjusted variables."""
+        return {v: variable_key(self.layout, v) for v in self.layout.variables.adjusted()}
 
     @cached_property
     def _bundles(self) -> Bundles:

@@ -17,6 +17,14 @@ _AT_A_TIME = 1 << 17
 """Observations that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
 
 
+def of_rows(values: Array, into: Array) -> None:
+    """What observations say of themselves (t, 8), from the kernel's numbers of their rows (t, 3, 7)."""
+    moved = values[:, :2, 4:]
+    into[:, MISFIT], into[:, BETWEEN] = values[:, :2, 0], values[:, 0, 2]
+    into[:, SHARE] = values[:, [0, 1], [1, 2]]
+    into[:, EFFECT] = np.sqrt(np.einsum("tik,tik->ti", moved, moved))
+
+
 def numbers(
     rows: Rows,
     groups: Groups,
@@ -40,10 +48,7 @@ def numbers(
         mine, point = partition(rows, first, last), int(rows.piece[first, 1])
         places = points[point : point + mine.kind.size]
         values = reduction.reliability(mine, groups, target, model, orientation, joint, places)
-        into, moved = found[begins[first] : begins[last]], values[:, :2, 4:]
-        into[:, MISFIT], into[:, BETWEEN] = values[:, :2, 0], values[:, 0, 2]
-        into[:, SHARE] = values[:, [0, 1], [1, 2]]
-        into[:, EFFECT] = np.sqrt(np.einsum("tik,tik->ti", moved, moved))
+        of_rows(values, found[begins[first] : begins[last]])
         own = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
         chosen[own] = values[ground[own] - begins[first]]
 

@@ -1,0 +1,224 @@
+"""Sweeps by a GPU (a `graph.bundle.Sweeper`): a layout's rows go there once, per iteration only the orientation.
+
+What its memory doesn't hold at once is swept in partitions, which go there anew at every sweep.
+"""
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky, dense_libraries
+from mgsgraph.adjustment.gpu.devices import WHERE, Gpu
+from mgsgraph.adjustment.graph.bundle import Solving, sparse_factor
+from mgsgraph.adjustment.graph.following import about_followed_lines
+from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.graph.leverage import of_rows
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.cuda.partition import Partition, Workspace, bytes_of_pieces, room, to_device, to_host, zeros
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import Rows, partition
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
+
+_SHARE = 0.8
+"""Of the free memory: the rest is the driver's, the libraries' and the reduced equations'."""
+_PER_POINT = 4 * 25
+"""Bytes: places and states of as many reductions as live at a time."""
+_MOST_WORK = 4e9
+"""Bytes of scratch for one partition: more don't make a sweep faster."""
+_GIGA = 1e9
+
+
+class GpuReduction(Reduction):
+    """A reduction whose points and blocks stay on the device until they are asked for."""
+
+    def __init__(
+        self, task: int, orientation: Array, costs: Array, gradient: Array, points: Any, states: Any, blocks: Any
+    ) -> None:
+        whole = {"task": task, "orientation": orientation.copy(), "cost": float(costs.sum()), "piece_cost": costs}
+        own = {"gradient": gradient, "on_device": points, "blocks_on_device": blocks, "_states": states, "_here": {}}
+        for name, value in (whole | own).items():
+            object.__setattr__(self, name, value)  # frozen, like its parent
+
+    on_device: Any
+    """(n, 3) m, on the device."""
+    blocks_on_device: Any
+    """Reduced normal matrix there; None unless it was asked for."""
+    _states: Any
+    _here: dict[str, NDArray[Any]]
+
+    def _fetched(self, name: str, values: Any) -> NDArray[Any]:
+        if name not in self._here:
+            self._here[name] = to_host(values)
+        return self._here[name]
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) m, solved places in the layout's order."""
+        return self._fetched("points", self.on_device)
+
+    @property
+    def states(self) -> NDArray[np.int8]:
+        """(n,) rows.GOOD, BEHIND or WEAK."""
+        return self._fetched("states", self._states)
+
+    @property
+    def blocks(self) -> Array | None:
+        """Reduced normal matrix; None unless it was asked for."""
+        return None if self.blocks_on_device is None else self._fetched("blocks", self.blocks_on_device)
+
+
+class GpuSweeper:
+    """Sweeps by a GPU.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    layout : Layout
+        What is adjusted; rows that are swept later are its own but for kinds of points and weights.
+    deterministic : bool
+        Whether the same sweep gives the same bits twice.
+
+    Raises
+    ------
+    InputError
+        Memory in which not even the smallest part of the points can be swept.
+    """
+
+    def __init__(self, gpu: Gpu, layout: Layout, deterministic: bool = False) -> None:
+        self._gpu, self._deterministic = gpu, deterministic
+        self._parts, self._held = list[Partition](), True
+        self._dense: DenseCholesky | None = None
+        self._divide(layout)
+
+    @property
+    def remark(self) -> str:
+        """What a user should know of how the device was used."""
+        said = f"Swept by the GPU ({self._gpu.name})"
+        if not self._held:
+            said += f", in {len(self._parts)} partitions that take turns in its {self._gpu.memory / _GIGA:.2f} GB"
+        return " ".join(part for part in (f"{said}.", self._gpu.remark) if part)
+
+    def _divide(self, layout: Layout) -> None:
+        """Make partitions of a layout's points, and room for their sweeps."""
+        self._layout, self._rows, self._dense = layout, layout.rows, None
+        for part in self._parts:
+            part.let_go()
+        edges, self._held = divided(layout.rows, _SHARE * self._gpu.memory)
+        common = layout.groups, layout.blocks.target, layout.model, self._deterministic
+        self._parts = [Partition(partition(layout.rows, first, last), *common) for first, last in pairwise(edges)]
+        self._pieces = edges
+        self._points = [*layout.rows.piece[edges[:-1], 1].tolist(), layout.rows.kind.size]
+        self._work = Workspace(max((part.work for part in self._parts), default=0))
+
+    def _take(self, layout: Layout, rows: Rows) -> None:
+        """Go on with a layout made of the same network, and rows that differ in what takes part."""
+        now = self._layout
+        if layout.patterns is not now.patterns or layout.model != now.model:
+            self._divide(layout)
+        laid = all(getattr(layout, name) is getattr(now, name) for name in ("lines", "stereo", "bent"))
+        if not laid or rows.kind is not self._rows.kind or rows.weight is not self._rows.weight:
+            for part, (first, last) in zip(self._parts, pairwise(self._pieces), strict=True):
+                part.renew(partition(rows, first, last), constants=not laid)
+        self._layout, self._rows = layout, rows
+
+    def _each(self) -> Any:
+        """Partitions and where their points and observations are among the whole's; of those that the memory can't hold
+        at once each goes when the next one comes.
+        """
+        for part, ends in zip(self._parts, pairwise(self._points), strict=True):
+            yield part, slice(*ends)
+            if not self._held:
+                part.let_go()
+
+    # --- what a Sweeper does
+
+    def reduction(
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
+    ) -> Reduction:
+        """All points solved (and eliminated)."""
+        self._take(layout, rows)
+        begin = points.on_device if isinstance(points, GpuReduction) else None
+        if begin is None:
+            known = points.points if isinstance(points, Reduction) else points
+            begin = to_device(rows.start if known is None else known)
+        target, costs, x = layout.blocks.target, list[Array](), to_device(orientation)
+        ends, states = room((rows.kind.size, 3)), room(rows.kind.size, np.int8)
+        gradient, blocks = zeros(0 if task == COSTS else target.columns), zeros(target.size if task == SYSTEM else 0)
+        for part, mine in self._each():
+            own = begin[mine], ends[mine], states[mine], gradient, blocks
+            costs.append(part.reduce(self._work, x, task, *own))
+        every = np.concatenate(costs) if costs else np.zeros(0)
+        whole = blocks if task == SYSTEM else None
+        return GpuReduction(task, orientation, every, to_host(gradient), ends, states, whole)
+
+    def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
+        self._take(layout, rows)
+        x, shared, places = to_device(orientation), to_device(joint), to_device(points)
+        found = np.empty((points.shape[0], 3, 3))
+        for part, mine in self._each():
+            found[mine] = part.covariances(self._work, x, shared, places[mine])
+        return found
+
+    def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
+        """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
+        self._take(layout, rows)
+        x, places = to_device(orientation), to_device(points)
+        found = [part.residuals(self._work, x, places[mine]) for part, mine in self._each()]
+        return np.concatenate([np.zeros((0, 2)), *found])
+
+    def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """Residuals (t, 8) of all observations beside their leverage."""
+        self._take(layout, rows)
+        x, shared, places = to_device(orientation), to_device(joint), to_device(points)
+        found, begin = np.empty((rows.weight.shape[1], 8)), 0
+        for part, mine in self._each():
+            end = begin + part.observations
+            of_rows(part.reliability(self._work, x, shared, places[mine]), found[begin:end])
+            begin = end
+        return found
+
+    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
+        """Rays about the lines predicted for points (n, 3): by the host, whose tables of poses they come from."""
+        return about_followed_lines(layout, orientation, points, near, own)
+
+    def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Solving:
+        """Factor of the damped equations: dense on the device, where these are few, else sparse on the host.
+
+        Raises NotDefinite.
+        """
+        libraries = dense_libraries()
+        if layout.columns > MOST_COLUMNS or libraries is None or not isinstance(reduction, GpuReduction):
+            return sparse_factor(layout, reduction, damping)
+        if self._dense is None:
+            self._dense = DenseCholesky(layout, *libraries)
+        return self._dense.factor(reduction.blocks_on_device, damping)
+
+
+def divided(rows: Rows, memory: float) -> tuple[list[int], bool]:
+    """(p + 1,) pieces at which a layout's points are divided so that a device with so many bytes can sweep them, and
+    whether it can hold all of them at once.
+
+    Raises
+    ------
+    InputError
+        Where it can't sweep a single piece.
+    """
+    held, work = bytes_of_pieces(rows)
+    left = memory - _PER_POINT * rows.kind.size
+    room_for_work = min(left - held.sum(), _MOST_WORK)
+    together = bool(room_for_work >= work.max(initial=0))
+    each = work if together else held + work
+    limit = room_for_work if together else left
+    if each.max(initial=0) > limit:
+        found = f"a GPU with {memory / _GIGA:.3f} GB to use"
+        needed = f"{(each.max() + memory - left) / _GIGA:.3f} GB for {rows.kind.size} points"
+        raise InputError(WHERE, found, needed, "take device = 'cpu', or a GPU with more memory")
+    ends, edges = np.cumsum(each), [0]
+    while edges[-1] < each.size:
+        before = ends[edges[-1] - 1] if edges[-1] else 0
+        edges.append(int(np.searchsorted(ends, before + limit, side="right")))
+    return edges, together

@@ -1,0 +1,242 @@
+"""A partition's rows as a device takes them: small tables of whole numbers, and who sums what.
+
+An observation's columns are counted in *parts* of up to six: the components of a pose (or of a position), which every
+basis term takes with its value; then its single columns, six at a time, with the value one. Rows by single columns are
+taken together with their directions (`coupling`), so that all parts are summed in the same way.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.kernel.rows import GROUND, IMAGE, PREDICTED, SURFACE, Groups, Model, NormalBlocks, Rows
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Short = NDArray[np.int32]
+
+PATTERN, FIRST, COUNT, DATA, OBSERVATION, SCRATCH = 0, 1, 2, 3, 4, 5
+"""Columns of the table of pieces: pattern; first point, number of points; where constants, observations and what
+`coupling` leaves begin."""
+
+BEGIN, END, KNOWN, MEMBERS, PAIRS, HEIGHTS = 0, 1, 2, 3, 4, 5
+"""Columns of the table of patterns: first observation, and the one after the last; 1 where points are known; number of
+the group's variables, and where its table of pairs begins; 1 where the terrain model has a say."""
+
+KIND, WIDTH, TERMS, SHARED, ENTRY, BEFORE, BASIS, DIRECTIONS, COMPONENTS, LEFT, POWERS = range(11)
+"""Columns of the table of observations: as in `Rows`; numbers per point that lie in `data` before its first one, before
+its basis values and before its directions; components that a term moves (0 without terms); numbers per point that lie
+in what `coupling` leaves before its first one; 1 where basis values are powers of the line."""
+
+COLUMN, MEMBER, INSIDE, RIGHT, ACROSS = range(5)
+"""Columns of the table of entries: as in `Rows`; where its gradient is; columns of its variable."""
+
+PIECE_OF, ONE, ONE_PART, OTHER, OTHER_PART = range(5)
+"""Columns of the table of jobs: piece; observation and part whose columns are summed against those of another; NONE
+for the gradient."""
+NONE = -1
+
+PART = 6
+"""Most columns of a part."""
+
+
+class Tables(NamedTuple):
+    """What every kernel is given of a partition of n points and t observations."""
+
+    piece: Index
+    """(m, 6)"""
+    pattern: Index
+    """(q, 6)"""
+    observation: Short
+    """(s, 11)"""
+    optics: Array
+    """(s, 2) focal length (m), and du/dline."""
+    entry: Short
+    """(e, 5)"""
+    pair: Index
+    """As in `NormalBlocks`."""
+    piece_of_point: Short
+    """(n,)"""
+    piece_of_observation: Short
+    """(t,)"""
+    terrain: Array
+    """As in `Rows`."""
+    terrain_frame: Array
+    """As in `Rows`."""
+
+
+class Jobs(NamedTuple):
+    """Who sums what: `table` (j, 5); a block of threads does the jobs edges[b] .. edges[b + 1] - 1 one by one."""
+
+    table: Short
+    edges: Index
+
+
+def rows_of_kind(kind: Index) -> Index:
+    """Rows of observations of some kinds."""
+    return np.where(kind == IMAGE, 2, np.where(kind == GROUND, 3, 1))
+
+
+def columns_left(rows: Rows) -> tuple[Index, Index]:
+    """(s,) components that a term of each observation moves, and all its columns as `coupling` counts them."""
+    components = np.where(rows.observation_terms > 0, np.where(rows.observation_width >= PART, PART, 3), 0)
+    return components, components + rows.observation_shared
+
+
+def numbers_left(rows: Rows) -> Index:
+    """(s,) numbers per point that `coupling` leaves of observations: per column its coupling (3), its rows, its right
+    side; then basis values.
+    """
+    _, columns = columns_left(rows)
+    return columns * (4 + rows_of_kind(rows.observation_kind)) + rows.observation_terms
+
+
+def make_tables(rows: Rows, groups: Groups, target: NormalBlocks, model: Model) -> tuple[Tables, int]:
+    """Tables of a partition, and the length of what `coupling` leaves of it."""
+    count, left = np.diff(rows.pattern_observation), numbers_left(rows)
+    pattern_of, sizes = rows.piece[:, 0], rows.piece[:, 2]
+    owner = np.repeat(np.arange(count.size), count)
+    scratch = np.bincount(owner, left, count.size).astype(np.int64)[pattern_of] * sizes
+    every = np.arange(sizes.size, dtype=np.int32)
+    tables = Tables(
+        piece=np.column_stack([rows.piece, np.cumsum(scratch) - scratch]),
+        pattern=_patterns(rows, groups, owner),
+        observation=_observations(rows, model, left),
+        optics=np.stack([rows.observation_focal, rows.observation_rate], axis=1),
+        entry=_entries(rows, groups, target, owner),
+        pair=target.pair,
+        piece_of_point=np.repeat(every, sizes),
+        piece_of_observation=np.repeat(every, sizes * count[pattern_of]),
+        terrain=rows.terrain,
+        terrain_frame=rows.terrain_frame,
+    )
+    return tables, int(scratch.sum())
+
+
+def _patterns(rows: Rows, groups: Groups, owner: Index) -> Index:
+    first, group = rows.pattern_observation, rows.pattern_group
+    on_terrain = np.bincount(owner, rows.observation_kind == SURFACE, first.size - 1) > 0
+    members = np.diff(groups.member_first)[group]
+    columns = [first[:-1], first[1:], rows.pattern_fixed, members, groups.pair_first[group], on_terrain]
+    return np.stack(columns, axis=1).astype(np.int64)
+
+
+def _observations(rows: Rows, model: Model, left: Index) -> Short:
+    kind, terms, shared = rows.observation_kind, rows.observation_terms, rows.observation_shared
+    powers = (rows.observation_rate != 0.0) & (terms > 0)
+    directions = rows.observation_numbers - rows.observation_width * shared
+    with_rates = (kind == IMAGE) & (model.line == PREDICTED)
+    basis = directions - np.where(powers, 1, np.where(with_rates, 2 * terms, terms))
+    first = rows.pattern_observation
+    columns = [
+        kind, rows.observation_width, terms, shared, rows.observation_entry, _before(rows.observation_numbers, first),
+        basis, directions, columns_left(rows)[0], _before(left, first), powers,
+    ]  # fmt: skip
+    return np.stack(columns, axis=1).astype(np.int32)
+
+
+def _before(numbers: Index, first: Index) -> Index:
+    """(s,) sum of the numbers of a pattern's observations before each."""
+    ends = np.cumsum(numbers)
+    starts = np.concatenate([[0], ends])[first[:-1]]
+    return ends - numbers - np.repeat(starts, np.diff(first))
+
+
+def _entries(rows: Rows, groups: Groups, target: NormalBlocks, owner: Index) -> Short:
+    entries = rows.observation_terms + rows.observation_shared
+    place = np.repeat(rows.observation_entry - np.cumsum(entries) + entries, entries) + np.arange(entries.sum())
+    member = groups.member_first[rows.pattern_group[np.repeat(owner, entries)]] + rows.entry_member[place]
+    table = np.zeros((rows.entry_column.size, 5), dtype=np.int32)
+    table[:, COLUMN], table[:, MEMBER], table[:, INSIDE] = rows.entry_column, rows.entry_member, rows.entry_inside
+    table[place, RIGHT] = target.right[member] + rows.entry_inside[place]
+    table[place, ACROSS] = groups.member_width[member]
+    return table
+
+
+def parts(rows: Rows) -> Index:
+    """(s,) parts of each observation's columns."""
+    return (rows.observation_terms > 0) + -(-rows.observation_shared // PART)
+
+
+def make_jobs(rows: Rows, groups: Groups, target: NormalBlocks, whole: bool, deterministic: bool) -> Jobs:
+    """Who sums a partition's gradient and, if `whole`, its normal matrix.
+
+    If `deterministic`, whatever is added to the same numbers is one block's task, and so has an order.
+    """
+    of_pattern = _pattern_jobs(rows, whole)
+    pattern_of = rows.piece[:, 0]
+    first = np.searchsorted(of_pattern[:, 0], np.arange(rows.pattern_group.size + 1))
+    count = np.diff(first)[pattern_of]
+    piece = np.repeat(np.arange(pattern_of.size), count)
+    inside = np.arange(piece.size) - np.repeat(np.cumsum(count) - count, count)
+    table = of_pattern[first[pattern_of[piece]] + inside]
+    table[:, PIECE_OF] = piece
+    edges = np.arange(table.shape[0] + 1)
+    if deterministic and table.size:
+        owner = _together(rows, groups, target, table)
+        order = np.argsort(owner, kind="stable")
+        table, owner = table[order], owner[order]
+        edges = np.append(np.flatnonzero(np.append(True, owner[1:] != owner[:-1])), owner.size)
+    return Jobs(np.ascontiguousarray(table, dtype=np.int32), edges.astype(np.int64))
+
+
+def _pattern_jobs(rows: Rows, whole: bool) -> Index:
+    """Jobs of each pattern, which stands in place of the piece, in the order of patterns."""
+    count, each = np.diff(rows.pattern_observation), parts(rows)
+    one = np.repeat(np.arange(each.size), each)
+    part = np.arange(one.size) - np.repeat(np.cumsum(each) - each, each)
+    owner = np.repeat(np.arange(count.size), count)[one]
+    none = np.full(one.size, NONE)
+    jobs = [np.stack([owner, one, part, none, none], axis=1)]
+    if whole and one.size:
+        ends = np.searchsorted(owner, np.arange(count.size), side="right")[owner]
+        more = ends - np.arange(one.size)  # parts of the pattern from this one on
+        left = np.repeat(np.arange(one.size), more)
+        right = left + np.arange(left.size) - np.repeat(np.cumsum(more) - more, more)
+        meet = (rows.pattern_fixed[owner[left]] == 0) | (one[left] == one[right])
+        left, right = left[meet], right[meet]
+        jobs.append(np.stack([owner[left], one[left], part[left], one[right], part[right]], axis=1))
+    table = np.concatenate(jobs)
+    return table[np.argsort(table[:, 0], kind="stable")]
+
+
+def entries_of_part(rows: Rows, observation: Index, part: Index) -> tuple[Index, Index]:
+    """(j,) first entry and number of entries of some parts."""
+    terms, shared = rows.observation_terms[observation], rows.observation_shared[observation]
+    single = part - (terms > 0)
+    before = np.where(single < 0, 0, terms + PART * single)
+    count = np.where(single < 0, terms, np.minimum(PART, shared - PART * single))
+    return rows.observation_entry[observation] + before, count
+
+
+def _together(rows: Rows, groups: Groups, target: NormalBlocks, table: Index) -> Index:
+    """(j,) a number that jobs share which add, or whose companions add, to the same block or the same gradient."""
+    group = rows.pattern_group[rows.piece[table[:, PIECE_OF], 0]]
+    alone, second = table[:, OTHER] == NONE, np.maximum(table[:, OTHER:], 0)
+    first, count = entries_of_part(rows, table[:, ONE], table[:, ONE_PART])
+    other, others = entries_of_part(rows, second[:, 0], second[:, 1])
+    others = np.where(alone, 1, others)
+    job = np.repeat(np.arange(count.size), count * others)
+    inside = np.arange(job.size) - np.repeat(np.cumsum(count * others) - count * others, count * others)
+    one = rows.entry_member[first[job] + inside // others[job]]
+    two = np.where(alone[job], one, rows.entry_member[other[job] + inside % others[job]])
+    begin, members = groups.member_first[group[job]], np.diff(groups.member_first)[group[job]]
+    pair = target.pair[groups.pair_first[group[job]] + np.minimum(one, two) * members + np.maximum(one, two)]
+    place = np.where(alone[job], target.size + target.right[begin + one], pair)
+    _, block = np.unique(place, return_inverse=True)
+    return _companions(job, block.reshape(-1), count.size)
+
+
+def _companions(job: Index, block: Index, jobs: int) -> Index:
+    """(jobs,) smallest job that each is joined to by the blocks that jobs add to, pair by pair (job, block)."""
+    owner, size = np.arange(jobs), int(block.max(initial=-1)) + 1
+    while True:
+        of_block = np.full(size, jobs)
+        np.minimum.at(of_block, block, owner[job])
+        new = owner.copy()
+        np.minimum.at(new, job, of_block[block])
+        new = new[new]
+        if np.array_equal(new, owner):
+            return owner
+        owner = new

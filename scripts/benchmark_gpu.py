@@ -1,0 +1,339 @@
+"""How fast a GPU adjusts, and how much of it a sweep uses: chains like the peer's problems, a Kaguya-sized block.
+
+For a bare machine: needs NumPy, SciPy, numba-cuda and CuPy, neither GTSAM nor files nor network; run it from a checkout
+by `python scripts/benchmark_gpu.py --out gpu_times.md`. Problems are made here. What is timed: making the problem,
+laying it out, the first adjustment (kernels are compiled, rows sent), the median of more of them, by stages; and a
+sweep beside what the device reaches in the same run in float64 multiplications and additions, and in its memory.
+With NUMBA_ENABLE_CUDASIM=1 the smallest problem shows that the program works.
+"""
+
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+class _Name(type):
+    """A name of such a library."""
+
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return _Name(name, (), {})
+
+    def __or__(cls, other: Any) -> Any:
+        return other
+
+    def __ror__(cls, other: Any) -> Any:
+        return other
+
+
+class _Absent(ModuleType):
+    """A library that isn't installed: its names are there, for annotations, and can't be used."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return _Name(name, (), {})
+
+
+def _stand_alone() -> None:
+    """Find the package in this checkout, and go without libraries that nothing here calls."""
+    if find_spec("mgsgraph") is None:
+        sys.path.insert(0, str(ROOT))
+    absent = [name for name in ("gtsam", "threadpoolctl", "pyarrow") if find_spec(name) is None]
+    for name in absent:
+        sys.modules[name] = _Absent(name)
+    if "pyarrow" in absent:
+        sys.modules["pyarrow.compute"] = sys.modules["pyarrow"].compute = _Absent("pyarrow.compute")
+        _name_without_arrow()
+    if find_spec("mgsgraph.factors") is None:
+        import importlib.util
+
+        import mgsgraph
+
+        found = importlib.util.spec_from_file_location(
+            "mgsgraph.factors", ROOT / "factors" / "__init__.py", submodule_search_locations=[str(ROOT / "factors")]
+        )
+        assert found is not None
+        assert found.loader is not None
+        sys.modules["mgsgraph.factors"] = mgsgraph.factors = importlib.util.module_from_spec(found)
+        found.loader.exec_module(mgsgraph.factors)
+
+
+def _name_without_arrow() -> None:
+    """Ids of points, which are numbers here, in columns."""
+    import numpy as np
+
+    from mgsgraph.names import Names
+
+    def of(names: Any, source: str = "") -> Names:
+        if isinstance(names, Names):
+            return names
+        data = np.frombuffer("".join(names).encode("ascii"), dtype=np.uint8).copy()
+        return Names(data, np.concatenate([[0], np.cumsum([len(name) for name in names], dtype=np.int64)]))
+
+    Names.of = of  # type: ignore[method-assign, assignment]
+    Names.first_repeated = None  # type: ignore[assignment]
+
+
+_stand_alone()
+
+import numpy as np  # noqa: E402
+from peer_blocks import chain, kaguya  # noqa: E402
+from peer_problem import PeerProblem, network  # noqa: E402
+from study import at_least, command, machine, require_writable, status, table, write_text  # noqa: E402
+
+from mgsgraph.adjustment.batch import levenberg_marquardt  # noqa: E402
+from mgsgraph.adjustment.gpu.devices import find_gpu  # noqa: E402
+from mgsgraph.adjustment.gpu.sweeper import GpuSweeper  # noqa: E402
+from mgsgraph.adjustment.graph.bundle import BundleGraph  # noqa: E402
+from mgsgraph.adjustment.graph.layout import Layout, lay_out  # noqa: E402
+from mgsgraph.adjustment.problems import BundleProblem  # noqa: E402
+from mgsgraph.kernel.cuda.device import SIMULATED  # noqa: E402
+from mgsgraph.kernel.cuda.roofline import Rates, measured_rates, synchronise  # noqa: E402
+from mgsgraph.kernel.cuda.tables import NONE, ONE, OTHER, PIECE_OF, entries_of_part, make_jobs  # noqa: E402
+from mgsgraph.kernel.rows import IMAGE  # noqa: E402
+from mgsgraph.kernel.sweep import COSTS, SYSTEM  # noqa: E402
+
+SIZES: dict[str, Callable[[], tuple[PeerProblem, Any]]] = {
+    "S": lambda: chain(2, 40, shots=4),
+    "L": lambda: chain(100, 200_000),
+    "XL": lambda: chain(200, 1_000_000),
+    "Kaguya": kaguya,
+    "ten XL": lambda: chain(200, 10_000_000),
+}
+RAY = {"measured": 585, "predicted": 1086}
+"""Operations in float64 of an image ray's rows, counted under the simulator; of the predicted line with one step of
+Newton's method."""
+BOUNDS = {"L": 0.020, "XL": 0.040, "Kaguya": 0.060, "ten XL": 0.12}
+"""s, what an adjustment should take on one H100."""
+
+
+@dataclass
+class Times:
+    """Of one problem; s, but for what is said otherwise."""
+
+    size: str
+    images: int
+    points: int
+    rays: int
+    made: float = 0.0
+    laid_out: float = 0.0
+    first: float = 0.0
+    """First adjustment."""
+    adjusted: float = 0.0
+    """Median of the later ones."""
+    sweeps: float = 0.0
+    """Of it."""
+    eliminations: float = 0.0
+    """Of it: factors and solutions of the reduced equations."""
+    iterations: int = 0
+    cost: float = 0.0
+    system: float = 0.0
+    """One sweep with normal equations that begins at solved points: one inner step."""
+    costs: float = 0.0
+    """One sweep for costs alone."""
+    covariances: float = 0.0
+    """Of all points, with their way to the host."""
+    arithmetic: float = 0.0
+    """Share of the measured float64 rate that the sweep reaches."""
+    traffic: float = 0.0
+    """Share of the measured memory rate."""
+
+
+@dataclass
+class Clock:
+    """Seconds by stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Book what is done, with all that the device has to do for it."""
+        begin = time.perf_counter()
+        yield
+        synchronise()
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+
+class Timed:
+    """A sweeper whose sweeps and eliminations are timed."""
+
+    def __init__(self, sweeper: GpuSweeper, clock: Clock) -> None:
+        self._sweeper, self._clock = sweeper, clock
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sweeper, name)
+
+    def reduction(self, *arguments: Any) -> Any:
+        """As the sweeper's."""
+        with self._clock.stage("sweeps"):
+            return self._sweeper.reduction(*arguments)
+
+    def factor(self, *arguments: Any) -> Any:
+        """As the sweeper's."""
+        with self._clock.stage("eliminations"):
+            return _Solving(self._sweeper.factor(*arguments), self._clock)
+
+
+class _Solving:
+    """A factor whose solutions are timed."""
+
+    def __init__(self, factor: Any, clock: Clock) -> None:
+        self._factor, self._clock = factor, clock
+
+    def solve(self, right: Any) -> Any:
+        """As the factor's."""
+        with self._clock.stage("eliminations"):
+            return self._factor.solve(right)
+
+
+def median(job: Callable[[], Any], runs: int) -> float:
+    """Median time of a job, s, all that the device does for it over."""
+    times = []
+    for _ in range(runs):
+        synchronise()
+        begin = time.perf_counter()
+        job()
+        synchronise()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def work_of_a_sweep(layout: Layout, line: str) -> tuple[float, float]:
+    """Operations in float64, and bytes from and to the device's memory, of a sweep with normal equations and one inner
+    step: rows evaluated twice, coupling, and the sums of all jobs.
+    """
+    rows = layout.rows
+    count, sizes, pattern = np.diff(rows.pattern_observation), rows.piece[:, 2], rows.piece[:, 0]
+    owner = np.repeat(np.arange(count.size), count)
+    points = np.bincount(pattern, sizes, count.size)[owner]  # that have each observation of the patterns
+    image = rows.observation_kind == IMAGE
+    columns = np.where(rows.observation_terms > 0, np.where(rows.observation_width >= 6, 6, 3), 0)
+    columns = columns + rows.observation_shared
+    of_rows = np.where(image, RAY[line] + 40.0, 60.0)
+    operations = float(points @ (2.0 * of_rows + columns * 40.0)) + 60.0 * sizes.sum()
+    left = columns * (4 + np.where(image, 2, 1)) + rows.observation_terms
+    bytes_moved = 8.0 * float(points @ (2.0 * (rows.observation_numbers + 2) + left)) + 8.0 * 24.0 * sizes.sum()
+    jobs = make_jobs(rows, layout.groups, layout.blocks.target, True, False).table
+    own = sizes[jobs[:, PIECE_OF]].astype(np.float64)
+    alone = jobs[:, OTHER] == NONE
+    _, terms = entries_of_part(rows, jobs[:, ONE], jobs[:, ONE + 1])
+    _, others = entries_of_part(rows, np.maximum(jobs[:, OTHER], 0), np.maximum(jobs[:, OTHER + 1], 0))
+    mine, yours = np.minimum(columns[jobs[:, ONE]], 6), np.minimum(columns[np.maximum(jobs[:, OTHER], 0)], 6)
+    pairs, products = np.where(alone, mine, mine * yours), np.where(alone, terms, terms * others)
+    operations += float(own @ (pairs * np.where(alone, 0.0, 6.0) + products + 2.0 * pairs * products))
+    bytes_moved += 8.0 * float(own @ (np.where(alone, mine + terms, 3.0 * (mine + yours) + terms + others)))
+    return operations, bytes_moved
+
+
+def timed(size: str, line: Any, runs: int, deterministic: bool, rates: Rates) -> Times:
+    """All about one problem."""
+    begin = time.perf_counter()
+    problem, _ = SIZES[size]()
+    net, settings = network(problem, line)
+    made = time.perf_counter()
+    layout = lay_out(net, settings)
+    laid = time.perf_counter()
+    found = Times(size, len(net.images), len(net.points), net.rays.point.size, made - begin, laid - made)
+    del problem
+    sweeper, start = GpuSweeper(find_gpu(), layout, deterministic), np.zeros(layout.columns)
+
+    def adjust(clock: Clock) -> Any:
+        graph = BundleGraph(layout, layout.rows, Timed(sweeper, clock))
+        return levenberg_marquardt(BundleProblem(graph), start, settings, lambda _: None)
+
+    found.first = median(lambda: adjust(Clock()), 1)
+    clocks, times, outcome = [], [], None
+    for _ in range(runs):
+        clock = Clock()
+        begin = time.perf_counter()
+        outcome = adjust(clock)
+        times.append(time.perf_counter() - begin)
+        clocks.append(clock.seconds)
+    assert outcome is not None
+    found.adjusted, found.cost, found.iterations = statistics.median(times), outcome.cost_final, len(outcome.history)
+    found.sweeps = statistics.median(clock["sweeps"] for clock in clocks)
+    found.eliminations = statistics.median(clock["eliminations"] for clock in clocks)
+    last = sweeper.reduction(layout, layout.rows, outcome.state, SYSTEM, None)
+    again = (layout, layout.rows, outcome.state)
+    found.system = median(lambda: sweeper.reduction(*again, SYSTEM, last), runs)
+    found.costs = median(lambda: sweeper.reduction(*again, COSTS, last), runs)
+    unit = np.zeros(layout.blocks.target.size)
+    found.covariances = median(lambda: sweeper.covariances(*again, unit, last.points), runs)
+    operations, moved = work_of_a_sweep(layout, line)
+    found.arithmetic = operations / found.system / rates.operations
+    found.traffic = moved / found.system / rates.bytes
+    return found
+
+
+def page(found: list[Times], rates: Rates, line: str, deterministic: bool, runs: int) -> str:
+    """The table of a run, in Markdown."""
+    head = [
+        "problem", "images / points / rays", "made, laid out, s", "first, s", "adjustment, s", "of it sweeps, s",
+        "eliminations, s", "iterations", "final cost", "sweep, ms", "costs alone, ms", "covariances, ms",
+        "share of float64 rate", "of memory rate", "aim, s",
+    ]  # fmt: skip
+    rows = [
+        [
+            t.size, f"{t.images} / {t.points:,} / {t.rays:,}", f"{t.made:.1f}, {t.laid_out:.1f}", f"{t.first:.1f}",
+            f"{t.adjusted:.4f}", f"{t.sweeps:.4f}", f"{t.eliminations:.4f}", str(t.iterations), f"{t.cost:.9f}",
+            f"{1e3 * t.system:.2f}", f"{1e3 * t.costs:.2f}", f"{1e3 * t.covariances:.2f}", f"{t.arithmetic:.0%}",
+            f"{t.traffic:.0%}", f"{BOUNDS[t.size]}" if t.size in BOUNDS else "",
+        ]
+        for t in found
+    ]  # fmt: skip
+    order = "in a fixed order" if deterministic else "by atomic additions"
+    said = (
+        f"{find_gpu().name}; measured in this run: {rates.operations / 1e12:.2f} T operations/s in float64 "
+        f"(multiplications and additions), {rates.bytes / 1e12:.3f} TB/s. {line.capitalize()} line, sums {order}, "
+        f"medians of {runs} runs. {machine()}"
+    )
+    return "\n".join(["# Times on a GPU", "", *table(head, rows), "", said, ""])
+
+
+def main() -> int:
+    """Measure."""
+    parser = command(__doc__)
+    parser.add_argument("sizes", nargs="*", metavar="SIZE", help=f"of {', '.join(SIZES)}; all but S when absent")
+    parser.add_argument("--line", choices=["measured", "predicted"], default="measured")
+    parser.add_argument("--runs", type=at_least(1), default=5)
+    parser.add_argument("--deterministic", action="store_true", help="sums in a fixed order")
+    parser.add_argument("--out", type=Path, help="page in Markdown")
+    parser.add_argument("--json", type=Path, help="the same figures")
+    chosen = parser.parse_args()
+    sizes = chosen.sizes or (["S"] if SIMULATED else [size for size in SIZES if size != "S"])
+    for size in sizes:
+        if size not in SIZES:
+            parser.error(f"{size}: expected some of {', '.join(SIZES)}")
+
+    def run() -> int:
+        require_writable(chosen.out, chosen.json)
+        find_gpu()
+        rates, found = measured_rates(), list[Times]()
+        for size in sizes:
+            found.append(timed(size, chosen.line, chosen.runs, chosen.deterministic, rates))
+            print(json.dumps(asdict(found[-1])), flush=True)  # should a larger one fail
+        text = page(found, rates, chosen.line, chosen.deterministic, chosen.runs)
+        print(text)
+        if chosen.out is not None:
+            write_text(text, chosen.out)
+        if chosen.json is not None:
+            write_text(json.dumps([asdict(one) for one in found], indent=1) + "\n", chosen.json)
+        return 0
+
+    return status(parser.prog, run)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
