@@ -57,11 +57,13 @@ class _Costs(NamedTuple):
         """(images,) part of each image, and the number of its measures."""
         mine, size = self.image >= 0, self.own.size
         image = self.image[mine]
-        return np.bincount(image, self.values[mine], size) + self.own, np.bincount(image, minlength=size) + self.rows
+        measures = np.bincount(image, minlength=size) + self.rows
+        return np.asarray(np.bincount(image, self.values[mine], size) + self.own), np.asarray(measures)
 
     def of_points(self) -> tuple[Array, Array]:
         """(n,) part of each point, and the number of its measures."""
-        return np.bincount(self.point, self.values, self.points), np.bincount(self.point, minlength=self.points)
+        measures = np.bincount(self.point, minlength=self.points).astype(np.float64)
+        return np.asarray(np.bincount(self.point, self.values, self.points), dtype=np.float64), measures
 
     def without(self, points: Mask) -> "_Costs":
         """The same without the measures of some points (n,)."""
@@ -148,8 +150,8 @@ def _costs(graph: BundleGraph, reduction: Reduction, found: Residuals, lost: Mas
     values[lost[point] | ~np.isfinite(values)] = 0.0
     rows = layout.prior.residuals(reduction.orientation)
     rows = np.concatenate([rows[: layout.columns][layout.prior.weights > 0.0], rows[layout.columns :]])
-    squares = np.bincount(layout.prior.about, 0.5 * rows**2, layout.columns)
-    count = 0.5 * np.bincount(layout.prior.about, minlength=layout.columns)
+    squares = np.asarray(np.bincount(layout.prior.about, 0.5 * rows**2, layout.columns), dtype=np.float64)
+    count = np.asarray(0.5 * np.bincount(layout.prior.about, minlength=layout.columns), dtype=np.float64)
     return _Costs(
         point, image, values, _by_image(layout, squares), _by_image(layout, count), len(layout.network.points)
     )
@@ -206,11 +208,11 @@ def _of_rise(network: Network, before: _Costs, after: _Costs, redescending: bool
     """Of what the step adds to the cost of images, and of points, where the whole of it rises."""
     if after.values.sum() + after.own.sum() <= before.values.sum() + before.own.sum():
         return []
-    (images, of_images), (points, of_points) = before.of_images(), before.of_points()
+    (images, measures), (points, rays) = before.of_images(), before.of_points()
     images, points = (
         np.maximum(later - now, 0.0) for later, now in ((after.of_images()[0], images), (after.of_points()[0], points))
     )
-    of_images, of_points = outstanding(images, of_images, _IMAGES), outstanding(points, of_points, _POINTS)
+    of_images, of_points = outstanding(images, measures, _IMAGES), outstanding(points, rays, _POINTS)
     if redescending:
         of_images, of_points = np.zeros_like(of_images), np.zeros_like(of_points)
     return _first_of(network, Quantity.RISE, (images, of_images), (points, of_points))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -60,9 +61,10 @@ class FactorEquations:
     """Normal equations of GTSAM's factors, eliminated by GTSAM (`batch.LinearSystem`); scales by key."""
 
     kept = False
+    gradient: Any
 
     def __init__(self, linear: gtsam.GaussianFactorGraph, scales: Mapping[int, Array]) -> None:
-        self._linear, self._scales = linear, scales
+        self._linear, self._scales, self.gradient = linear, scales, linear.gradientAtZero()
         self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
 
     def step(self, damping: float) -> gtsam.VectorValues | None:
@@ -78,11 +80,6 @@ class FactorEquations:
             if is_indeterminate(error):
                 return None
             raise
-
-    @property
-    def gradient(self) -> gtsam.VectorValues:
-        """Of the cost, by key."""
-        return self._linear.gradientAtZero()
 
     def slope(self, step: gtsam.VectorValues) -> float:
         """Minus gradient times step."""

@@ -142,10 +142,11 @@ def settled(
         cost = problem.cost(state, GRADIENT)
         if not math.isfinite(cost):
             break
-        before, shorter = linear.gradient, plain
+        before, longer = linear.gradient, plain
         linear = problem.linear(state, matrix)
         plain = linear.step(LEAST_DAMPING)
-        pairs = [*pairs, _Pair(step, linear.gradient - before, shorter - plain)][-_DEPTH:]
+        if plain is not None:
+            pairs = [*pairs, _Pair(step, linear.gradient - before, longer - plain)][-_DEPTH:]
     message = "Stopped: near the optimum steps do not become short enough; look for blunders (reject)."
     return replace(found, converged=False, message=message, history=tuple(history))
 

@@ -1,6 +1,7 @@
 """Squares of the whitened residuals of all rows that take part, group by group: which points and images they are of."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import CAUCHY, HUBER, NO_LOSS, OUT, PRIOR, TUKEY, Model, Rows
 
-_LOSSES = {HUBER: huber, CAUCHY: cauchy, TUKEY: tukey}
+_LOSSES: dict[int, Callable[..., Any]] = {HUBER: huber, CAUCHY: cauchy, TUKEY: tukey}
 
 
 class Squares(NamedTuple):
@@ -33,7 +34,8 @@ class Squares(NamedTuple):
         """(m,) what each adds to the cost."""
         if not self.robust or model.loss == NO_LOSS:
             return 0.5 * self.values
-        return np.asarray(_LOSSES[model.loss](self.values, model.width)[0])
+        cost, _ = _LOSSES[model.loss](self.values, model.width)
+        return np.asarray(cost)
 
 
 def squares_of(

@@ -116,14 +116,14 @@ def _elements(lists: pa.Array) -> tuple[pa.Array, Index]:
     flat = lists.flatten()
     if lists.null_count or flat.null_count:
         raise _Doubtful
-    return flat, np.repeat(np.arange(len(lists)), np.from_dlpack(pc.list_value_length(lists)))
+    return flat, np.repeat(np.arange(len(lists)), np.from_dlpack(pc.list_value_length(lists)).astype(np.int64))
 
 
 def _numbers(column: pa.Array) -> Array:
     """Numbers (n,), all of which are there."""
     if column.null_count:
         raise _Doubtful
-    values = np.from_dlpack(column)
+    values: Array = np.from_dlpack(column).astype(np.float64, copy=False)
     if not np.all(np.abs(values) < _LARGEST) or np.any(np.signbit(values) & (values == 0.0)):
         raise _Doubtful  # a whole -0 is 0 to Python
     return values

@@ -140,7 +140,7 @@ def _before(numbers: Index, first: Index) -> Index:
     """(s,) sum of the numbers of a pattern's observations before each."""
     ends = np.cumsum(numbers)
     starts = np.concatenate([[0], ends])[first[:-1]]
-    return ends - numbers - np.repeat(starts, np.diff(first))
+    return np.asarray(ends - numbers - np.repeat(starts, np.diff(first)))
 
 
 def _entries(rows: Rows, groups: Groups, target: NormalBlocks, owner: Index) -> Short:
