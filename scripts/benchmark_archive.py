@@ -75,7 +75,8 @@ class Run:
     processor: float
     """s, of all processes."""
     memory: float
-    """bytes of memory of its own that all processes had at a time, at most: mapped files don't count."""
+    """bytes of memory of its own that all processes had at a time, at most: mapped files don't count, and what forks share
+    counts once."""
     images: int
     points: int
     measures: int
@@ -101,12 +102,12 @@ def _processes(first: int) -> list[int]:
 
 
 def _own_memory(process: int) -> float:
-    """Bytes of memory of its own that a process has."""
+    """Bytes of memory of its own that a process has; what it shares with forks of it is shared out among them."""
     try:
-        text = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
+        text = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii", errors="replace")
     except OSError:
         return 0.0
-    found = re.search(r"RssAnon:\s+(\d+) kB", text)
+    found = re.search(r"Pss_Anon:\s+(\d+) kB", text)
     return 1024.0 * float(found[1]) if found else 0.0
 
 

@@ -17,10 +17,11 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.figures import registration_discrepancy, registration_offsets, write_figures
 from mgsgraph.figures.content import centre_of, east_north, image_residuals
-from mgsgraph.figures.ground_map import tie_sigmas
-from mgsgraph.figures.orientation import components, coupling
-from mgsgraph.figures.registration import MOST_SHOTS, magnification
-from mgsgraph.figures.sheet import MOST_MARKS
+from mgsgraph.figures.ground_map import map_sheet, tie_sigmas
+from mgsgraph.figures.orientation import components, coupling, orientation_sheets
+from mgsgraph.figures.registration import MOST_SHOTS, magnification, registration_sheets
+from mgsgraph.figures.residuals import residual_sheets
+from mgsgraph.figures.sheet import MOST_MARKS, encoded
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.simulation.files import write_pair
@@ -50,13 +51,15 @@ def kinds(names: list[str]) -> set[str]:
     return {Path(name).stem.rstrip("_0123456789") for name in names}
 
 
-def require_files(folder: Path, names: list[str], pixels: bool = False) -> None:
-    """Every PNG but an overview has its SVG, SVGs (and PNGs, if there are `pixels`) are whole, and that is all."""
+def require_files(folder: Path, names: list[str], pixels: bool = False, large: bool = False) -> None:
+    """Every PNG but an overview, and those of a `large` block, has its SVG, SVGs (and PNGs, if there are `pixels`) are
+    whole, and that is all.
+    """
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
     for name in names:
         data = (folder / name).read_bytes()
         if name.endswith(".png"):
-            assert (name.replace(".png", ".svg") in names) != name.startswith("overview_")
+            assert (name.replace(".png", ".svg") in names) != (large or name.startswith("overview_"))
             if pixels:
                 assert len(data) > 10_000
                 assert data[:8] == b"\x89PNG\r\n\x1a\n"
@@ -332,14 +335,16 @@ def repeated(solution: Solution, images: int, copies: int) -> Solution:
 
 @pytest.mark.usefixtures("light_figures")
 def test_a_large_block_has_overviews_and_few_sheets_which_say_so(solution: Solution, tmp_path: Path) -> None:
-    names = write_figures(repeated(solution, 40, 1), tmp_path)
-    require_files(tmp_path, names)
+    block = repeated(solution, 40, 1)
+    names = write_figures(block, tmp_path)
+    require_files(tmp_path, names, large=True)
     assert {"overview_residuals.png", "overview_orientation.png"} <= set(names)
-    for kind in ("residuals", "orientation", "registration"):
+    drawn = {"residuals": residual_sheets, "orientation": orientation_sheets, "registration": registration_sheets}
+    for kind, made in drawn.items():
         sheets = [name for name in names if name.startswith(kind) and name.endswith(".png")]
         assert sheets == [f"{kind}_{k + 1}.png" for k in range(2)]
-        assert "of 40 images the" in (tmp_path / f"{kind}_1.svg").read_text()
-    assert "outlines of 40 images" in (tmp_path / "map.svg").read_text()
+        assert all("of 40 images the" in one.caption for one in made(block) if not one.name.startswith("overview_"))
+    assert b"outlines of 40 images" in encoded(map_sheet(block), "svg")
 
 
 @pytest.mark.usefixtures("light_figures")
