@@ -143,3 +143,6 @@ class Unsolvable(SolverError):
     def __init__(self, message: str, state: object) -> None:
         super().__init__(message)
         self.state = state
+
+    def __reduce__(self) -> tuple[type, tuple[str, object]]:
+        return type(self), (str(self), self.state)

@@ -201,7 +201,10 @@ class _Rows:
         if np.all((content >= _FIRST) & (content <= _LAST)):
             names = Names(content.ravel(), np.arange(len(content) + 1) * column.size)
             return Names.of(pc.utf8_trim(names.arrow, ' "'))
-        return Names.of([row.tobytes().rstrip(b"\0").decode("latin-1").strip(' "') for row in content])
+        last = column.start + column.size == self._rows.dtype.itemsize  # zeros that fill up a row are nothing
+        found = (row.tobytes() for row in content)
+        texts = (row.rstrip(b"\0") if last else row for row in found)
+        return Names.of([text.decode("latin-1").strip(' "') for text in texts])
 
     def _values(self, column: Column | None) -> Array:
         """Of a column, in m, rad or s."""

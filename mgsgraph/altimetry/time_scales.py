@@ -60,7 +60,8 @@ def _in_columns(texts: pa.Array) -> tuple[Array, Array] | None:
     written otherwise than to the second, or can't be read.
     """
     seconds = pc.utf8_slice_codeunits(texts, _TO_MINUTE)
-    if not pc.all(pc.match_substring_regex(seconds, r"^:\d\d(\.\d+)?Z?$")).as_py():
+    whole = r"^\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?Z?$"
+    if not pc.all(pc.match_substring_regex(texts, whole)).as_py():
         return None
     past = np.asarray(pc.utf8_rtrim(pc.utf8_slice_codeunits(seconds, 1), "Z").cast(pa.float64()))
     minutes = RepeatedNames.of(pc.utf8_slice_codeunits(texts, 0, _TO_MINUTE))

@@ -135,6 +135,7 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
             found = f"an earlier result that holds {other!r}, too, which would be lost"
             raise InputError(shown, found, remedy="move that away, or choose another --out")
         require_writable(target.parent)
+        require_writable(target)  # a folder that its owner has protected is not replaced
     except OSError as error:
         raise _refusal(shown, error) from None
 

@@ -1,8 +1,11 @@
 """Who goes over the points, and how a GPU's memory and its reduced equations are dealt with; none is needed here."""
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
+from types import ModuleType
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,7 +18,7 @@ from sharing import with_all_kinds
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.gpu import choice, devices
 from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
-from mgsgraph.adjustment.gpu.dense_cholesky import DenseCholesky
+from mgsgraph.adjustment.gpu.dense_cholesky import DenseCholesky, DenseLibraries
 from mgsgraph.adjustment.gpu.devices import Gpu
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, sparse_factor
@@ -26,6 +29,7 @@ from mgsgraph.errors import InputError
 pytest.importorskip("numba_cuda", reason="numba-cuda is not installed (the extra `cuda`)")
 LAYOUT = lay_out(with_shift_and_surface(network(pair())), SolverSettings())
 SMALL = Gpu("a picture card", 4e9, 32)
+NUMPY = DenseLibraries(np, scipy.linalg, nullcontext)
 
 
 def test_the_cpu_unless_it_is_said() -> None:
@@ -49,6 +53,14 @@ def test_auto_goes_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(choice, "_WORTHWHILE", 10)
     monkeypatch.setattr(devices, "find_spec", lambda name: None)
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
+
+
+def test_auto_goes_without_a_gpu_of_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
+    monkeypatch.setattr(choice, "find_gpu", lambda: Gpu("a device", 1e3, 2))
+    assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
+    with pytest.raises(InputError, match="GB to use"):
+        sweeper_of(SolverSettings(device="cuda"), LAYOUT)
 
 
 def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +114,7 @@ def test_the_bytes_of_pieces_are_those_of_a_partition() -> None:
 def test_the_dense_factor_solves_the_sparse_ones_equations(damping: float) -> None:
     layout = lay_out(with_all_kinds(with_shift_and_surface(network(pair()))), SolverSettings())
     reduction = BundleGraph(layout).reduction(np.zeros(layout.columns))
-    dense = DenseCholesky(layout, np, scipy.linalg).factor(reduction.blocks, damping)
+    dense = DenseCholesky(layout, NUMPY).factor(reduction.blocks, damping)
     right = np.random.default_rng(1).standard_normal(layout.columns) / layout.scales
     expected = sparse_factor(layout, reduction, damping).solve(right)
     np.testing.assert_allclose(dense.solve(right) / layout.scales, expected / layout.scales, rtol=1e-7, atol=1e-10)
@@ -112,7 +124,29 @@ def test_a_matrix_that_is_not_definite_has_no_factor() -> None:
     reduction = BundleGraph(LAYOUT).reduction(np.zeros(LAYOUT.columns))
     assert reduction.blocks is not None
     with pytest.raises(NotDefinite):
-        DenseCholesky(LAYOUT, np, scipy.linalg).factor(-1e6 * np.abs(reduction.blocks), 0.0)
+        DenseCholesky(LAYOUT, NUMPY).factor(-1e6 * np.abs(reduction.blocks), 0.0)
+
+
+def test_a_library_that_says_nothing_of_such_a_matrix_is_seen_through() -> None:
+    """As cuSOLVER behind CuPy: LAPACK stops at the first minor that is not positive, the rest is left as it was."""
+
+    class Silent:
+        """NumPy whose factor is LAPACK's, whatever LAPACK says."""
+
+        class linalg:
+            @staticmethod
+            def cholesky(matrix: np.ndarray) -> np.ndarray:
+                return np.tril(scipy.linalg.lapack.dpotrf(matrix, lower=True)[0])
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(np, name)
+
+    reduction = BundleGraph(LAYOUT).reduction(np.zeros(LAYOUT.columns))
+    assert reduction.blocks is not None
+    silent = DenseLibraries(cast(ModuleType, Silent()), scipy.linalg, nullcontext)
+    DenseCholesky(LAYOUT, silent).factor(reduction.blocks, 0.3)
+    with pytest.raises(NotDefinite):
+        DenseCholesky(LAYOUT, silent).factor(-1e6 * np.abs(reduction.blocks), 0.0)
 
 
 @pytest.mark.parametrize("whole", [False, True])

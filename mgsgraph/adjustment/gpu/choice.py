@@ -42,9 +42,9 @@ def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
         return IN_PROCESS
     try:
         gpu = find_gpu()
-    except InputError:
+        return IN_PROCESS if gpu.remark else _by_gpu(gpu, settings, layout)
+    except InputError:  # there is none, or it has too little memory
         return IN_PROCESS
-    return IN_PROCESS if gpu.remark else _by_gpu(gpu, settings, layout)
 
 
 def _by_gpu(gpu: Gpu, settings: SolverSettings, layout: Layout) -> Sweeper:

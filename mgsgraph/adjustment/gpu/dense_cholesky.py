@@ -4,9 +4,12 @@ Up to some thousand columns a GPU factors the whole matrix faster than the host 
 and the blocks needn't leave the device.
 """
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from importlib.util import find_spec
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,22 +20,38 @@ from mgsgraph.kernel.cuda.device import SIMULATED
 
 MOST_COLUMNS = 8000
 """A matrix of 0.5 GB."""
+_COPIES = 6
+"""Matrix, factor, what is gathered, and where its numbers come from, go to, and their units."""
 
 
-def dense_libraries() -> tuple[ModuleType, ModuleType] | None:
-    """Where a device's numbers are, and their linear algebra: CuPy's, or NumPy's and SciPy's where numba's simulator
-    stands in for the device; None where CuPy isn't installed.
-    """
+class DenseLibraries(NamedTuple):
+    """Where a device's numbers are."""
+
+    arrays: ModuleType
+    """NumPy, or CuPy."""
+    algebra: ModuleType
+    """scipy.linalg, or cupyx.scipy.linalg."""
+    raising: Callable[[], AbstractContextManager[Any]]
+    """In which linear algebra raises LinAlgError of a matrix that is not definite: CuPy is silent by default."""
+
+
+def dense_libraries() -> DenseLibraries | None:
+    """CuPy, or NumPy and SciPy where numba's simulator stands in for the device; None where CuPy isn't installed."""
     if SIMULATED:
         import scipy.linalg
 
-        return np, scipy.linalg
+        return DenseLibraries(np, scipy.linalg, nullcontext)
     if find_spec("cupy") is None:
         return None
     import cupy
     import cupyx.scipy.linalg
 
-    return cupy, cupyx.scipy.linalg
+    return DenseLibraries(cupy, cupyx.scipy.linalg, partial(cupyx.errstate, linalg="raise"))
+
+
+def dense_bytes(columns: int) -> float:
+    """Bytes that the elimination of so many columns takes on the device; none of more than `MOST_COLUMNS`."""
+    return 8.0 * _COPIES * columns**2 if columns <= MOST_COLUMNS else 0.0
 
 
 class DenseCholesky:
@@ -41,12 +60,12 @@ class DenseCholesky:
     Parameters
     ----------
     layout : Layout
-    arrays, algebra : module
-        NumPy and scipy.linalg, or CuPy and cupyx.scipy.linalg: where the numbers are.
+    libraries : DenseLibraries
     """
 
-    def __init__(self, layout: Layout, arrays: ModuleType, algebra: ModuleType) -> None:
-        self._arrays, self._algebra, self._layout = arrays, algebra, layout
+    def __init__(self, layout: Layout, libraries: DenseLibraries) -> None:
+        self._arrays, self._algebra, self._raising = libraries
+        arrays, self._layout = libraries.arrays, layout
         row, column, place = _places(layout)
         self._from, self._to = arrays.asarray(place), arrays.asarray(column * layout.columns + row)
         self._units = arrays.asarray(layout.scales[row] * layout.scales[column])
@@ -66,10 +85,11 @@ class DenseCholesky:
         every = arrays.arange(columns) * (columns + 1)
         matrix[every] += self._weights * self._scales**2 + damping
         try:
-            lower = arrays.linalg.cholesky(matrix.reshape(columns, columns))
-        except np.linalg.LinAlgError as error:  # CuPy's, too
+            with self._raising():
+                lower = arrays.linalg.cholesky(matrix.reshape(columns, columns))
+        except np.linalg.LinAlgError as error:
             raise NotDefinite from error
-        if not bool(arrays.isfinite(lower.diagonal()).all()):
+        if not bool((arrays.isfinite(lower.diagonal()) & (lower.diagonal() > 0.0)).all()):
             raise NotDefinite
         return DenseFactor(lower, self._scales, arrays, self._algebra)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky, dense_libraries
+from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky, dense_bytes, dense_libraries
 from mgsgraph.adjustment.gpu.devices import WHERE, Gpu
 from mgsgraph.adjustment.graph.bundle import Solving, sparse_factor
 from mgsgraph.adjustment.graph.following import about_followed_lines
@@ -106,7 +106,7 @@ class GpuSweeper:
         self._layout, self._rows, self._dense = layout, layout.rows, None
         for part in self._parts:
             part.let_go()
-        edges, self._held = divided(layout.rows, _SHARE * self._gpu.memory)
+        edges, self._held = divided(layout.rows, _SHARE * (self._gpu.memory - dense_bytes(layout.columns)))
         common = layout.groups, layout.blocks.target, layout.model, self._deterministic
         self._parts = [Partition(partition(layout.rows, first, last), *common) for first, last in pairwise(edges)]
         self._pieces = edges
@@ -194,7 +194,7 @@ class GpuSweeper:
         if layout.columns > MOST_COLUMNS or libraries is None or not isinstance(reduction, GpuReduction):
             return sparse_factor(layout, reduction, damping)
         if self._dense is None:
-            self._dense = DenseCholesky(layout, *libraries)
+            self._dense = DenseCholesky(layout, libraries)
         return self._dense.factor(reduction.blocks_on_device, damping)
 
 

@@ -68,10 +68,16 @@ def kernel(function: Function) -> Any:
 
 def why_not() -> str:
     """Why there is no device; empty where there is one, or the simulator stands in for it."""
-    if SIMULATED or cuda.is_available():
+    if SIMULATED:
         return ""
-    said = " ".join(str(cuda.cuda_error() or "").split())
-    return f"there is no GPU ({said})" if said else "there is no GPU"
+    if not cuda.is_available():
+        said = " ".join(str(cuda.cuda_error() or "").split())
+        return f"there is no GPU ({said})" if said else "there is no GPU"
+    try:
+        cuda.current_context()
+    except Exception as error:  # whatever a driver says of a GPU that is another's alone, or full
+        return f"the GPU can't be used ({' '.join(str(error).split())})"
+    return ""
 
 
 def describe() -> tuple[str, float, int]:

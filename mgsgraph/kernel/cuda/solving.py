@@ -126,8 +126,8 @@ def solve(tables, model, data, weight, kind, x, begin, start, move, points, stat
     """Solve all points of a partition from `begin` (n, 3), or from `start` (n, 3) where the loss or the point wants it.
 
     `points` (n, 3), states (n,) and costs (n,) are where they end, the cost infinite behind a camera; `left`
-    (NUMBERS, n) is what a solve leaves. Unless `move` the points stay at `begin`, and states, costs and `points` as
-    they are.
+    (NUMBERS, n) is what a solve leaves. Unless `move` the points stay at `begin`; states are those there, costs and
+    `points` stay as they are.
     """
     p = cuda.grid(1)
     if p >= kind.size:
