@@ -75,8 +75,8 @@ class Run:
     processor: float
     """s, of all processes."""
     memory: float
-    """bytes of memory of its own that all processes had at a time, at most: mapped files don't count, and what forks share
-    counts once."""
+    """bytes of memory of its own that all processes had at a time, at most: mapped files don't count, and what forks
+    share counts once."""
     images: int
     points: int
     measures: int
