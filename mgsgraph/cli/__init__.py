@@ -19,6 +19,7 @@ _VERBS = {
     "adjust": ("cases", "Adjust a case: orientation, ground points and their sigmas."),
     "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak."),
     "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
+    "compare": ("questions", "Say how two solutions differ: settings, input, what moved by how many sigmas."),
     "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),
     "coregister": ("cases", "Move laser, terrain models and images onto each other by relief, in the adjustment."),
     "campaign": ("cases", "Adjust many cases, here or on a cluster, with a record of what is done."),

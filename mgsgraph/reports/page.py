@@ -15,8 +15,8 @@ from mgsgraph.network import PointClass
 from mgsgraph.output.page import page_of, write_page
 from mgsgraph.output.table import NONE
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.reports.comparison import compare
 from mgsgraph.reports.likelihood import linearity_figure
-from mgsgraph.reports.page_comparison import compare
 from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
 from mgsgraph.reports.soundness import state_of
 from mgsgraph.reports.summary import statements

@@ -29,8 +29,8 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.output.table import NONE, Table, fixed
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.reports import page_tables as report_tables
+from mgsgraph.reports.comparison import compare, orientation_difference
 from mgsgraph.reports.page import write_report
-from mgsgraph.reports.page_comparison import compare, orientation_difference
 from mgsgraph.reports.page_tables import tables
 from mgsgraph.simulation.files import write_pair
 
