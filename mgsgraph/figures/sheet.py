@@ -177,7 +177,7 @@ def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> byte
         mpl.rcParams["svg.fonttype"] = "none"
         canvas.print_svg(file, **options)  # type: ignore[union-attr]  # of this kind it is
         return _cut_svg(file.getvalue().decode(), sheet).encode()
-    canvas.draw()
+    canvas.draw()  # type: ignore[no-untyped-call]
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")  # type: ignore[union-attr]
     rows = round(sheet.above * _DPI), picture.height - round(sheet.below * _DPI)
     picture.crop((0, rows[0], picture.width, rows[1])).save(file, "jpeg" if kind == "jpg" else kind, **options)
