@@ -20,6 +20,7 @@ _NEIGHBOURS = 5
 """Points whose heights count."""
 _ROUNDS = 3
 """Of the intersection with ground that is known beneath the place alone."""
+_ELLIPSOID = "on the ellipsoid: neither a terrain model nor a point with a place"
 _AROUND = 16
 """Posts beyond the images that are kept of a terrain model."""
 
@@ -91,7 +92,7 @@ class GroundModel:
     def _near_points(self, image: int, line: float, sample: float) -> Ground:
         picture, correction = self._block.images[image], self._block.corrections[image]
         where = np.array([line]), np.array([sample])
-        height, sigma, words = self._middle, np.nan, "on the ellipsoid: neither a terrain model nor a point with a place"
+        height, sigma, words = self._middle, np.nan, _ELLIPSOID
         rounds = _ROUNDS if self._tree is not None else 0
         for _ in range(rounds):
             point, _ = picture.image_to_ground(*where, height, correction)

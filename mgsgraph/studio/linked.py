@@ -105,8 +105,8 @@ class LinkedImages:
         size = np.array([picture.lines, picture.samples])
         place = np.array([line, sample])
         if not (np.all(np.isfinite(place)) and np.all(np.abs(place / size - 0.5) <= 1.0)):
-            found = f"line {line:g}, sample {sample:g}"
-            raise InputError(f"image {image}", found, f"a place in its {picture.lines} lines x {picture.samples} samples")
+            inside = f"a place in its {picture.lines} x {picture.samples} pixels"
+            raise InputError(f"image {image}", f"line {line:g}, sample {sample:g}", inside)
         ground = self.ground.under(number, line, sample)
         kept = {self.block.number(name) for name in wanted} - {number}
         others = [j for j in self._about(ground.point) if j != number]

@@ -87,7 +87,7 @@ class Pyramid:
 
     @property
     def size(self) -> int:
-        """bytes in memory."""
+        """Of these, in bytes."""
         return sum(one.nbytes for one in self.kept)
 
     def shape(self, level: int) -> tuple[int, int]:
