@@ -185,6 +185,7 @@ def ground_record(found: Ground, others: list[Prediction], block: Block) -> dict
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
         "height_m": found.height, "height_sigma_m": found.height_sigma if np.isfinite(found.height_sigma) else None,
         "surface": found.surface, "point_m": found.point.tolist(),
+        "spacing_m": np.linalg.norm(found.slopes, axis=0).tolist(),
         "others": {block.images[one.image].name: _prediction_record(one) for one in others},
         "sigmas": "posterior" if block.adjusted else "a-priori", "probability": PROBABILITY,
     }  # fmt: skip

@@ -91,8 +91,8 @@ def _known(values: Array) -> Any:
 
 
 def relief_record(folder: Path, radius: float) -> dict[str, Any] | None:
-    """Cost surfaces, profiles and sentences of a registration by relief; None where the folder has none. Distances along
-    the tracks are those on a sphere of a radius (m).
+    """Cost surfaces, profiles and sentences of a registration by relief; None where the folder has none. Distances
+    along the tracks are those on a sphere of a radius (m).
 
     Raises
     ------
