@@ -1,0 +1,127 @@
+"""What the studio's images are drawn from: images as they are believed to lie, points, and what is known of both.
+
+One record for a solution, for a project between two batch adjustments, and for a case that nobody has adjusted yet.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.posterior import prior_covariance
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network import Network
+
+_Joint = Callable[[], JointCovariance | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Images, points and their covariances, in one state."""
+
+    network: Network
+    """Who sees what."""
+    settings: SolverSettings
+    """How orientation is counted."""
+    values: Sequence[Array] | None
+    """Of all variables, as `Solution.values`; None before any adjustment."""
+    images: tuple[PushbroomImage, ...]
+    """With adjusted interior orientation, where that is adjusted."""
+    corrections: tuple[OrientationCorrection | None, ...]
+    """Of their nominal orientation; None for none."""
+    places: Array
+    """(n, 3) m, of the points, as adjusted, else a-priori; NaN where unknown."""
+    covariances: Array | None
+    """(n, 3, 3) m^2, of these, for sigma0 = 1; None before any adjustment."""
+    used: Mask
+    """(k,) rays that take part."""
+    joint_of: _Joint
+    """Gives the covariance of the shared unknowns; None where of some nothing is known."""
+    terrain: TerrainGrid | None = None
+    """Radii of the ground; None where no terrain model is at hand."""
+
+    @classmethod
+    def of_solution(cls, solution: Solution, terrain: TerrainGrid | None = None) -> "Block":
+        """An adjusted block; the terrain model is the solution's own where none is given."""
+        network, each = solution.network, range(len(solution.network.images))
+        own = None if network.surface is None else network.surface.grid
+        return cls(
+            network, solution.settings, solution.values, tuple(map(solution.image, each)),
+            tuple(map(solution.correction, each)), solution.places, solution.covariances, solution.rays_used,
+            lambda: solution.joint_covariance, terrain or own,
+        )  # fmt: skip
+
+    @classmethod
+    def of_posterior(
+        cls, posterior: Posterior, places: Array, covariances: Array | None, used: Mask,
+        terrain: TerrainGrid | None = None,
+    ) -> "Block":  # fmt: skip
+        """A project as its last change left it; places (n, 3) m, covariances (n, 3, 3) m^2 and used rays (k,)."""
+        found, network = posterior.linearised, posterior.network
+        each, own = range(len(network.images)), None if network.surface is None else network.surface.grid
+        return cls(
+            network, found.settings, found.values, tuple(map(posterior.image, each)),
+            tuple(map(posterior.correction, each)), places, covariances, used, lambda: found.joint, terrain or own,
+        )  # fmt: skip
+
+    @classmethod
+    def of_network(cls, network: Network, settings: SolverSettings, terrain: TerrainGrid | None = None) -> "Block":
+        """A block that has not been adjusted: nominal orientation, a-priori places and sigmas."""
+
+        def prior() -> JointCovariance | None:
+            try:
+                return prior_covariance(lay_out(network, settings))
+            except MgsgraphError:  # what can't be laid out has no covariance; its adjustment will say why
+                return None
+
+        own = None if network.surface is None else network.surface.grid
+        used = ~network.rays.rejected if network.rays.rejected is not None else np.ones(network.rays.point.size, bool)
+        return cls(
+            network, settings, None, network.images, (None,) * len(network.images), network.points.places, None, used,
+            prior, terrain or own,
+        )  # fmt: skip
+
+    @property
+    def adjusted(self) -> bool:
+        """Whether it has been adjusted."""
+        return self.values is not None
+
+    @cached_property
+    def joint(self) -> JointCovariance | None:
+        """Covariance of the shared unknowns, a-priori before any adjustment; None where of some nothing is known."""
+        return self.joint_of()
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Number of each image by its name."""
+        return {image.name: j for j, image in enumerate(self.images)}
+
+    def number(self, image: str) -> int:
+        """Number of an image by its name; InputError where there is none."""
+        if image not in self.numbers:
+            raise InputError(f"image {image}", "not in this block", f"one of its {len(self.images)} images")
+        return self.numbers[image]
+
+    @cached_property
+    def rays_by_image(self) -> list[Index]:
+        """Of each image its rays."""
+        order = np.argsort(self.network.rays.image, kind="stable")
+        counts = np.bincount(self.network.rays.image, minlength=len(self.images))
+        return np.split(order, np.cumsum(counts)[:-1])
+
+    def terrain_motion(self, places: Array) -> Array:
+        """(n, 3) m by which the adjustment has moved the terrain model at places (n, 3) in m."""
+        surface, network = self.network.surface, self.network
+        if surface is None or self.values is None or not network.terrain_moves or self.terrain is not surface.grid:
+            return np.zeros_like(places)
+        return surface.moved(places, self.values[len(network.images) + len(network.shift_names) - 1])
