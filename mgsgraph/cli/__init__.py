@@ -41,6 +41,7 @@ _VERBS = {
     "shots": ("shots", "Find the laser profiles over images, and those taken along with them."),
     "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
     "solve": ("projects", "Adjust everything in a project by batch, and compare."),
+    "studio": ("studio", "Look at a project, results or a case in the browser, measure and ask."),
     "status": ("projects", "Say what is in a project and what its last solution was."),
 }
 """Module of each verb, and its line of help: known before that module is imported."""

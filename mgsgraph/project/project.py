@@ -196,6 +196,10 @@ class Project:
         )
         return dict(rows.fetchall())
 
+    def pictures(self) -> dict[str, str | None]:
+        """File of each image's pixels, where it was then; None where it isn't known."""
+        return dict(self._connection.execute("SELECT name, picture FROM image ORDER BY id").fetchall())
+
     def add_networks(self, files: Iterable[Path]) -> None:
         """Remember files of tie points."""
         names = dict.fromkeys([*map(str, self.networks), *(str(file.resolve()) for file in files)])

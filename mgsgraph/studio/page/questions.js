@@ -1,0 +1,1 @@
+export function panel(app, element) { element.textContent = 'Select a point on the map.'; return {}; }
