@@ -77,7 +77,7 @@ def results_of(path: Path) -> Results:
 
 def _since(project: Project, number: int) -> str:
     """What images and measures the project has taken in or out after a change of its."""
-    later = [change for change in project.changes() if change.number > number and change.verb in ("add", "remove")]
+    later = [change for change in project.changes() if change.number > number and change.verb in ("add", "remove", "edit")]
     if not later:
         return ""
     said = ", ".join(f"{change.verb} {change.what}" for change in later)

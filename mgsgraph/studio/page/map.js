@@ -47,7 +47,9 @@ export class MapPanel {
     this.image.addEventListener('change', () => this.ask());
     this.factor = make('input', {type: 'number', min: 0.01, step: 'any', value: 0, title: 'Enlargement of vectors and ellipses; 0: by itself'});
     this.factor.addEventListener('input', () => this.render());
-    tools.append(this.classBox, layers, make('label', {}, 'Image ', this.image), make('label', {}, 'Vectors × (0: automatic) ', this.factor));
+    const drawn = make('details', {open: window.innerWidth >= 1000}, make('summary', {textContent: 'What is drawn'}),
+      make('div', {className: 'tools'}, this.classBox, layers, make('label', {}, 'Residuals of ', this.image),
+        make('label', {}, 'Vectors × (0: automatic) ', this.factor)));
     const button = (words, title, act) => {
       const one = make('button', {type: 'button', textContent: words, title});
       one.addEventListener('click', act);
@@ -73,7 +75,7 @@ export class MapPanel {
     this.names = make('ul', {className: 'names'});
     this.names.setAttribute('aria-label', 'Selected points');
     this.impact = make('div');
-    const side = make('div', {className: 'map-side'}, this.legend, this.where, this.words, this.impact, this.found, this.names);
+    const side = make('div', {className: 'map-side'}, this.legend, drawn, this.where, this.words, this.impact, this.found, this.names);
     this.element.replaceChildren(tools, make('div', {className: 'map'}, make('div', {className: 'map-view'}, this.canvas), side));
     this.hear();
   }
@@ -397,10 +399,10 @@ export class MapPanel {
     context.stroke();
     if (!few) return;
     context.fillStyle = ink;
-    for (const {name, footprint_m: outline} of this.app.scene.images) {
+    for (const [k, {name, footprint_m: outline}] of this.app.scene.images.entries()) {
       const top = outline.reduce((best, one) => (one[1] > best[1] ? one : best), [0, -Infinity]);
       if (outline.length && x(top[0]) > 0 && x(top[0]) < width && y(top[1]) > 0 && y(top[1]) < height)
-        context.fillText(name, x(top[0]) + 4, y(top[1]) - 4);
+        context.fillText(name, x(top[0]) + 4, y(top[1]) - 4 - 14 * (k % 3));
     }
   }
 
