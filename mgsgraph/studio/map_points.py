@@ -59,8 +59,13 @@ class MapPoints:
         n = len(self.classes)
         if self.block.covariances is None:
             return np.full((n, 3, 3), np.nan)
-        frames = east_north_up(np.where(np.isfinite(self.block.places), self.block.places, 1.0))
+        frames = self.frames()
         return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
+
+    def frames(self, mine: Index | None = None) -> Array:
+        """(n, 3, 3) rows east, north and up at the points, or at some (m,) of them."""
+        places = self.block.places if mine is None else self.block.places[mine]
+        return east_north_up(np.where(np.isfinite(places), places, 1.0))
 
     @cached_property
     def moved(self) -> Array:
@@ -68,8 +73,7 @@ class MapPoints:
         before = self.opened.before
         if before is None:
             before = self.block.network.points.places
-        frames = east_north_up(np.where(np.isfinite(self.block.places), self.block.places, 1.0))
-        return np.asarray(np.einsum("nij,nj->ni", frames, self.block.places - before))
+        return np.asarray(np.einsum("nij,nj->ni", self.frames(), self.block.places - before))
 
     def value(self, name: str) -> Array:
         """(n,) what points are coloured by, one of `VALUES`; NaN where nothing is known."""

@@ -1,7 +1,8 @@
 """What is open in the studio: a project, results or a case, as it stands now; a change of a project makes it anew."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
@@ -172,6 +173,12 @@ class Opened:
 
     # --- changes
 
+    def places_of(self, names: Sequence[str]) -> Array:
+        """(n, 3) m, places of some of a project's points as its last change left them, without all others."""
+        with self._lock, open_project(self.path) as project:
+            settings = replace(project.settings.solver.settings, form="bundle")
+            return IncrementalAdjustment(settings, project.store).points(names)[1]
+
     def change(self, act: Callable[[Project], _Found]) -> _Found:
         """Change the project, in one transaction.
 
@@ -267,7 +274,7 @@ def _project(path: Path, case: Path | None) -> _Now:
 def _between(project: Project, settings: SolverSettings) -> tuple[Array, Array, Array]:
     """Places (n, 3) in m, covariances (n, 3, 3) in m^2 and used rays (k,) of a project as its last change left it."""
     with errors_from(str(project.folder)):
-        adjustment = IncrementalAdjustment(settings, project.store)
+        adjustment = IncrementalAdjustment(replace(settings, form="bundle"), project.store)
         network: Network = adjustment.network
         names, places, covariances = adjustment.points()
     order = network.points.ids.find(names)

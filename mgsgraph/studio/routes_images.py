@@ -107,9 +107,9 @@ def number_of(request: Request, key: str, default: float | None = None) -> float
     return value
 
 
-def routes(scene: Pictured) -> list[Route]:
+def routes(views: Views) -> list[Route]:
     """Addresses of images and of the registration, for the server's list."""
-    views = Views(scene)
+    scene = views.scene
 
     def tile(request: Request) -> Response:
         at = request.path_params

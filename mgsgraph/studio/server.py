@@ -24,7 +24,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from mgsgraph.errors import InputError, MgsgraphError
-from mgsgraph.studio import routes_images, routes_map
+from mgsgraph.studio import routes_images, routes_map, routes_points
+from mgsgraph.studio.changes import EditLock
 from mgsgraph.studio.opened import Opened
 
 PAGE = Path(__file__).parent / "page"
@@ -61,8 +62,10 @@ def application(opened: Opened, token: str, port: int) -> Starlette:
     def memory(_: Request, found: Exception) -> Response:
         return JSONResponse({"error": "out of memory; close other programs, or show a part of the block"}, 503)
 
+    views = routes_images.Views(opened)
     routes: list[Route | Mount] = [
-        Route("/", index), *routes_map.routes(opened), *routes_images.routes(opened),
+        Route("/", index), *routes_map.routes(opened), *routes_points.routes(opened, views, EditLock()),
+        *routes_images.routes(views),
         Mount("/page", StaticFiles(directory=PAGE)),
     ]  # fmt: skip
     return Starlette(
