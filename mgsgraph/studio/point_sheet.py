@@ -23,8 +23,8 @@ from mgsgraph.studio.opened import Opened
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
-_NEIGHBOURS = 12
-"""Nearest points whose correlation with the point is asked."""
+_NEIGHBOURS, _SHOWN = 40, 12
+"""Nearest points of its class whose correlation with the point is found, and how many of them are shown."""
 _MOST_MEASURES = 400_000
 """Observations up to which all redundancies are found for the sheet."""
 _CHIP = 32
@@ -145,7 +145,8 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
     points, posterior = map_points(opened), opened.posterior()
     number = points.number(point)
     away = np.linalg.norm(points.plane - points.plane[number], axis=1)
-    order: Index = np.argsort(np.where(np.isfinite(away), away, np.inf), kind="stable")[: _NEIGHBOURS + 1]
+    alike = np.isfinite(away) & (points.classes == points.classes[number])
+    order: Index = np.argsort(np.where(alike, away, np.inf), kind="stable")[: min(_NEIGHBOURS + 1, alike.sum())]
     ids = points.block.network.points.ids
     names, quantities = list[str](), []
     for name in dict.fromkeys([point, *(ids[i] for i in order.tolist())]):
@@ -161,7 +162,7 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
     local = np.einsum("iab,ibjc,jdc->iajd", frames, joint, frames)
     spread = np.sqrt(np.maximum(np.einsum("iaia->ia", local), 1e-300))
     found = np.einsum("aja->ja", local[0] / (spread[0][:, None, None] * spread[None]))
-    rows = sorted(zip(names[1:], found[1:].tolist(), strict=True), key=lambda row: -max(abs(v) for v in row[1]))
+    rows = sorted(zip(names[1:], found[1:].tolist(), strict=True), key=lambda row: -max(map(abs, row[1])))[:_SHOWN]
     return {"axes": ["east", "north", "up"], "rows": [{"name": name, "correlation": value} for name, value in rows],
             "distance_m": {name: float(away[points.number(name)]) for name, _ in rows}}  # fmt: skip
 

@@ -110,7 +110,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         return [{"text": one.text, "record": one.record} for one in answered(opened.posterior(), found)]
 
     def planned(_: Request) -> Response:
-        return JSONResponse(opened.once("next measures", lambda: next_measures(opened)))
+        return JSONResponse(opened.once("next measures", lambda: next_measures(opened, views.linked)))
 
     getting: list[tuple[str, Callable[[Request], Response]]] = [
         ("/api/state", state), ("/api/points/{name:path}/tests", tests),

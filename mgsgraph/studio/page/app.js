@@ -8,7 +8,8 @@ export class App extends EventTarget {
   }
 
   async open() {
-    this.scene = await this.request('/api/scene');
+    const [scene, state] = await Promise.all([this.request('/api/scene'), this.request('/api/state')]);
+    this.scene = Object.assign(scene, state);
     this.emit('opened');
   }
 

@@ -23,8 +23,8 @@ export class MapPanel {
     app.addEventListener('opened', () => this.open());
     app.addEventListener('changed', event => this.changed(event.detail));
     app.addEventListener('selected', () => this.selected());
-    app.addEventListener('candidates', event => { this.candidates = event.detail; this.draw(); });
-    app.addEventListener('shown', event => { if (event.detail === 'map') this.fit(); });
+    app.addEventListener('candidates', event => { this.candidates = event.detail; this.render(); });
+    app.addEventListener('shown', event => { if (event.detail === 'map') { this.fit(); this.ask(); } });
     if (app.scene) this.open();
   }
 
@@ -321,7 +321,7 @@ export class MapPanel {
 
   show() {
     const {canvas, view, drawn} = this;
-    if (!view) return;
+    if (!view || !canvas.clientWidth) return;
     const density = window.devicePixelRatio || 1, context = canvas.getContext('2d');
     const [w, h] = [canvas.clientWidth, canvas.clientHeight];
     context.setTransform(density, 0, 0, density, 0, 0);
