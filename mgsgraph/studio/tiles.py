@@ -280,8 +280,8 @@ class Tiles:
         path, lines, samples = self._pictures.get(image, (None, 0, 0))
         if path is None:
             raise InputError(
-                f"image {image}", "no file of its pixels is known", 'pixels = "FILE" in the case\'s [[images]]',
-                "add it, or give the case beside the results; its geometry is drawn without",
+                f"image {image}", "no file of its pixels is known, so that its geometry is drawn alone",
+                remedy='for its picture add pixels = "FILE" to its table in the case',
             )
         with self._lock:  # one file at a time: several would wait for the same disk and memory
             kept = self._pyramids.get(image)
