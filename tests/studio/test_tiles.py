@@ -99,7 +99,8 @@ def test_a_large_picture_is_read_by_window_and_looks_the_same(
     assert found.size < expected.size / 8
     for level in range(found.levels):
         np.testing.assert_array_equal(whole(found, level), whole(expected, level))
-    for level, lines, samples in ((0, (10.5, 400.2), (3.0, 699.9)), (3, (0.0, 900.0), (100.0, 300.0))):
+    windows = ((0, (10.5, 400.2), (3.0, 699.9)), (2, (0.0, 900.0), (100.0, 300.0)), (1, (3.0, 4.0), (5.0, 9.0)))
+    for level, lines, samples in windows:
         one, extent = found.window(level, lines, samples)
         other, _ = expected.window(level, lines, samples)
         np.testing.assert_array_equal(one, other)
@@ -163,7 +164,8 @@ def test_a_picture_of_another_size_is_refused(lines: int, samples: int, tmp_path
 
 
 def test_wrong_requests_are_one_line(tmp_path: Path) -> None:
-    shown = Tiles({"a": (tif(tmp_path / "a.tif", grey(50, 60)), 50, 60), "b": (None, 5, 5), "c": (tmp_path / "c", 5, 5)})
+    path = tif(tmp_path / "a.tif", grey(50, 60))
+    shown = Tiles({"a": (path, 50, 60), "b": (None, 5, 5), "c": (tmp_path / "c", 5, 5)})
     for at in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, 0, -1)):
         with pytest.raises(InputError, match="tile"):
             shown.tile("a", *at)
