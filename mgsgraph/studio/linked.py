@@ -99,7 +99,9 @@ class LinkedImages:
         Raises
         ------
         InputError
-            No such image; a place far outside it; a ray that goes by the body.
+            No such image; a place far outside it.
+        NoGround
+            A ray that goes by the body.
         """
         number = self.block.number(image)
         picture = self.block.images[number]

@@ -7,6 +7,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from mgsgraph.studio.ground import NoGround
 from mgsgraph.studio.linked import ground_record
 from mgsgraph.studio.registration import registration_record
 from mgsgraph.studio.routes_figures import routes as figures
@@ -28,7 +29,10 @@ def routes(scene: Pictured) -> list[Route]:
         wanted = [name for name in request.query_params.getlist("with") if name]
         linked = views.linked
         at = number_of(request, "line"), number_of(request, "sample")
-        found, others = linked.under(request.path_params["name"], *at, wanted=wanted)
+        try:
+            found, others = linked.under(request.path_params["name"], *at, wanted=wanted)
+        except NoGround as error:  # no mistake of anybody's: limbs are looked at, too
+            return JSONResponse({"sentence": str(error), "others": {}})
         record = ground_record(found, others, linked.block)
         record["map_m"] = np.asarray(scene.map_places(found.point[None]))[0].tolist()
         return JSONResponse(record)
