@@ -1,6 +1,8 @@
 """A small server with the addresses of images, and a page that has their panels alone, without the whole studio."""
 
 import threading
+import urllib.error
+import urllib.request
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -127,3 +129,48 @@ def textured(path: Path, lines: int, samples: int, seed: int) -> Path:
         with rasterio.open(path, "w", driver="GTiff", **size) as file:
             file.write(np.clip(pixels, 0, 255).astype(np.uint8), 1)
     return path
+
+
+def fetched(address: str, path: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, heads and content of an answer."""
+    try:
+        with urllib.request.urlopen(f"{address}{path}") as answer:
+            return answer.status, dict(answer.headers), answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, dict(error.headers), error.read()
+
+
+class Seen:
+    """A page, what it complained of and what it asked for."""
+
+    def __init__(self, browser: Any, address: str, panel: str = "images", width: int = 1280, **settings: Any) -> None:
+        self.complaints: list[str] = []
+        self.page = browser.new_page(viewport={"width": width, "height": 900}, **settings)
+        self.page.on("console", lambda one: self.complaints.append(one.text))
+        self.page.on("pageerror", lambda one: self.complaints.append(str(one)))
+        self.asked: list[str] = []
+        self.page.on("request", lambda one: self.asked.append(one.url))
+        self.page.goto(f"{address}/#{panel}")
+        self.page.wait_for_function("window.view")
+        if panel == "images":
+            self.page.wait_for_function("view.panes.length === 2 && view.panes[1].image && view.link")
+            self.page.wait_for_function("view.mapping(view.panes[1])")
+            self.page.wait_for_function("view.panes.every(one => !one.layer || one.layer.complete)")
+
+    def run(self, script: str, what: Any = None) -> Any:
+        return self.page.evaluate(script, what)
+
+    def at(self, pane: int, x: float, y: float) -> None:
+        """Move the pointer to a share of a pane's width and height, and wait for the answer."""
+        box = self.page.locator(".image-canvas").nth(pane).bounding_box()
+        self.page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        self.settled()
+
+    def settled(self) -> None:
+        self.page.wait_for_timeout(50)
+        self.page.wait_for_function("!view.asked.running && !view.waiting")
+
+    def close(self) -> None:
+        assert not self.complaints
+        self.page.close()

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-from image_pages import Scene, served, textured
+from image_pages import Scene, Seen, served, textured
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case
@@ -41,40 +41,6 @@ def scene(folder: Path) -> Scene:
 def address(scene: Scene) -> Iterator[str]:
     with served(scene) as found:
         yield found
-
-
-class Seen:
-    """A page, what it complained of and what it asked for."""
-
-    def __init__(self, browser: Any, address: str, panel: str = "images", width: int = 1280, **settings: Any) -> None:
-        self.complaints: list[str] = []
-        self.page = browser.new_page(viewport={"width": width, "height": 900}, **settings)
-        self.page.on("console", lambda one: self.complaints.append(one.text))
-        self.page.on("pageerror", lambda one: self.complaints.append(str(one)))
-        self.asked: list[str] = []
-        self.page.on("request", lambda one: self.asked.append(one.url))
-        self.page.goto(f"{address}/#{panel}")
-        self.page.wait_for_function("window.view")
-        if panel == "images":
-            self.page.wait_for_function("view.panes.length === 2 && view.panes[1].image && view.link && view.mapping(view.panes[1])")
-            self.page.wait_for_function("view.panes.every(one => !one.layer || one.layer.complete)")
-
-    def run(self, script: str, what: Any = None) -> Any:
-        return self.page.evaluate(script, what)
-
-    def at(self, pane: int, x: float, y: float) -> None:
-        """Move the pointer to a share of a pane's width and height, and wait for the answer."""
-        box = self.page.locator(".image-canvas").nth(pane).bounding_box()
-        self.page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
-        self.settled()
-
-    def settled(self) -> None:
-        self.page.wait_for_timeout(50)
-        self.page.wait_for_function("!view.asked.running && !view.waiting")
-
-    def close(self) -> None:
-        assert not self.complaints
-        self.page.close()
 
 
 @pytest.fixture
@@ -113,7 +79,7 @@ def test_the_same_ground_is_under_the_cross(seen: Callable[..., Seen], scene: Sc
     (line, sample), there = page.run(CROSS)
     answer = page.run(GROUND, [linked_name, line, sample, other])
     expected = answer["others"][other]
-    assert there == pytest.approx([expected["line"], expected["sample"]], abs=4.0)
+    assert there == pytest.approx([expected["line"], expected["sample"]], abs=10.0)  # of 144 px: what relief does
     assert there != pytest.approx([expected["line"], expected["sample"]], abs=1e-9)
 
 
