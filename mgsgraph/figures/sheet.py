@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
@@ -161,11 +162,12 @@ def new_sheet(
 
 @plain_style()
 def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> bytes:
-    """A sheet as png, jpg or svg; the same sheet gives the same bytes. Without `words`, for a page that says title and
-    caption itself, they are cut off, and what an SVG says is text that can be selected.
+    """A sheet as png, jpg, svg or pdf; the same sheet gives the same bytes. Without `words`, for a page that says title
+    and caption itself, they are cut off, and what an SVG says is text that can be selected.
     """
     file = BytesIO()
-    canvas = (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(sheet.figure)  # savefig would draw twice
+    drawn_by = {"svg": FigureCanvasSVG, "pdf": FigureCanvasPdf}.get(kind, FigureCanvasAgg)
+    canvas = drawn_by(sheet.figure)  # savefig would draw twice
     _align_labels(sheet.figure)
     _lay_out(sheet.figure)
     if words:

@@ -25,6 +25,10 @@ _AROUND = 16
 """Posts beyond the images that are kept of a terrain model."""
 
 
+class NoGround(InputError):
+    """A place of an image whose ray goes by the body."""
+
+
 class Ground(NamedTuple):
     """The ground at one place of an image."""
 
@@ -59,13 +63,13 @@ class GroundModel:
 
         Raises
         ------
-        InputError
+        NoGround
             A ray that goes by the body.
         """
         found = self._on_terrain(image, line, sample) or self._near_points(image, line, sample)
         if not np.all(np.isfinite(found.point)):
             where = f"image {self._block.images[image].name}, line {line:g}, sample {sample:g}"
-            raise InputError(where, "its ray goes by the body", "a place that shows ground")
+            raise NoGround(where, "its ray goes by the body", "a place that shows ground")
         return found
 
     def _on_terrain(self, image: int, line: float, sample: float) -> Ground | None:

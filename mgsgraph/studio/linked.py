@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
@@ -31,6 +30,8 @@ from mgsgraph.units import DEG
 
 PROBABILITY = 0.95
 """Of error ellipses."""
+_SIGMAS = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
+"""Semi-axes of such an ellipse in sigmas: chi-square of two degrees of freedom is exponentially distributed."""
 _NEAR = 0.5
 """Share of its own reach by which an image may be farther from a place to be looked at."""
 
@@ -49,7 +50,7 @@ class Ellipse(NamedTuple):
     def of(cls, covariance: Array) -> "Ellipse":
         """That of a covariance (2, 2) of line and sample."""
         values, ways = np.linalg.eigh(covariance)
-        sizes = np.sqrt(np.maximum(values[::-1], 0.0) * chi2.ppf(PROBABILITY, 2))
+        sizes = _SIGMAS * np.sqrt(np.maximum(values[::-1], 0.0))
         return cls(covariance, sizes, float(np.arctan2(ways[0, 1], ways[1, 1])))
 
 
@@ -98,7 +99,9 @@ class LinkedImages:
         Raises
         ------
         InputError
-            No such image; a place far outside it; a ray that goes by the body.
+            No such image; a place far outside it.
+        NoGround
+            A ray that goes by the body.
         """
         number = self.block.number(image)
         picture = self.block.images[number]

@@ -73,6 +73,7 @@ def shots_of(block: Block, image: int) -> dict[str, Any]:
         mine = np.flatnonzero(_inside(block, image, before) | _inside(block, image, after))
         mine = mine[_thinned(mine.size, MOST_SHOTS)]
         if mine.size:
+            mine = mine[_order(block.network.points.places[points[mine]])]
             profiles.append(_profile(block, name, points[mine], before[mine], after[mine]))
     return {"above": "areoid" if block.network.areoid is not None else "ellipsoid", "profiles": profiles}
 
@@ -91,6 +92,14 @@ def laser_profiles(block: Block) -> list[tuple[str, Index]]:
     for name, i in zip(owner, laser.tolist(), strict=True):
         found.setdefault(name, []).append(i)
     return [(name, np.array(members)) for name, members in found.items()]
+
+
+def _order(places: Array) -> Index:
+    """Shots in the order of their track, from the end where the first one is: files may have them in any other."""
+    apart = places - places.mean(axis=0)
+    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    order = np.argsort(along, kind="stable")
+    return order if along[0] <= 0.0 else order[::-1]
 
 
 def _profile(block: Block, name: str, points: Index, before: Array, after: Array) -> dict[str, Any]:

@@ -1,115 +1,22 @@
 """Addresses of pictures, of what is drawn on them, of the ground under the cursor, and of the registration."""
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from threading import Lock
-from typing import Any, Protocol
+from collections.abc import Callable
 
 import numpy as np
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from mgsgraph.adjustment.starts import Minima
-from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array
-from mgsgraph.studio.block import Block
-from mgsgraph.studio.linked import LinkedImages, ground_record
-from mgsgraph.studio.marks import shots_of, ties_of
+from mgsgraph.studio.ground import NoGround
+from mgsgraph.studio.linked import ground_record
 from mgsgraph.studio.registration import registration_record
-from mgsgraph.studio.tiles import Tiles
+from mgsgraph.studio.routes_figures import routes as figures
+from mgsgraph.studio.views import Pictured, Views, number_of
 
 
-class Pictured(Protocol):
-    """What these addresses need to know of a scene."""
-
-    @property
-    def revision(self) -> int:
-        """Changes since it was opened."""
-        ...
-
-    @property
-    def pictures(self) -> Mapping[str, Path | None]:
-        """File of each image's pixels, by its name."""
-        ...
-
-    @property
-    def folder(self) -> Path | None:
-        """Folder of its results, in which tables of a registration may lie."""
-        ...
-
-    @property
-    def minima(self) -> Minima | None:
-        """Found by starts over the terrain model's shift."""
-        ...
-
-    def block(self) -> Block:
-        """Images and points as they are now."""
-        ...
-
-    def map_places(self, points: Array) -> Array:
-        """(n, 2) m on the map, of points (n, 3) in m, body-fixed."""
-        ...
-
-
-class Views:
-    """Tiles and linked images of a scene; anew after each change.
-
-    Parameters
-    ----------
-    scene : Pictured
-    """
-
-    def __init__(self, scene: Pictured) -> None:
-        self.scene = scene
-        images, pictures = scene.block().images, scene.pictures
-        self.tiles = Tiles({one.name: (pictures.get(one.name), one.lines, one.samples) for one in images})
-        self._linked: tuple[int, LinkedImages] | None = None
-        self._lock = Lock()
-
-    @property
-    def linked(self) -> LinkedImages:
-        """Images linked by geometry, as the block is now."""
-        with self._lock:
-            if self._linked is None or self._linked[0] != self.scene.revision:
-                self._linked = self.scene.revision, LinkedImages(self.scene.block())
-            return self._linked[1]
-
-    def image_record(self, name: str) -> dict[str, Any]:
-        """Size, picture, ties and shots of an image; in place of a picture that can't be read, the sentence why."""
-        block = self.linked.block
-        number = block.number(name)
-        picture: dict[str, Any] | None = None
-        sentence = ""
-        try:
-            picture = self.tiles.record(name)
-        except InputError as error:
-            sentence = str(error)
-        image = block.images[number]
-        return {
-            "name": name, "lines": image.lines, "samples": image.samples, "picture": picture, "sentence": sentence,
-            "revision": self.scene.revision, "adjusted": block.adjusted,
-            "ties": ties_of(block, number), "shots": shots_of(block, number),
-        }  # fmt: skip
-
-
-def number_of(request: Request, key: str, default: float | None = None) -> float:
-    """A finite number among what an address asks; InputError where it is none or missing."""
-    text = request.query_params.get(key)
-    if text is None and default is not None:
-        return default
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise InputError(f"request, {key}", repr(text)[:60], "a finite number")
-    return value
-
-
-def routes(views: Views) -> list[Route]:
-    """Addresses of images and of the registration, for the server's list."""
-    scene = views.scene
+def routes(scene: Pictured, views: Views | None = None) -> list[Route]:
+    """Addresses of images, of the registration and of figures, for the server's list."""
+    views = views or Views(scene)
 
     def tile(request: Request) -> Response:
         at = request.path_params
@@ -122,7 +29,10 @@ def routes(views: Views) -> list[Route]:
         wanted = [name for name in request.query_params.getlist("with") if name]
         linked = views.linked
         at = number_of(request, "line"), number_of(request, "sample")
-        found, others = linked.under(request.path_params["name"], *at, wanted=wanted)
+        try:
+            found, others = linked.under(request.path_params["name"], *at, wanted=wanted)
+        except NoGround as error:  # no mistake of anybody's: limbs are looked at, too
+            return JSONResponse({"sentence": str(error), "others": {}})
         record = ground_record(found, others, linked.block)
         record["map_m"] = np.asarray(scene.map_places(found.point[None]))[0].tolist()
         return JSONResponse(record)
@@ -131,7 +41,8 @@ def routes(views: Views) -> list[Route]:
         return JSONResponse(views.image_record(request.path_params["name"]))
 
     def registration(_: Request) -> Response:
-        return JSONResponse(registration_record(views.linked.block, scene.folder, scene.minima))
+        minima = None if scene.solution is None else scene.solution.minima
+        return JSONResponse(registration_record(views.linked.block, scene.folder, minima))
 
     every: list[tuple[str, Callable[[Request], Response]]] = [
         ("/api/images/{name:path}/tiles/{level:int}/{row:int}/{column:int}.png", tile),
@@ -139,4 +50,4 @@ def routes(views: Views) -> list[Route]:
         ("/api/images/{name:path}", image),
         ("/api/registration", registration),
     ]
-    return [Route(path, endpoint) for path, endpoint in every]
+    return [*(Route(path, endpoint) for path, endpoint in every), *figures(scene, views)]

@@ -20,7 +20,7 @@ from mgsgraph.reports.summary import statements
 from mgsgraph.studio.map_layers import longitude_latitude, relief_png, residual_vectors, sigma_cells
 from mgsgraph.studio.map_points import CLASSES, VALUES, map_points
 from mgsgraph.studio.opened import Opened
-from mgsgraph.studio.routes_images import number_of
+from mgsgraph.studio.views import number_of
 from mgsgraph.units import DEG
 
 _MOST_OUTLINES = 3000

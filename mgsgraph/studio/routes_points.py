@@ -17,7 +17,7 @@ from mgsgraph.studio.next_measures import next_measures
 from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.point_sheet import chip, correlations, point_sheet, tests_of
 from mgsgraph.studio.refinement import refine
-from mgsgraph.studio.routes_images import Views, number_of
+from mgsgraph.studio.views import Views, number_of
 
 _LONGEST = 200_000
 """bytes of a request's body."""

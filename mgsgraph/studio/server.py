@@ -27,6 +27,7 @@ from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.studio import routes_images, routes_map, routes_points
 from mgsgraph.studio.changes import EditLock
 from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.views import Views
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
@@ -62,10 +63,10 @@ def application(opened: Opened, token: str, port: int) -> Starlette:
     def memory(_: Request, found: Exception) -> Response:
         return JSONResponse({"error": "out of memory; close other programs, or show a part of the block"}, 503)
 
-    views = routes_images.Views(opened)
+    views = Views(opened)
     routes: list[Route | Mount] = [
         Route("/", index), *routes_map.routes(opened), *routes_points.routes(opened, views, EditLock()),
-        *routes_images.routes(views),
+        *routes_images.routes(opened, views),
         Mount("/page", StaticFiles(directory=PAGE)),
     ]  # fmt: skip
     return Starlette(

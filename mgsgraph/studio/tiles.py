@@ -112,6 +112,22 @@ class Pyramid:
         step = 1 << level
         return _reduced(self.path, (self.lines, self.samples), (top * step, left * step), SIDE * step, level)
 
+    def window(
+        self, level: int, lines: tuple[float, float], samples: tuple[float, float]
+    ) -> tuple[Grey, tuple[float, float, float, float]]:
+        """Grey values of a level between lines and samples (px of the picture), rounded outward to its pixels, and the
+        extent of these: left, right, bottom, top in px of the picture.
+        """
+        step, (down, across) = 1 << level, self.shape(level)
+        top, bottom = max(0, int(lines[0] // step)), min(down, -int(-lines[1] // step))
+        left, right = max(0, int(samples[0] // step)), min(across, -int(-samples[1] // step))
+        if level >= self.first:
+            grey = self.kept[level - self.first][top:bottom, left:right]
+        else:
+            side = (bottom - top) * step, (right - left) * step
+            grey = _reduced(self.path, (self.lines, self.samples), (top * step, left * step), side, level)
+        return grey, (left * step, min(right * step, self.samples), min(bottom * step, self.lines), top * step)
+
     def require_unchanged(self) -> None:
         """Raise InputError where the file is gone or has been replaced."""
         if Stamp.of(self.path) != self.stamp:
@@ -264,8 +280,8 @@ class Tiles:
         path, lines, samples = self._pictures.get(image, (None, 0, 0))
         if path is None:
             raise InputError(
-                f"image {image}", "no file of its pixels is known", 'pixels = "FILE" in the case\'s [[images]]',
-                "add it, or give the case beside the results; its geometry is drawn without",
+                f"image {image}", "no file of its pixels is known, so that its geometry is drawn alone",
+                remedy='for its picture add pixels = "FILE" to its table in the case',
             )
         with self._lock:  # one file at a time: several would wait for the same disk and memory
             kept = self._pyramids.get(image)

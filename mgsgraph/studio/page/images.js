@@ -229,12 +229,14 @@ export class Images {
     this.asked.running = true;
     while (this.asked.next) {
       this.asked.next = false;
-      const name = this.frame.name, place = this.crossPlace;
+      const {name, image} = this.frame, cross = this.crossPlace;
+      const place = [Math.max(0, Math.min(image.lines, cross[0])), Math.max(0, Math.min(image.samples, cross[1]))];
+      const beside = place[0] !== cross[0] || place[1] !== cross[1];
       try {
         const found = await this.ground(name, place, this.panes.slice(1).map(one => one.name));
         if (name !== this.frame.name) continue;
-        this.link = {...found, line: place[0], sample: place[1]};
-        this.place.textContent = this.groundWords(found);
+        if (!found.sentence) this.link = {...found, line: place[0], sample: place[1]};
+        this.place.textContent = found.sentence || (beside ? 'Nearest ground in the first image: ' : '') + this.groundWords(found);
       } catch (error) {
         this.place.textContent = error.message;
       }
@@ -245,7 +247,7 @@ export class Images {
 
   groundWords(found) {
     const sigma = found.height_sigma_m === null ? '' : ` (sigma ${short(found.height_sigma_m, 2)} m)`;
-    return `Longitude ${found.longitude_deg.toFixed(6)}° E, latitude ${found.latitude_deg.toFixed(6)}° (planetocentric), `
+    return `longitude ${found.longitude_deg.toFixed(6)}° E, latitude ${found.latitude_deg.toFixed(6)}° (planetocentric), `
       + `height ${found.height_m.toFixed(1)} m above the ellipsoid${sigma}, ${found.surface}. `
       + `Sigmas: ${found.sigmas}. A pixel is ${short(found.spacing_m[0])} m × ${short(found.spacing_m[1])} m on the ground.`;
   }

@@ -64,7 +64,8 @@ export class Pane {
     }
     this.layer = new TileLayer(this.name, this.image, words => owner.app.say(words, 'error'), () => owner.request());
     const input = (key, words) => {
-      const {least, most} = picture, step = Math.max((most - least) / 500, 1e-9);
+      const {least, most} = picture, fine = Math.max((most - least) / 500, 1e-9);
+      const step = Number.isInteger(least) && most - least >= 50 ? Math.ceil(fine) : fine;
       const slider = make('input', {type: 'range', min: least, max: most, step, title: `${words} (grey value)`});
       slider.value = picture[key];
       slider.setAttribute('aria-label', words);

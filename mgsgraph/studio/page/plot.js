@@ -1,6 +1,6 @@
 // Axes for small diagrams on a canvas: round ticks, units in the labels, colours of the page.
 
-const MARGIN = {left: 62, right: 14, top: 12, bottom: 40};
+const MARGIN = {left: 74, right: 14, top: 12, bottom: 40};
 
 export function make(tag, properties = {}, ...children) {
   const element = document.createElement(tag);
@@ -84,7 +84,7 @@ export function axes(canvas, {x, y, xLabel, yLabel, equal = false}) {
   context.textBaseline = 'bottom';
   context.fillText(xLabel, (box.left + box.right) / 2, box.bottom + MARGIN.bottom - 2);
   context.save();
-  context.translate(13, (box.top + box.bottom) / 2);
+  context.translate(11, (box.top + box.bottom) / 2);
   context.rotate(-Math.PI / 2);
   context.textBaseline = 'middle';
   context.fillText(yLabel, 0, 0);

@@ -47,7 +47,8 @@ export class Registration {
 
   section(title, ...sentences) {
     const section = make('section', {}, make('h2', {textContent: title}));
-    for (const one of sentences) section.append(make('p', {textContent: one}));
+    if (sentences.length === 1) section.append(make('p', {textContent: sentences[0]}));
+    else section.append(make('ul', {}, ...sentences.map(one => make('li', {textContent: one}))));
     return section;
   }
 
