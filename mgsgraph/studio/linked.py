@@ -21,7 +21,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import designs
 from mgsgraph.studio.block import Block
@@ -173,7 +173,7 @@ class LinkedImages:
         return middles, reaches
 
     @property
-    def _angles(self) -> str:
+    def _angles(self) -> Angles:
         return self.block.settings.angles
 
     @cached_property

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
 from mgsgraph.studio.block import Block
@@ -124,10 +124,10 @@ def _heights(block: Block, points: Array) -> Array:
     return np.asarray(geodetic(points, block.images[0].body)[:, 2])
 
 
-def _inside(block: Block, image: int, places: Array) -> Array:
+def _inside(block: Block, image: int, places: Array) -> Mask:
     picture = block.images[image]
     with np.errstate(invalid="ignore"):
-        return np.all((places >= 0.0) & (places <= [picture.lines, picture.samples]), axis=1)
+        return np.asarray(np.all((places >= 0.0) & (places <= [picture.lines, picture.samples]), axis=1))
 
 
 def _thinned(size: int, most: int) -> Index:
