@@ -11,7 +11,8 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import prior_covariance
+from mgsgraph.adjustment.posterior import point_covariances, prior_covariance
+from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
@@ -20,9 +21,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
-
-_Joint = Callable[[], JointCovariance | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +41,11 @@ class Block:
     """Of their nominal orientation; None for none."""
     places: Array
     """(n, 3) m, of the points, as adjusted, else a-priori; NaN where unknown."""
-    covariances: Array | None
-    """(n, 3, 3) m^2, of these, for sigma0 = 1; None before any adjustment."""
+    covariances_of: Callable[[], Array | None]
+    """Gives those of these, once they are asked for."""
     used: Mask
     """(k,) rays that take part."""
-    joint_of: _Joint
+    joint_of: Callable[[], JointCovariance | None]
     """Gives the covariance of the shared unknowns; None where of some nothing is known."""
     terrain: TerrainGrid | None = None
     """Radii of the ground; None where no terrain model is at hand."""
@@ -57,18 +57,24 @@ class Block:
         own = None if network.surface is None else network.surface.grid
         return cls(
             network, solution.settings, solution.values, tuple(map(solution.image, each)),
-            tuple(map(solution.correction, each)), solution.places, solution.covariances, solution.rays_used,
-            lambda: solution.joint_covariance, terrain or own,
+            tuple(map(solution.correction, each)), solution.places, lambda: solution.covariances,
+            solution.rays_used, lambda: solution.joint_covariance, terrain or own,
         )  # fmt: skip
 
     @classmethod
-    def of_posterior(
-        cls, posterior: Posterior, places: Array, covariances: Array | None, used: Mask,
-        terrain: TerrainGrid | None = None,
-    ) -> "Block":  # fmt: skip
-        """A project as its last change left it; places (n, 3) m, covariances (n, 3, 3) m^2 and used rays (k,)."""
+    def of_posterior(cls, posterior: Posterior, terrain: TerrainGrid | None = None) -> "Block":
+        """A block where it is linearised: a project as its last change has left it."""
         found, network = posterior.linearised, posterior.network
-        each, own = range(len(network.images)), None if network.surface is None else network.surface.grid
+        layout, each = found.layout, range(len(network.images))
+        out = found.rows.kind == OUT
+        own = None if network.surface is None else network.surface.grid
+        places = layout.network_order(np.where(out[:, None], np.nan, found.points))
+
+        def covariances() -> Array:
+            every = point_covariances(layout, found.rows, found.orientation, found.points, found.joint)
+            return layout.network_order(np.where(out[:, None, None], np.nan, every))
+
+        used = unmarked(network).rays & np.isfinite(places[network.rays.point, 0])
         return cls(
             network, found.settings, found.values, tuple(map(posterior.image, each)),
             tuple(map(posterior.correction, each)), places, covariances, used, lambda: found.joint, terrain or own,
@@ -85,16 +91,23 @@ class Block:
                 return None
 
         own = None if network.surface is None else network.surface.grid
-        used = ~network.rays.rejected if network.rays.rejected is not None else np.ones(network.rays.point.size, bool)
+        used = unmarked(network).rays
         return cls(
-            network, settings, None, network.images, (None,) * len(network.images), network.points.places, None, used,
-            prior, terrain or own,
+            network, settings, None, network.images, (None,) * len(network.images), network.points.places,
+            lambda: None, used, prior, terrain or own,
         )  # fmt: skip
 
     @property
     def adjusted(self) -> bool:
         """Whether it has been adjusted."""
         return self.values is not None
+
+    @cached_property
+    def covariances(self) -> Array | None:
+        """(n, 3, 3) m^2, of the points' places, for sigma0 = 1; NaN for points without one; None
+        before any adjustment.
+        """
+        return self.covariances_of()
 
     @cached_property
     def joint(self) -> JointCovariance | None:
