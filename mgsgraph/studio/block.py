@@ -24,6 +24,10 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
 
+_NEAR, _LEAST = 0.5, 5e3
+"""Share of its own reach, and m, one of which at least a place may lie farther from an image's middle and still be looked
+at: for heights, and for the orientation before the adjustment."""
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -131,6 +135,22 @@ class Block:
         order = np.argsort(self.network.rays.image, kind="stable")
         counts = np.bincount(self.network.rays.image, minlength=len(self.images))
         return np.split(order, np.cumsum(counts)[:-1])
+
+    @cached_property
+    def caps(self) -> tuple[Array, Array]:
+        """Middle direction (m, 3) of each image's ground, and angle (m,) in rad from there within which that lies."""
+        middles, reaches = np.zeros((len(self.images), 3)), np.full(len(self.images), np.pi)
+        for j, (picture, correction) in enumerate(zip(self.images, self.corrections, strict=True)):
+            lines, samples = np.meshgrid(np.linspace(0.0, picture.lines, 9), np.linspace(0.0, picture.samples, 3))
+            points, _ = picture.image_to_ground(lines.ravel(), samples.ravel(), 0.0, correction)
+            if not np.all(np.isfinite(points)):
+                continue  # it looks past the body in part: never left out
+            ways = points / np.linalg.norm(points, axis=1, keepdims=True)
+            middle = ways.mean(axis=0)
+            middles[j] = middle / np.linalg.norm(middle)
+            reach = float(np.arccos(np.clip(ways @ middles[j], -1.0, 1.0)).max())
+            reaches[j] = reach + max(_NEAR * reach, _LEAST / picture.body.equatorial)
+        return middles, reaches
 
     def terrain_motion(self, places: Array) -> Array:
         """(n, 3) m by which the adjustment has moved the terrain model at places (n, 3) in m."""

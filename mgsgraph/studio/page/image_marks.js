@@ -71,6 +71,20 @@ export function drawTies(context, mapping, ties, seen, factor, chosen) {
   stroke(context, own, COLOURS.measured, 2);
 }
 
+// Names beside the ties, of the first ones where they are many
+export function drawNames(context, ties, seen) {
+  context.font = '11px sans-serif';
+  context.textAlign = 'left';
+  context.textBaseline = 'middle';
+  context.lineWidth = 3;
+  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
+  context.fillStyle = COLOURS.tie;
+  for (const {k, x, y} of seen.slice(0, 300)) {
+    context.strokeText(ties.names[k], x + 7, y - 7);
+    context.fillText(ties.names[k], x + 7, y - 7);
+  }
+}
+
 export function drawShots(context, mapping, shots, width, height, near) {
   const before = new Path2D(), after = new Path2D(), between = new Path2D();
   for (const profile of shots.profiles)

@@ -9,7 +9,7 @@ import {make, short} from './plot.js';
 
 const MOST = 4; // panes
 const SHOWN = [
-  ['ties', 'Ties', true], ['residuals', 'Residuals', true], ['shots', 'Shots', true], ['ellipses', 'Predicted places', true],
+  ['ties', 'Ties', true], ['names', 'Names', false], ['residuals', 'Residuals', true], ['shots', 'Shots', true], ['ellipses', 'Predicted places', true],
   ['turned', 'Turn to the first image', true], ['shape', 'Shape of the ground', false],
 ];
 const STEP = 60; // CSS pixels by which an arrow key moves

@@ -1,7 +1,7 @@
 // One image among those side by side: its name, its contrast, its canvas, and what the pointer does there.
 
 import {
-  drawCross, drawEllipse, drawFrame, drawMeasured, drawScale, drawShots, drawTies, tiesSeen,
+  drawCross, drawEllipse, drawFrame, drawMeasured, drawNames, drawScale, drawShots, drawTies, tiesSeen,
 } from './image_marks.js';
 import {make, prepared, short} from './plot.js';
 import {TileLayer} from './tile_layer.js';
@@ -123,6 +123,7 @@ export class Pane {
     this.seen = tiesSeen(mapping, image.ties, width, height);
     const factor = shown.residuals ? Math.max(0, Number(owner.factor.value) || 0) : 0;
     if (shown.ties) drawTies(context, mapping, image.ties, this.seen, factor, owner.app.selection);
+    if (shown.ties && shown.names) drawNames(context, image.ties, this.seen);
     const predicted = this === owner.frame ? null : link?.others[this.name];
     if (shown.ellipses && predicted?.ellipse_px)
       drawEllipse(context, mapping, [predicted.line, predicted.sample], predicted.ellipse_px);
