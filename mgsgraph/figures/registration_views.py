@@ -52,7 +52,8 @@ def footprints_sheet(record: Mapping[str, Any]) -> Sheet:
 def relief_sheet(profile: Mapping[str, Any]) -> Sheet:
     """Misfit over shifts of one profile before and after, and its heights against the surface that images show."""
     sheet = new_sheet("relief", 9.4, 6.6, f"Search by relief: {short(profile['name'], 50)}", _relief_caption(profile))
-    upper, lower = sheet.figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
+    parts: Any = sheet.figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
+    upper, lower = parts
     panels = upper.subplots(1, 2)
     shown = None
     for panel, state in zip(panels, _STATES, strict=True):

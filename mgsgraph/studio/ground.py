@@ -10,7 +10,7 @@ from mgsgraph.analysis.places import terrain_slopes
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.ray_terrain import meet_terrain
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.studio.block import Block
 from mgsgraph.units import KM
@@ -142,7 +142,7 @@ class GroundModel:
         return grid.around(every[np.all(np.isfinite(every), axis=1)], _AROUND)
 
     @cached_property
-    def _known(self) -> Array:
+    def _known(self) -> Index:
         """(m,) points with a place."""
         return np.flatnonzero(np.all(np.isfinite(self._block.places), axis=1) & np.any(self._block.places, axis=1))
 
@@ -158,7 +158,7 @@ class GroundModel:
         if found is None:
             return np.zeros(self._known.size)
         up = east_north_up(self._block.places[self._known])[:, 2]
-        return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, found[self._known], up), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, found[self._known], up), 0.0)))
 
     @cached_property
     def _tree(self) -> KDTree | None:

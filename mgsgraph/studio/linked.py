@@ -21,7 +21,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import designs
 from mgsgraph.studio.block import Block
@@ -32,8 +32,6 @@ PROBABILITY = 0.95
 """Of error ellipses."""
 _SIGMAS = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
 """Semi-axes of such an ellipse in sigmas: chi-square of two degrees of freedom is exponentially distributed."""
-_NEAR = 0.5
-"""Share of its own reach by which an image may be farther from a place to be looked at."""
 
 
 class Ellipse(NamedTuple):
@@ -152,28 +150,12 @@ class LinkedImages:
 
     def _about(self, point: Array) -> list[int]:
         """Images that may show a point (3,), by their caps on the sphere."""
-        middles, reaches = self._caps
+        middles, reaches = self.block.caps
         away = np.arccos(np.clip(middles @ (point / np.linalg.norm(point)), -1.0, 1.0))
         return np.flatnonzero(away <= reaches).tolist()
 
-    @cached_property
-    def _caps(self) -> tuple[Array, Array]:
-        """Middle direction (m, 3) of each image's ground, and rad from there within which it lies."""
-        middles, reaches = np.zeros((len(self.block.images), 3)), np.full(len(self.block.images), np.pi)
-        for j, (picture, correction) in enumerate(zip(self.block.images, self.block.corrections, strict=True)):
-            lines, samples = np.meshgrid(np.linspace(0.0, picture.lines, 9), np.linspace(0.0, picture.samples, 3))
-            points, _ = picture.image_to_ground(lines.ravel(), samples.ravel(), 0.0, correction)
-            if not np.all(np.isfinite(points)):
-                continue  # it looks past the body in part: never left out
-            ways = points / np.linalg.norm(points, axis=1, keepdims=True)
-            middle = ways.mean(axis=0)
-            middles[j] = middle / np.linalg.norm(middle)
-            reach = float(np.arccos(np.clip(ways @ middles[j], -1.0, 1.0)).max())
-            reaches[j] = (1.0 + _NEAR) * reach
-        return middles, reaches
-
     @property
-    def _angles(self) -> str:
+    def _angles(self) -> Angles:
         return self.block.settings.angles
 
     @cached_property

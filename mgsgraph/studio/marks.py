@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
 from mgsgraph.studio.block import Block
@@ -67,7 +67,8 @@ def shots_of(block: Block, image: int) -> dict[str, Any]:
         sample, along_m, height_before_m, height_m, sigma_m (null where nothing is known).
     """
     profiles = []
-    for name, points in laser_profiles(block):
+    for name, every in laser_profiles(block):
+        points = every[_near(block, image, block.network.points.places[every])]
         before = projected(block, image, block.network.points.places[points], nominal=True)
         after = projected(block, image, block.places[points]) if block.adjusted else before
         mine = np.flatnonzero(_inside(block, image, before) | _inside(block, image, after))
@@ -124,10 +125,17 @@ def _heights(block: Block, points: Array) -> Array:
     return np.asarray(geodetic(points, block.images[0].body)[:, 2])
 
 
-def _inside(block: Block, image: int, places: Array) -> Array:
+def _near(block: Block, image: int, places: Array) -> Mask:
+    """Which places (n, 3) in m may fall in an image: few are left of the shots of a whole campaign."""
+    middles, reaches = block.caps
+    along = places @ middles[image] / np.linalg.norm(places, axis=1)
+    return np.asarray(along >= np.cos(reaches[image]))
+
+
+def _inside(block: Block, image: int, places: Array) -> Mask:
     picture = block.images[image]
     with np.errstate(invalid="ignore"):
-        return np.all((places >= 0.0) & (places <= [picture.lines, picture.samples]), axis=1)
+        return np.asarray(np.all((places >= 0.0) & (places <= [picture.lines, picture.samples]), axis=1))
 
 
 def _thinned(size: int, most: int) -> Index:

@@ -87,7 +87,9 @@ def _values(column: pa.ChunkedArray) -> Any:
 
 def _known(values: Array) -> Any:
     """Numbers (of any shape) for JSON, null for what is not known."""
-    return np.where(np.isfinite(values), values.astype(object), None).tolist()
+    found = values.astype(object)
+    found[~np.isfinite(values)] = None
+    return found.tolist()
 
 
 def relief_record(folder: Path, radius: float) -> dict[str, Any] | None:

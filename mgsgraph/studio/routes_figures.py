@@ -44,21 +44,22 @@ class Figures:
         self._scene, self._views, self._lock = scene, views, Lock()
         self._every: dict[str, Callable[[Request], Sheet]] = {
             "images": self._images, "footprints": self._footprints, "relief": self._relief, "heights": self._heights,
-            **{name: lambda _, name=name: self._of_solution(name) for name in _OF_SOLUTION},
         }
 
     def drawn(self, view: str, kind: str, request: Request) -> bytes:
         """A view as a file; InputError where there is no such view, or nothing to be drawn."""
-        if view not in self._every or kind not in _TYPES:
-            found, known = f"{view}.{kind}", f"one of {', '.join(self._every)} as {', '.join(_TYPES)}"
+        every = (*self._every, *_OF_SOLUTION)
+        if view not in every or kind not in _TYPES:
+            found, known = f"{view}.{kind}", f"one of {', '.join(every)} as {', '.join(_TYPES)}"
             raise InputError("figure", found, known)
         with self._lock:  # matplotlib's settings are one for all threads
-            return self._encoded(self._every[view](request), kind)
+            sheet = self._every[view](request) if view in self._every else self._of_solution(view)
+            return self._encoded(sheet, kind)
 
     def _encoded(self, sheet: "Sheet", kind: str) -> bytes:
         from mgsgraph.figures.sheet import encoded
 
-        about = {"Title": sheet.title, "Description": sheet.caption}
+        about: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
         if kind == "pdf":
             about = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
         elif kind == "svg":

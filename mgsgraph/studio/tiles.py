@@ -263,7 +263,8 @@ class Tiles:
         self._pyramids: OrderedDict[str, Pyramid] = OrderedDict()
         self._encoded: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
         self._size = 0
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()
+        self._of_image = {name: threading.RLock() for name in self._pictures}
 
     def has(self, image: str) -> bool:
         """Whether a file is known of an image's pixels."""
@@ -283,10 +284,12 @@ class Tiles:
                 f"image {image}", "no file of its pixels is known, so that its geometry is drawn alone",
                 remedy='for its picture add pixels = "FILE" to its table in the case',
             )
-        with self._lock:  # one file at a time: several would wait for the same disk and memory
+        with self._of_image[image]:  # each picture is opened once, others meanwhile
             kept = self._pyramids.get(image)
             if kept is None or Stamp.of(path) != kept.stamp:
-                kept = self._pyramids[image] = open_picture(path, lines, samples)
+                kept = open_picture(path, lines, samples)
+        with self._lock:
+            self._pyramids[image] = kept
             self._pyramids.move_to_end(image)
             while len(self._pyramids) > 1 and sum(one.size for one in self._pyramids.values()) > _MOST_KEPT:
                 self._pyramids.popitem(last=False)
@@ -302,19 +305,18 @@ class Tiles:
         InputError
             As `picture`; no such tile; a contrast without a span; a file that has changed since it was opened.
         """
+        known = self._pyramids.get(image)
+        if known is not None:
+            known.require_unchanged()
+        pyramid = known or self.picture(image)
+        black = pyramid.low if low is None else low
+        white = pyramid.high if high is None else high
+        key = (image, pyramid.stamp, level, row, column, black, white)
         with self._lock:
-            known = self._pyramids.get(image)
-            if known is not None:
-                known.require_unchanged()
-            pyramid = known or self.picture(image)
-            black = pyramid.low if low is None else low
-            white = pyramid.high if high is None else high
-            key = (image, pyramid.stamp, level, row, column, black, white)
             if key in self._encoded:
                 self._encoded.move_to_end(key)
                 return self._encoded[key]
-            grey = pyramid.part(level, row, column)
-        made = encoded_tile(grey, black, white)
+        made = encoded_tile(pyramid.part(level, row, column), black, white)
         with self._lock:
             if key not in self._encoded:
                 self._encoded[key] = made

@@ -153,6 +153,14 @@ def test_everything_by_keys(seen: Callable[..., Seen]) -> None:
         if page.run("view.active === view.panes[1]"):
             break
     assert page.run("document.activeElement === view.panes[1].canvas")
+    sizes = []
+    for _ in range(3):
+        page.page.keyboard.press("n")
+        page.settled()
+        page.page.wait_for_function("view.panes[1].words.textContent.includes(app.selection)")
+        sizes.append(page.run("""() => { const t = view.panes[1].image.ties, k = t.names.indexOf(app.selection);
+          return Math.hypot(t.residuals[k][0] / t.sigmas[k][0], t.residuals[k][1] / t.sigmas[k][1]); }"""))
+    assert sizes == sorted(sizes, reverse=True)
     page.page.keyboard.press("m")
     assert page.page.locator("form.measuring input[type=text]").evaluate("one => one === document.activeElement")
     page.page.keyboard.press("Escape")

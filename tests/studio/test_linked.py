@@ -8,6 +8,7 @@ from sites import plain_site
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
@@ -184,6 +185,22 @@ def test_shots_move_from_nominal_to_adjusted_places(block: Block, solution: Solu
         before, _ = solution.network.images[0].ground_to_image(solution.network.points.places[number])
         np.testing.assert_allclose(np.array(profile["after"]), after, atol=1e-6)
         np.testing.assert_allclose(np.array(profile["before"]), before, atol=1e-6)
+
+
+def test_a_posterior_gives_the_same_block_as_its_solution(block: Block, solution: Solution) -> None:
+    """So that a project looks alike before and after its batch adjustment."""
+    other = replace(Block.of_posterior(Posterior.of(solution)), terrain=None)
+    np.testing.assert_allclose(other.places, block.places, atol=1e-6)
+    assert other.covariances is not None
+    assert block.covariances is not None
+    np.testing.assert_allclose(other.covariances, block.covariances, rtol=1e-5, atol=1e-9)
+    np.testing.assert_array_equal(other.used, block.used)
+    at = block.images[0].name, *middle(block)
+    (one,), (two,) = LinkedImages(block).under(*at)[1], LinkedImages(other).under(*at)[1]
+    np.testing.assert_allclose(two.place, one.place, atol=1e-4)
+    assert one.ellipse is not None
+    assert two.ellipse is not None
+    np.testing.assert_allclose(two.ellipse.covariance, one.ellipse.covariance, rtol=1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -71,6 +71,20 @@ export function drawTies(context, mapping, ties, seen, factor, chosen) {
   stroke(context, own, COLOURS.measured, 2);
 }
 
+// Names beside the ties, of the first ones where they are many
+export function drawNames(context, ties, seen) {
+  context.font = '11px sans-serif';
+  context.textAlign = 'left';
+  context.textBaseline = 'middle';
+  context.lineWidth = 3;
+  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
+  context.fillStyle = COLOURS.tie;
+  for (const {k, x, y} of seen.slice(0, 300)) {
+    context.strokeText(ties.names[k], x + 7, y - 7);
+    context.fillText(ties.names[k], x + 7, y - 7);
+  }
+}
+
 export function drawShots(context, mapping, shots, width, height, near) {
   const before = new Path2D(), after = new Path2D(), between = new Path2D();
   for (const profile of shots.profiles)
@@ -133,6 +147,28 @@ export function drawCross(context, x, y, width, height) {
   context.strokeStyle = 'rgba(255, 255, 255, 0.85)';
   context.lineWidth = 1;
   context.stroke(path);
+}
+
+// A bar of a round length on the ground, `metres` of which a CSS pixel to the right takes
+export function drawScale(context, metres, width, height) {
+  if (!(metres > 0) || !Number.isFinite(metres)) return;
+  const most = metres * Math.min(160, width / 3), power = 10 ** Math.floor(Math.log10(most));
+  const length = [5, 2, 1].map(one => one * power).find(one => one <= most), pixels = length / metres;
+  const path = new Path2D(), x = 12, y = height - 12;
+  path.moveTo(x, y - 6);
+  path.lineTo(x, y);
+  path.lineTo(x + pixels, y);
+  path.lineTo(x + pixels, y - 6);
+  stroke(context, path, '#ffffff', 1.6);
+  context.font = '12px sans-serif';
+  context.textAlign = 'left';
+  context.textBaseline = 'bottom';
+  context.lineWidth = 3;
+  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
+  const words = length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(2))} m`;
+  context.strokeText(words, x + 4, y - 3);
+  context.fillStyle = '#ffffff';
+  context.fillText(words, x + 4, y - 3);
 }
 
 // A place measured just now, not yet stored

@@ -9,7 +9,7 @@ import {make, short} from './plot.js';
 
 const MOST = 4; // panes
 const SHOWN = [
-  ['ties', 'Ties', true], ['residuals', 'Residuals', true], ['shots', 'Shots', true], ['ellipses', 'Predicted places', true],
+  ['ties', 'Ties', true], ['names', 'Names', false], ['residuals', 'Residuals', true], ['shots', 'Shots', true], ['ellipses', 'Predicted places', true],
   ['turned', 'Turn to the first image', true], ['shape', 'Shape of the ground', false],
 ];
 const STEP = 60; // CSS pixels by which an arrow key moves
@@ -236,7 +236,7 @@ export class Images {
         const found = await this.ground(name, place, this.panes.slice(1).map(one => one.name));
         if (name !== this.frame.name) continue;
         if (!found.sentence) this.link = {...found, line: place[0], sample: place[1]};
-        this.place.textContent = found.sentence || (beside ? 'Nearest ground in the first image: ' : '') + this.groundWords(found);
+        this.place.textContent = found.sentence || (beside ? 'At the edge of the first image: ' : '') + this.groundWords(found);
       } catch (error) {
         this.place.textContent = error.message;
       }
@@ -247,7 +247,7 @@ export class Images {
 
   groundWords(found) {
     const sigma = found.height_sigma_m === null ? '' : ` (sigma ${short(found.height_sigma_m, 2)} m)`;
-    return `longitude ${found.longitude_deg.toFixed(6)}° E, latitude ${found.latitude_deg.toFixed(6)}° (planetocentric), `
+    return `Longitude ${found.longitude_deg.toFixed(6)}° E, latitude ${found.latitude_deg.toFixed(6)}° (planetocentric), `
       + `height ${found.height_m.toFixed(1)} m above the ellipsoid${sigma}, ${found.surface}. `
       + `Sigmas: ${found.sigmas}. A pixel is ${short(found.spacing_m[0])} m × ${short(found.spacing_m[1])} m on the ground.`;
   }
@@ -315,6 +315,18 @@ export class Images {
     this.request();
   }
 
+  // The tie of the active image with the next smaller (or larger) residual in units of its sigma
+  nextTie(step) {
+    const {ties} = this.active.image;
+    const size = k => ties.residuals[k] ? Math.hypot(...ties.residuals[k].map((one, c) => one / ties.sigmas[k][c])) : -1;
+    const order = ties.names.map((_, k) => k).sort((a, b) => size(b) - size(a));
+    if (!order.length) return this.app.say('No tie is measured in this image.', 'error');
+    const now = order.findIndex(k => ties.names[k] === this.app.selection);
+    const k = order[(now < 0 ? (step > 0 ? 0 : order.length - 1) : now + step + order.length) % order.length];
+    this.centreOn(this.active, ties.measured[k]);
+    this.app.select(ties.names[k]);
+  }
+
   // --- keyboard
 
   key(event) {
@@ -336,6 +348,7 @@ export class Images {
     else if (event.key === '-') this.zoomBy(0.8);
     else if (event.key === '0') this.whole();
     else if (event.key === 'm') this.measuring.open();
+    else if (event.key === 'n' || event.key === 'p') this.nextTie(event.key === 'n' ? 1 : -1);
     else if (event.key === 'Enter' && event.target.tagName === 'CANVAS') this.take(this.active);
     else if (event.key === 'Escape' && this.measuring.running) this.measuring.close();
     else return false;

@@ -1,7 +1,7 @@
 // One image among those side by side: its name, its contrast, its canvas, and what the pointer does there.
 
 import {
-  drawCross, drawEllipse, drawFrame, drawMeasured, drawShots, drawTies, tiesSeen,
+  drawCross, drawEllipse, drawFrame, drawMeasured, drawNames, drawScale, drawShots, drawTies, tiesSeen,
 } from './image_marks.js';
 import {make, prepared, short} from './plot.js';
 import {TileLayer} from './tile_layer.js';
@@ -123,6 +123,7 @@ export class Pane {
     this.seen = tiesSeen(mapping, image.ties, width, height);
     const factor = shown.residuals ? Math.max(0, Number(owner.factor.value) || 0) : 0;
     if (shown.ties) drawTies(context, mapping, image.ties, this.seen, factor, owner.app.selection);
+    if (shown.ties && shown.names) drawNames(context, image.ties, this.seen);
     const predicted = this === owner.frame ? null : link?.others[this.name];
     if (shown.ellipses && predicted?.ellipse_px)
       drawEllipse(context, mapping, [predicted.line, predicted.sample], predicted.ellipse_px);
@@ -130,15 +131,17 @@ export class Pane {
     if (place) drawMeasured(context, mapping, place);
     const at = [width / 2 + cursor[0], height / 2 + cursor[1]];
     drawCross(context, ...at, width, height);
-    this.tell(mapping.toImage(...at), predicted);
+    if (this === owner.frame && link) drawScale(context, link.spacing_m[1] / owner.zoom, width, height);
+    this.tell(mapping.toImage(...at), predicted, shown.ties ? this.tieNear(at) : null);
   }
 
-  tell([line, sample], predicted) {
+  tell([line, sample], predicted, tie) {
     let words = `line ${line.toFixed(2)}, sample ${sample.toFixed(2)} (first pixel's centre at 0.5)`;
     if (predicted?.ellipse_px) {
       const [large, small] = predicted.ellipse_px.semi_axes_px;
       words += `; predicted within ${short(large, 2)} × ${short(small, 2)} px (95 %)`;
     } else if (predicted && !predicted.inside) words += '; the ground under the cross lies beside this image';
+    if (tie !== null) words += `; ${this.tieWords(tie)}`;
     if (words !== this.words.textContent) this.words.textContent = words;
   }
 
@@ -149,14 +152,26 @@ export class Pane {
     return x > 0.1 * width && x < 0.9 * width && y > 0.1 * height && y < 0.9 * height;
   }
 
+  tieWords(k) {
+    const {ties} = this.image, residual = ties.residuals[k], sigma = ties.sigmas[k];
+    const off = residual ? `residual ${short(residual[0], 2)} and ${short(residual[1], 2)} px` : 'no place';
+    return `${ties.kinds[k]} ${ties.names[k]}${ties.used[k] ? '' : ', rejected'}: ${off} in line and sample, `
+      + `sigma ${short(sigma[0], 2)} and ${short(sigma[1], 2)} px`;
+  }
+
   // Name of the tie nearest to a point of the canvas; none where it is far
-  tieAt([x, y]) {
+  tieAt(at) {
+    const k = this.tieNear(at);
+    return k === null ? null : this.image.ties.names[k];
+  }
+
+  tieNear([x, y]) {
     let best = null, least = CLOSE;
     for (const one of this.seen || []) {
       const away = Math.hypot(one.x - x, one.y - y);
       if (away < least) [best, least] = [one.k, away];
     }
-    return best === null ? null : this.image.ties.names[best];
+    return best;
   }
 
   // --- pointer
