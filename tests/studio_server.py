@@ -66,13 +66,15 @@ class Browser:
     def json(self, path: str, body: Any = None) -> Any:
         """The object of a good answer."""
         status, _, data = self.ask(path, body)
+        found = json.loads(data)
         assert status == 200, data
-        return json.loads(data)
+        assert not (isinstance(found, dict) and "error" in found), found
+        return found
 
     def refused(self, path: str, body: Any = None) -> str:
         """The sentence of a refusal."""
         status, _, data = self.ask(path, body)
-        assert status == 400, (status, data[:300])
+        assert status == (200 if self.name else 400), (status, data[:300])
         sentence = json.loads(data)["error"]
         assert len(sentence.splitlines()) == 1
         return str(sentence)

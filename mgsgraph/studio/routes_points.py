@@ -21,7 +21,8 @@ from mgsgraph.studio.views import Views, number_of
 
 _LONGEST = 200_000
 """bytes of a request's body."""
-_BROWSER = "x-browser"
+BROWSER = "x-browser"
+"""Header by which the page says which browser asks."""
 _Answer = Callable[[Any, str], dict[str, Any] | list[dict[str, Any]]]
 
 
@@ -58,7 +59,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     """Addresses of points, for the server's list."""
 
     def browser_of(request: Request) -> str:
-        return request.headers.get(_BROWSER, "")[:80]
+        return request.headers.get(BROWSER, "")[:80]
 
     def state(request: Request) -> Response:
         return JSONResponse(state_record(opened, lock, browser_of(request)))
@@ -139,7 +140,7 @@ def _posted(answer: _Answer) -> Callable[[Request], Awaitable[Response]]:
             raise InputError("request", "no JSON", "an object as JSON") from None
         if not isinstance(asked, dict):
             raise InputError("request", "JSON that is no object", "an object as JSON")
-        browser = request.headers.get(_BROWSER, "")[:80]
+        browser = request.headers.get(BROWSER, "")[:80]
         return JSONResponse(await run_in_threadpool(answer, asked, browser))
 
     return endpoint

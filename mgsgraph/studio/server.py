@@ -27,6 +27,7 @@ from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.studio import routes_images, routes_map, routes_points
 from mgsgraph.studio.changes import EditLock
 from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.routes_points import BROWSER
 from mgsgraph.studio.views import Views
 
 PAGE = Path(__file__).parent / "page"
@@ -57,8 +58,9 @@ def application(opened: Opened, token: str, port: int) -> Starlette:
     def index(_: Request) -> Response:
         return FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-store"})
 
-    def error(_: Request, found: Exception) -> Response:
-        return JSONResponse({"error": str(found)}, 400)
+    def error(request: Request, found: Exception) -> Response:
+        # the page says it to the person; a browser would write a line of its own to its console for any other status
+        return JSONResponse({"error": str(found)}, 200 if BROWSER in request.headers else 400)
 
     def memory(_: Request, found: Exception) -> Response:
         return JSONResponse({"error": "out of memory; close other programs, or show a part of the block"}, 503)

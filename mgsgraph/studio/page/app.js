@@ -30,11 +30,10 @@ export class App extends EventTarget {
     } catch {
       throw new Error('The studio does not answer: has its command been ended? What was stored is in the project.');
     }
-    if (answer.ok) return answer.json();
-    const text = await answer.text();
-    let sentence = text;
-    try { sentence = JSON.parse(text).error; } catch { /* plain text */ }
-    throw new Error(sentence || `The studio answered with ${answer.status}.`);
+    if (!answer.ok) throw new Error((await answer.text()).slice(0, 500) || `The studio answered with ${answer.status}.`);
+    const found = await answer.json();
+    if (found.error) throw new Error(found.error);
+    return found;
   }
 
   // Store a change; resolves with what it did

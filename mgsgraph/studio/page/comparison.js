@@ -5,7 +5,8 @@ import {axes, make, palette, short} from './plot.js';
 export class Comparison {
   constructor(app, element) {
     Object.assign(this, {app, element});
-    this.other = make('input', {type: 'text', size: 40, placeholder: 'folder of other results', list: 'other-solutions'});
+    this.other = make('input', {type: 'text', size: 40, placeholder: 'folder of other results'});
+    this.other.setAttribute('list', 'other-solutions');
     this.known = make('datalist', {id: 'other-solutions'});
     const form = make('form', {className: 'tools'}, make('label', {}, 'Compare with ', this.other), this.known, make('button', {type: 'submit', textContent: 'Compare'}));
     form.addEventListener('submit', event => { event.preventDefault(); this.compare(); });
