@@ -25,8 +25,8 @@ from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
 
 _NEAR, _LEAST = 0.5, 5e3
-"""Share of its own reach, and m, one of which at least a place may lie farther from an image's middle and still be looked
-at: for heights, and for the orientation before the adjustment."""
+"""Share of its own reach, and m, one of which at least a place may lie farther from an image's middle and still be
+looked at: for heights, and for the orientation before the adjustment."""
 
 
 @dataclass(frozen=True, eq=False)
