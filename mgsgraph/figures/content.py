@@ -67,6 +67,20 @@ def east_north(points: Array, centre: Array) -> Array:
     return np.asarray(flat * np.where(length > 0.0, radius * angle / np.where(length > 0.0, length, 1.0), 0.0)[:, None])
 
 
+def places_at(plane: Array, centre: Array) -> Array:
+    """(n, 3) m, body-fixed, on the sphere through a centre (3,), of east and north (n, 2) in m around it: the inverse
+    of `east_north`.
+    """
+    radius = float(np.linalg.norm(centre))
+    up = centre / radius
+    planar = float(np.hypot(up[0], up[1]))
+    east = np.array([-up[1], up[0], 0.0]) / planar if planar > 0.0 else np.array([0.0, 1.0, 0.0])
+    length = np.linalg.norm(plane, axis=1)
+    angle = length / radius
+    flat = plane * np.where(length > 0.0, np.sin(angle) / np.where(length > 0.0, length, 1.0), 0.0)[:, None]
+    return np.asarray(radius * (np.cos(angle)[:, None] * up + flat @ np.stack([east, np.cross(up, east)])))
+
+
 def rms(values: Array) -> float:
     """Root mean square of what is finite; NaN when nothing is."""
     return root_mean_square(values[np.isfinite(values)])

@@ -34,6 +34,7 @@ from mgsgraph.incremental.state import (
     StateStore,
     require_one_body,
     with_addition,
+    with_points,
     without,
 )
 from mgsgraph.incremental.sweep import Sweep
@@ -237,6 +238,26 @@ class IncrementalAdjustment:
         after = shortened(self.store, before, images)
         changed = without(self.store, images, after, turned_bundles(self.store, before, after))
         return self._change("remove", list(images), [], *changed, after)
+
+    def put_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
+        """Put points as a network has them, with all of their rows, in the place of what they were before.
+
+        Parameters
+        ----------
+        ids : sequence of str
+            Names of these points.
+        network : Network or None
+            With images that are there; None takes the points out.
+        verb : str
+            What is said to have been done.
+
+        Raises
+        ------
+        InputError
+            When parts contradict each other; nothing has changed then.
+        """
+        known = self.store.definitions()
+        return self._change(verb, (), (), *with_points(self.store, ids, network, known), known)
 
     def close(self, name: str = "adjustment", progress: "Progress" = lambda _: None) -> tuple[Closing, "Solution"]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.

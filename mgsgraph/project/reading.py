@@ -29,6 +29,8 @@ _OWN_CASE = Path("inputs", "case.toml")
 _SUMMARY = "summary.json"
 """Where they hold how they compare with the truth."""
 _NETWORK = "network.pvl"
+_CHANGING = ("add", "remove", "edit")
+"""Verbs of changes that put measures in or take them out."""
 _Values = Mapping[Unknown, Array]
 
 
@@ -77,7 +79,7 @@ def results_of(path: Path) -> Results:
 
 def _since(project: Project, number: int) -> str:
     """What images and measures the project has taken in or out after a change of its."""
-    later = [change for change in project.changes() if change.number > number and change.verb in ("add", "remove")]
+    later = [change for change in project.changes() if change.number > number and change.verb in _CHANGING]
     if not later:
         return ""
     said = ", ".join(f"{change.verb} {change.what}" for change in later)

@@ -14,9 +14,9 @@ from mgsgraph.studio.routes_figures import routes as figures
 from mgsgraph.studio.views import Pictured, Views, number_of
 
 
-def routes(scene: Pictured) -> list[Route]:
+def routes(scene: Pictured, views: Views | None = None) -> list[Route]:
     """Addresses of images, of the registration and of figures, for the server's list."""
-    views = Views(scene)
+    views = views or Views(scene)
 
     def tile(request: Request) -> Response:
         at = request.path_params

@@ -118,3 +118,8 @@ export function twoSided(share) {
   const at = Math.max(-1, Math.min(1, share)), far = at < 0 ? [33, 102, 172] : [178, 24, 43];
   return far.map(one => Math.round(247 + Math.abs(at) * (one - 247)));
 }
+
+// 64 colours for drawing many marks: of amounts, or of what has a sign
+export function palette(signed = false) {
+  return Array.from({length: 64}, (_, k) => `rgb(${(signed ? twoSided((k + 0.5) / 32 - 1) : colour((k + 0.5) / 64)).join(',')})`);
+}
