@@ -9,18 +9,15 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from mgsgraph.adjustment.rounds import unmarked
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.starts import Minima
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.incremental import IncrementalAdjustment
-from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
@@ -250,35 +247,17 @@ def _project(path: Path, case: Path | None) -> _Now:
     with open_project(path) as project:
         pictures = {name: Path(found) if found else None for name, found in project.pictures().items()}
         pictures |= _pictures(case)
-        settings = project.settings.solver.settings
         last, changes = project.last_results(), project.changes(1)
         solved, name = is_solved(project), project.name
         current = last is not None and bool(changes) and last.change >= changes[-1].number
-        network = project.store.network() if not solved else None
-        state = _between(project, settings) if solved and not current else None
+        unsolved = None if solved else Block.of_network(project.store.network(), project.settings.solver.settings)
     if current and last is not None and last.folder is not None and (path / last.folder / ARCHIVE).is_file():
         return _of_solution(read_solution(path / last.folder), path / last.folder, pictures, "")
     folder = path / last.folder if last is not None and last.folder is not None else None
-    if network is not None:
+    if unsolved is not None:
         words = f"Nothing has been adjusted yet: mgsgraph solve {path}"
-        return _Now(name, Block.of_network(network, settings), None, None, None, pictures, folder, words)
+        return _Now(name, unsolved, None, None, None, pictures, folder, words)
     posterior = read_posterior(path)[1]
-    if state is None:
-        with open_project(path) as project:
-            state = _between(project, settings)
-    block = Block.of_posterior(posterior, *state)
     words = f"Adjusted by iSAM2 since the last batch solution; of everything at once: mgsgraph solve {path}"
-    return _Now(name, block, None, lambda: posterior, None, pictures, folder, words if last is not None else "")
-
-
-def _between(project: Project, settings: SolverSettings) -> tuple[Array, Array, Array]:
-    """Places (n, 3) in m, covariances (n, 3, 3) in m^2 and used rays (k,) of a project as its last change left it."""
-    with errors_from(str(project.folder)):
-        adjustment = IncrementalAdjustment(replace(settings, form="bundle"), project.store)
-        network: Network = adjustment.network
-        names, places, covariances = adjustment.points()
-    order = network.points.ids.find(names)
-    found, known = np.full((len(network.points), 3), np.nan), np.full((len(network.points), 3, 3), np.nan)
-    found[order], known[order] = places, covariances
-    there = np.all(np.isfinite(found), axis=1)
-    return found, known, unmarked(network).rays & there[network.rays.point]
+    return _Now(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, folder,
+                words if last is not None else "")  # fmt: skip
