@@ -1,5 +1,6 @@
 """The verb that opens the studio."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -23,12 +24,9 @@ def studio(path: Path, case: Path | None, port: int | None, no_browser: bool) ->
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
 
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ImportError:
+    if find_spec("starlette") is None or find_spec("uvicorn") is None:
         found = "its libraries are not installed"
-        raise InputError("studio", found, remedy="pip install 'mgsgraph[studio]'") from None
+        raise InputError("studio", found, remedy="pip install 'mgsgraph[studio]'")
     from mgsgraph.studio.opened import Opened
     from mgsgraph.studio.server import serve
 
@@ -41,6 +39,6 @@ def studio(path: Path, case: Path | None, port: int | None, no_browser: bool) ->
         if not no_browser:
             import webbrowser
 
-            webbrowser.open(address)
+            webbrowser.open_new_tab(address)
 
     serve(opened, port, ready)

@@ -167,7 +167,7 @@ def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> byte
     """
     file = BytesIO()
     drawn_by = {"svg": FigureCanvasSVG, "pdf": FigureCanvasPdf}.get(kind, FigureCanvasAgg)
-    canvas = drawn_by(sheet.figure)  # savefig would draw twice
+    canvas: Any = drawn_by(sheet.figure)  # savefig would draw twice
     _align_labels(sheet.figure)
     _lay_out(sheet.figure)
     if words:
@@ -177,10 +177,10 @@ def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> byte
         text.set_visible(False)
     if kind == "svg":
         mpl.rcParams["svg.fonttype"] = "none"
-        canvas.print_svg(file, **options)  # type: ignore[union-attr]  # of this kind it is
+        canvas.print_svg(file, **options)
         return _cut_svg(file.getvalue().decode(), sheet).encode()
-    canvas.draw()  # type: ignore[no-untyped-call]
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")  # type: ignore[union-attr]
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     rows = round(sheet.above * _DPI), picture.height - round(sheet.below * _DPI)
     picture.crop((0, rows[0], picture.width, rows[1])).save(file, "jpeg" if kind == "jpg" else kind, **options)
     return file.getvalue()

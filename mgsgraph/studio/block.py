@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import point_covariances, prior_covariance
+from mgsgraph.adjustment.posterior import prior_covariance
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
@@ -21,12 +21,11 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
 
 _NEAR, _LEAST = 0.5, 5e3
-"""Share of its own reach, and m, one of which at least a place may lie farther from an image's middle and still be looked
-at: for heights, and for the orientation before the adjustment."""
+"""Share of its own reach, and m, one of which at least a place may lie farther from an image's middle and still be
+looked at: for heights, and for the orientation before the adjustment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +68,13 @@ class Block:
     def of_posterior(cls, posterior: Posterior, terrain: TerrainGrid | None = None) -> "Block":
         """A block where it is linearised: a project as its last change has left it."""
         found, network = posterior.linearised, posterior.network
-        layout, each = found.layout, range(len(network.images))
-        out = found.rows.kind == OUT
-        own = None if network.surface is None else network.surface.grid
-        places = layout.network_order(np.where(out[:, None], np.nan, found.points))
-
-        def covariances() -> Array:
-            every = point_covariances(layout, found.rows, found.orientation, found.points, found.joint)
-            return layout.network_order(np.where(out[:, None, None], np.nan, every))
-
+        each, own = range(len(network.images)), None if network.surface is None else network.surface.grid
+        places = found.places
         used = unmarked(network).rays & np.isfinite(places[network.rays.point, 0])
         return cls(
             network, found.settings, found.values, tuple(map(posterior.image, each)),
-            tuple(map(posterior.correction, each)), places, covariances, used, lambda: found.joint, terrain or own,
+            tuple(map(posterior.correction, each)), places, found.point_covariances, used, lambda: found.joint,
+            terrain or own,
         )  # fmt: skip
 
     @classmethod

@@ -4,7 +4,7 @@ One browser at a time may change a project: the first one that does. Another one
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any
 
@@ -109,7 +109,7 @@ def _hold(project: Project, asked: Mapping[str, Any]) -> Edited:
     return edits.hold(project, point, from_geodetic(place[None], body)[0], sigmas)
 
 
-_KINDS = {
+_KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
     "measure": _measure,
     "move": _move,
     "reject": lambda project, asked: edits.reject(project, _text(asked, "point"), _text(asked, "image")),

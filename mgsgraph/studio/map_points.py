@@ -82,7 +82,7 @@ class MapPoints:
         return self.opened.once(f"value {name}", lambda: getattr(self, f"_{name}")())
 
     def _sigma(self) -> Array:
-        return np.sqrt(np.trace(self.local, axis1=1, axis2=2))
+        return np.asarray(np.sqrt(np.trace(self.local, axis1=1, axis2=2)))
 
     def _sigma_horizontal(self) -> Array:
         return np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1])
@@ -113,7 +113,7 @@ class MapPoints:
         """Largest |w| of the image measures of each point."""
         found = reliability(self.opened.posterior().linearised).measures
         mine = np.flatnonzero((found.kind == MeasureKind.RAY) & (found.point >= 0))
-        return _largest(np.abs(found.test[mine]), found.point[mine], len(self.classes))
+        return _largest(np.abs(found.test[mine]), found.point[mine].astype(np.int64), len(self.classes))
 
     # --- windows
 

@@ -247,18 +247,17 @@ def _project(path: Path, case: Path | None) -> _Now:
     with open_project(path) as project:
         pictures = {name: Path(found) if found else None for name, found in project.pictures().items()}
         pictures |= _pictures(case)
-        settings = project.settings.solver.settings
         last, changes = project.last_results(), project.changes(1)
         solved, name = is_solved(project), project.name
         current = last is not None and bool(changes) and last.change >= changes[-1].number
-        network = project.store.network() if not solved else None
+        unsolved = None if solved else Block.of_network(project.store.network(), project.settings.solver.settings)
     if current and last is not None and last.folder is not None and (path / last.folder / ARCHIVE).is_file():
         return _of_solution(read_solution(path / last.folder), path / last.folder, pictures, "")
     folder = path / last.folder if last is not None and last.folder is not None else None
-    if network is not None:
+    if unsolved is not None:
         words = f"Nothing has been adjusted yet: mgsgraph solve {path}"
-        return _Now(name, Block.of_network(network, settings), None, None, None, pictures, folder, words)
+        return _Now(name, unsolved, None, None, None, pictures, folder, words)
     posterior = read_posterior(path)[1]
-    block = Block.of_posterior(posterior)
     words = f"Adjusted by iSAM2 since the last batch solution; of everything at once: mgsgraph solve {path}"
-    return _Now(name, block, None, lambda: posterior, None, pictures, folder, words if last is not None else "")
+    return _Now(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, folder,
+                words if last is not None else "")  # fmt: skip

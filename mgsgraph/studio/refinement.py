@@ -64,7 +64,7 @@ def refine(
     """
     name, wanted = reference[0], search[0]
     place, start = np.array(reference[1:]), np.array(search[1:])
-    _, others = linked.under(name, *place.tolist(), wanted=(wanted,))
+    _, others = linked.under(*reference, wanted=(wanted,))
     block = linked.block
     found = next((one for one in others if one.image == block.number(wanted)), None)
     if found is None:

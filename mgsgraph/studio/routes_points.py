@@ -1,6 +1,5 @@
 """Addresses of single points: their sheets and chips, changes, refinement, questions, what to measure next."""
 
-import json
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -11,6 +10,7 @@ from starlette.routing import Route
 
 from mgsgraph.analysis.posterior import Pixel
 from mgsgraph.errors import InputError
+from mgsgraph.io.files import json_object
 from mgsgraph.reports.answers import Questions, answered
 from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.next_measures import next_measures
@@ -134,12 +134,7 @@ def _posted(answer: _Answer) -> Callable[[Request], Awaitable[Response]]:
             body += part
             if len(body) > _LONGEST:
                 raise InputError("request", f"more than {_LONGEST} bytes", "a shorter one")
-        try:
-            asked = json.loads(body)
-        except ValueError:
-            raise InputError("request", "no JSON", "an object as JSON") from None
-        if not isinstance(asked, dict):
-            raise InputError("request", "JSON that is no object", "an object as JSON")
+        asked = json_object(body, "request")
         browser = request.headers.get(BROWSER, "")[:80]
         return JSONResponse(await run_in_threadpool(answer, asked, browser))
 

@@ -159,5 +159,9 @@ def test_the_page_draws_the_search(width: int, browser: Any, address: str) -> No
     before = search.locator("figcaption").first.inner_text()
     search.locator("select").select_option(index=1)
     assert search.locator("figcaption").first.inner_text() != before
+    with page.page.expect_download() as coming:
+        search.get_by_role("link", name="SVG").click()
+    name = search.locator("select option:checked").inner_text()
+    assert f"profile={name}" in coming.value.url
     assert all(page.run("[...document.querySelectorAll('canvas.diagram')].map(one => one.getAttribute('aria-label'))"))
     page.close()

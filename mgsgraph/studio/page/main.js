@@ -17,7 +17,7 @@ const KEYS = [
   ['map: arrows, + −, 0', 'move, zoom, whole block'], ['map: c', 'select the point nearest to the middle'],
   ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'],
   ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'the next image'],
-  ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
+  ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
   ['Escape', 'close what is open'],
 ];
 

@@ -76,10 +76,14 @@ export class Registration {
     section.append(make('label', {}, `${words} `, select));
   }
 
-  saving(section, view) {
+  // Links to the view as a figure; `chosen` says, when one is followed, of what
+  saving(section, view, chosen = () => ({})) {
     const links = make('p', {className: 'save-figure'}, 'Save as ');
-    for (const kind of ['svg', 'png', 'pdf'])
-      links.append(make('a', {href: `/api/figure/${view}.${kind}`, download: `${view}.${kind}`, textContent: kind.toUpperCase()}), ' ');
+    for (const kind of ['svg', 'png', 'pdf']) {
+      const file = `${view}.${kind}`, link = make('a', {href: `/api/figure/${file}`, download: file, textContent: kind.toUpperCase()});
+      link.addEventListener('click', () => { link.href = `/api/figure/${file}?${new URLSearchParams(chosen())}`; });
+      links.append(link, ' ');
+    }
     section.append(links);
   }
 
@@ -114,7 +118,7 @@ export class Registration {
         });
     }, () => `${chosen.sentence} Orange rings: before, as archived with the nominal orientation; blue dots: after, both `
       + 'adjusted; the image lies on its side.');
-    this.saving(section, 'footprints');
+    this.saving(section, 'footprints', () => ({image: chosen.image}));
     return section;
   }
 
@@ -136,7 +140,7 @@ export class Registration {
     redraw.push(this.diagram(section, 260, canvas => drawHeights(canvas, chosen.shots), () => heightWords(chosen)));
     redraw.push(this.diagram(section, 220, canvas => drawOff(canvas, chosen.shots),
       'Height of each shot above the surface that the images show, with its a-priori sigma: orange before, blue after.'));
-    this.saving(section, 'relief');
+    this.saving(section, 'relief', () => ({profile: chosen.name}));
     return section;
   }
 
@@ -211,10 +215,11 @@ function ellipse({context, toX, toY}, [east, north], [[xx, xy], [, yy]], stroke)
   context.stroke();
 }
 
-// A cell of colour; cells overlap by half a pixel, for no grid shows between them
+// A cell of colour, on whole pixels: no grid shows between cells
 function cell({context, toX, toY}, x0, x1, y0, y1, [red, green, blue]) {
   context.fillStyle = `rgb(${red}, ${green}, ${blue})`;
-  context.fillRect(toX(x0), toY(y1), toX(x1) - toX(x0) + 0.5, toY(y0) - toY(y1) + 0.5);
+  const [left, top] = [Math.round(toX(x0)), Math.round(toY(y1))];
+  context.fillRect(left, top, Math.round(toX(x1)) - left, Math.round(toY(y0)) - top);
 }
 
 // --- cost surface
