@@ -266,7 +266,7 @@ def _click(seen: Page, pane: int, line: float, sample: float) -> None:
 
 @pytest.mark.slow
 def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tmp_path: Path) -> None:
-    """Five new ties, one of them rejected, a height difference, a figure; all of it is in the project and in `solve`."""
+    """Five new ties, one of them rejected, a height difference, a figure: the project has them, and so does `solve`."""
     folder, given = moc_pair_project(shared_data, tmp_path)
     rng = np.random.default_rng()
     with studio(folder) as running:
