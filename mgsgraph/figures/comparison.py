@@ -9,8 +9,8 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from mgsgraph.analysis.common_points import CommonPoints
-from mgsgraph.analysis.group_medians import medians
-from mgsgraph.figures.aggregate import cell_numbers, limit, span
+from mgsgraph.analysis.group_medians import medians, span
+from mgsgraph.figures.aggregate import cell_numbers, limit
 from mgsgraph.figures.overview_map import GroundFrame, draw_cells, ground_frame
 from mgsgraph.figures.sheet import MOST_MARKS, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.records import Array

@@ -14,11 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import counts, medians
-from mgsgraph.figures.aggregate import cell_numbers, limit, span
-from mgsgraph.figures.content import centre_of, east_north
+from mgsgraph.analysis.group_medians import counts, medians, span
+from mgsgraph.figures.aggregate import cell_numbers, limit
 from mgsgraph.figures.sheet import CLASS_COLOUR, CLASS_NAME, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned

@@ -16,7 +16,6 @@ from mgsgraph.errors import MgsgraphError
 from mgsgraph.figures.adjacency import links_sheet
 from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.comparison import comparison_sheet
-from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import frame, map_sheets
 from mgsgraph.figures.minima import minima_sheets
@@ -38,6 +37,7 @@ from mgsgraph.figures.sheet import (
 )
 from mgsgraph.figures.sigmas import raster_sheet
 from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.group_medians import counts, medians
+from mgsgraph.analysis.group_medians import counts, medians, span
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
-from mgsgraph.figures.aggregate import span
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass

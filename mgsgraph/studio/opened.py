@@ -15,7 +15,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.figures.content import centre_of, east_north
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network.connectivity import network_footprints
