@@ -8,8 +8,9 @@ load pandas, where it is installed, for a sixth of a second.
 """
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from operator import index
 from typing import Any, Union, overload
@@ -274,6 +275,36 @@ class RepeatedNames(Sequence[str]):
     def tolist(self) -> list[str]:
         """(k,) Python texts."""
         return list(self)
+
+
+def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], what: str) -> int:
+    """The number of one of several, asked for by its name or by its number, 0 .. n - 1.
+
+    Parameters
+    ----------
+    asked : str or int
+    numbers : mapping
+        Number of each name.
+    what : str
+        What they are, for messages: image, point.
+
+    Raises
+    ------
+    InputError
+        Where there is none of that name, with the names that come nearest, or of that number.
+    """
+    if isinstance(asked, str):
+        if asked in numbers:
+            return numbers[asked]
+        names = get_close_matches(asked, numbers, n=3)
+    else:
+        if 0 <= index(asked) < len(numbers):
+            return index(asked)
+        names = []
+    names = names or list(itertools.islice(numbers, 3))
+    found = f"no such {what} among {len(numbers)}" if numbers else f"there is no {what}"
+    expected = f"a name, e.g. {', '.join(names)}, or a number from 0 to {len(numbers) - 1}" if numbers else ""
+    raise InputError(f"{what} {asked}", found, expected)
 
 
 def _encoded(names: Sequence[str], source: str) -> Names:
