@@ -141,7 +141,7 @@ def parameters() -> Iterator[Any]:
         members = [one] if inspect.isfunction(one) else [m for _, m in inspect.getmembers(one, inspect.isfunction)]
         for function in members:
             if not function.__name__.startswith("_"):
-                for name in NAMED & set(inspect.signature(function).parameters):
+                for name in sorted(NAMED & set(inspect.signature(function).parameters)):
                     yield pytest.param(function, name, id=f"{function.__qualname__}-{name}")
 
 
