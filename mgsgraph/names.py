@@ -296,15 +296,15 @@ def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], 
     if isinstance(asked, str):
         if asked in numbers:
             return numbers[asked]
-        names = get_close_matches(asked, numbers, n=3)
+        near, expected = get_close_matches(asked, numbers, n=3), "one of their names"
     else:
         if 0 <= index(asked) < len(numbers):
             return index(asked)
-        names = []
-    names = names or list(itertools.islice(numbers, 3))
-    found = f"no such {what} among {len(numbers)}" if numbers else f"there is no {what}"
-    expected = f"a name, e.g. {', '.join(names)}, or a number from 0 to {len(numbers) - 1}" if numbers else ""
-    raise InputError(f"{what} {asked}", found, expected)
+        near, expected = list[str](), f"a number from 0 to {len(numbers) - 1}, or a name"
+    if not numbers:
+        raise InputError(f"{what} {asked}", f"there is no {what}")
+    names = near or list(itertools.islice(numbers, 3))
+    raise InputError(f"{what} {asked}", f"no such {what} among {len(numbers)}", f"{expected}, e.g. {', '.join(names)}")
 
 
 def _encoded(names: Sequence[str], source: str) -> Names:

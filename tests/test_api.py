@@ -177,7 +177,7 @@ def test_what_is_not_there_is_one_clear_error(solution: Solution, asked: str | i
         net.image_number, solution.correction, solution.image, solution.image_covariance, posterior.image,
         lambda image: mgsgraph.orientation_profile(solution, image), lambda image: posterior.pose(image, 1.0),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=rf"^image {asked}: .* 2; .*{net.images[0].name}.* 0 to 1$"):
+        with pytest.raises(InputError, match=rf"^image {asked}: .* 2; .*{net.images[0].name}"):
             ask(asked)
     with pytest.raises(InputError, match=r"^shared unknown clock: "):
         solution.shared_covariance("clock")
