@@ -208,7 +208,7 @@ def solve(
         solved = solve_all(opened, not no_figures, tables, bar, device)
     print_solution(solved.solution)
     if solved.closing is not None:
-        click.echo(f"- {solved.closing.sentence()}")
+        click.echo(f"- {solved.closing.sentence}")
     print_form_of_tables(solved.files, tables)
     click.echo(f"Results are in {solved.folder}")
     ctx.exit(0 if is_result(solved.solution) else 1)
@@ -228,7 +228,7 @@ def status(project: Path) -> None:
 
 def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
     """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
-    print_sentences(impact.sentences())
+    print_sentences(impact.sentences)
     click.echo("\n".join(impact.tables_text()))
     if table is not None:
         from mgsgraph.reports.impact import write_impact
@@ -236,4 +236,4 @@ def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None
         write_impact(impact, table)
         click.echo(f"All points that moved are in {table}")
     if closing is not None:
-        click.echo(f"- {closing.sentence()}")
+        click.echo(f"- {closing.sentence}")

@@ -68,7 +68,7 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
     edited = opened.change(lambda project: _KINDS[kind](project, asked))
     sentences = [edited.sentence]
     if edited.impact is not None:
-        sentences += edited.impact.sentences()
+        sentences += edited.impact.sentences
     return {
         "kind": edited.kind, "point": edited.point, "revision": opened.revision, "sentences": sentences,
         "moved": [] if edited.impact is None else _moved(opened, edited.impact),
