@@ -68,12 +68,12 @@ class MovedPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Impact:
-    """What adding or removing images has done to the rest."""
+    """What adding or removing images, or editing points, has done to the rest."""
 
     verb: str
-    """add or remove."""
+    """add, remove or edit."""
     subjects: tuple[str, ...]
-    """Images added or removed."""
+    """Images added or removed; points edited."""
     images: MovedImages
     """Images that the change reached."""
     points: MovedPoints
@@ -119,7 +119,8 @@ class Impact:
         if self.undetermined:
             said.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
         if self.lost:
-            said.append(f"{many(len(self.lost), 'point')} that no other image saw: gone.")
+            which = "" if self.verb == "edit" else " that no other image saw"
+            said.append(f"{many(len(self.lost), 'point')}{which}: gone.")
         if not self.converged:
             said.append("It did not come to rest; solve the project anew.")
         return said

@@ -34,6 +34,7 @@ from mgsgraph.incremental.state import (
     StateStore,
     require_one_body,
     with_addition,
+    with_points,
     without,
 )
 from mgsgraph.incremental.sweep import Sweep
@@ -237,6 +238,26 @@ class IncrementalAdjustment:
         after = shortened(self.store, before, images)
         changed = without(self.store, images, after, turned_bundles(self.store, before, after))
         return self._change("remove", list(images), [], *changed, after)
+
+    def edit(self, names: Sequence[str], network: Network | None) -> Impact:
+        """Replace some points, with their measures, by those of a network; None takes them out.
+
+        Parameters
+        ----------
+        names : sequence of str
+            The points; those that are not there are new.
+        network : Network or None
+            Points of these names alone, in images that are there.
+
+        Raises
+        ------
+        InputError
+            When a ray misses the body, or parts contradict.
+        PointBehindCamera
+            With the present orientation of an image. In all cases nothing has changed then.
+        """
+        changed = with_points(self.store, names, network)
+        return self._change("edit", names, [], *changed, self.store.definitions())
 
     def close(self, name: str = "adjustment", progress: "Progress" = lambda _: None) -> tuple[Closing, "Solution"]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.

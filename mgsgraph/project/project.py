@@ -21,6 +21,7 @@ from mgsgraph.geometry.twins import ImageTimes
 from mgsgraph.io.files import sha256_of, understood
 from mgsgraph.io.writing import writing_to
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
+from mgsgraph.project.journal import Journal
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.reports.archive_arrays import unpack_parts
@@ -35,6 +36,8 @@ MATCHES = "matches"
 _ANOTHER = "choose another one"
 _TIMES = {"image.trajectory.epoch": float, "image.timing": LineTiming}
 """Of an image's record, what says when it was taken."""
+CHANGING = ("add", "remove", "measure", "move", "reject", "accept", "hold", "release", "undo")
+"""Verbs of changes of images and measures, of which a solution that is older does not know."""
 _Kind = TypeVar("_Kind")
 _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of these, whole or left over by a process that was killed."""
@@ -49,7 +52,9 @@ class Change:
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, match, add, remove, solve, check or coregister."""
+    """init, match, add, remove, solve, check or coregister; of a point measure, move, reject, accept, hold, release,
+    remove or undo.
+    """
     what: str
     """What was changed, in a few words."""
     summary: Mapping[str, Any]
@@ -94,11 +99,14 @@ class Project:
     folder : Path
     store : ProjectStore
         State of the adjustment.
+    journal : Journal
+        Edits of single points.
     """
 
     def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
         self.folder = folder
         self.store = ProjectStore(connection, str(folder))
+        self.journal = Journal(connection, str(folder))
         self._connection = connection
 
     @staticmethod

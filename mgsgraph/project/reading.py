@@ -21,7 +21,7 @@ from mgsgraph.network.parts import Unknown, unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
-from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.project import CHANGING, Project, open_project
 from mgsgraph.reports.archive import ARCHIVE, read_solution
 
 _OWN_CASE = Path("inputs", "case.toml")
@@ -77,7 +77,7 @@ def results_of(path: Path) -> Results:
 
 def _since(project: Project, number: int) -> str:
     """What images and measures the project has taken in or out after a change of its."""
-    later = [change for change in project.changes() if change.number > number and change.verb in ("add", "remove")]
+    later = [change for change in project.changes() if change.number > number and change.verb in CHANGING]
     if not later:
         return ""
     said = ", ".join(f"{change.verb} {change.what}" for change in later)

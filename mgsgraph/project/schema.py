@@ -10,7 +10,7 @@ their tables holds those of one bundle, a cell one column of them. A cell with o
 all; NULL means zeros.
 """
 
-FORMAT = 7
+FORMAT = 8
 """Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -83,6 +83,21 @@ PACKED = (
 ) WITHOUT ROWID""",
 )
 """Tables of packed columns."""
+_EDITS = (
+    """CREATE TABLE edit ( -- changes of single points, by which they are undone
+    change INTEGER PRIMARY KEY REFERENCES change,
+    point TEXT NOT NULL,
+    before TEXT, -- JSON: the point and its measures as they were; NULL where it was not there
+    after TEXT, -- JSON: the same afterwards; NULL where it was taken out
+    undone INTEGER -- number of the change that took it back
+)""",
+    """CREATE TABLE set_aside ( -- measures that a person has rejected: no adjustment has them
+    point TEXT NOT NULL,
+    image INTEGER NOT NULL REFERENCES image,
+    measure TEXT NOT NULL, -- JSON: line, sample and their sigmas, px
+    PRIMARY KEY (point, image)
+) WITHOUT ROWID""",
+)
 _OF_FORMAT_3 = (
     """CREATE TABLE stereo_height ( -- points that lie on them
     point INTEGER PRIMARY KEY REFERENCES point,
@@ -175,7 +190,8 @@ TABLES = (
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
-    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister
+    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister; of single points: measure, move, reject,
+    -- accept, hold, release, remove, undo
     what TEXT NOT NULL,
     summary TEXT NOT NULL -- JSON
 )""",
@@ -193,6 +209,7 @@ TABLES = (
     kind TEXT NOT NULL DEFAULT 'batch' -- batch or incremental
 )""",
     *_COMMON,
+    *_EDITS,
 )
 """Statements that make an empty project."""
 
@@ -211,5 +228,6 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
     4: (),  # had no checksum, which every change writes
     5: _COMMON,  # every image had an orientation of its own, and nothing was shared
     6: PACKED,  # points and their rows had a row each, which `migration.py` packs
+    7: _EDITS,  # no point had been edited
 }
 """Statements by which a format becomes the next one."""
