@@ -44,6 +44,7 @@ def _contents(project: Project) -> list[str]:
         f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
         f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
         f"  terrain model as control: {model}",
+        f"  measures set aside by hand: {sum(map(len, project.journal.all_set_aside().values())) or 'none'}",
         *_passes(project),
     ]
 
