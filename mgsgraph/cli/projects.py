@@ -182,6 +182,95 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 
 @click.command()
 @click.argument("project", type=PATH)
+@click.argument("point")
+@click.option("--new", is_flag=True, help="POINT is a new tie point, of one or more --pixel.")
+@click.option(
+    "--pixel", "pixels", multiple=True, type=(str, float, float), metavar="IMAGE LINE SAMPLE",
+    help="Where an image shows it: a measure more, or another place of the one there. The first pixel's centre is at "
+    "0.5 (ISIS: 1). May be repeated.",
+)  # fmt: skip
+@click.option("--sigma-px", type=float, help="Of line and sample; when absent the project's, or that which is there.")
+@click.option("--reject", "rejected", multiple=True, metavar="IMAGE", help="Set its measure in IMAGE aside.")
+@click.option("--accept", "accepted", multiple=True, metavar="IMAGE", help="Take a rejected measure in again.")
+@click.option("--remove", "gone", is_flag=True, help="Take POINT out.")
+@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@click.pass_context
+def measure(
+    ctx: click.Context, project: Path, point: str, new: bool, pixels: tuple[tuple[str, float, float], ...],
+    sigma_px: float | None, rejected: tuple[str, ...], accepted: tuple[str, ...], gone: bool, table: Path | None,
+) -> None:  # fmt: skip
+    """Measure POINT in images of PROJECT, or reject what is measured, and adjust what it touches.
+
+    All of it is done or nothing; each step is a change of the history, which `mgsgraph undo` takes back. A rejected
+    measure stays out of `mgsgraph solve`, too, until it is accepted again.
+
+    Exit status: 0 done, 1 done and not come to rest, 2 bad input (nothing has changed).
+    """
+    from mgsgraph.project.edits import accept, measure_or_move, new_point, reject, remove_point
+    from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
+
+    if not (pixels or rejected or accepted or gone):
+        raise click.UsageError("one of --pixel, --reject, --accept and --remove")
+    if (new and (rejected or accepted or gone)) or (gone and (pixels or rejected or accepted)):
+        raise click.UsageError("--new goes with --pixel alone, --remove with nothing else")
+    if sigma_px is not None and not pixels:
+        raise click.UsageError("--sigma-px is of --pixel")
+    if len(wanted := {image: (line, sample) for image, line, sample in pixels}) < len(pixels):
+        raise click.UsageError("--pixel of each image once")
+    if table is not None:
+        require_writable(table, project)
+    with open_project(project, write=True) as opened:
+        if new:
+            impacts = [new_point(opened, point, wanted, sigma_px)]
+        else:
+            impacts = [measure_or_move(opened, point, image, place, sigma_px) for image, place in wanted.items()]
+        impacts += [reject(opened, point, image) for image in rejected]
+        impacts += [accept(opened, point, image) for image in accepted]
+        impacts += [remove_point(opened, point)] if gone else []
+        done = opened.changes(len(impacts))
+    for change, impact in zip(done, impacts, strict=True):
+        click.echo(f"{project}: change {change.number}, {change.verb} {change.what}")
+        if impact is not None and impact is not impacts[-1]:
+            print_sentences(impact.sentences())
+    _print_edit(ctx, project, impacts[-1], table)
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@click.argument("change", type=int, required=False)
+@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@click.pass_context
+def undo(ctx: click.Context, project: Path, change: int | None, table: Path | None) -> None:
+    """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
+
+    Edits are the changes that `mgsgraph measure` makes; `mgsgraph status` shows their numbers.
+
+    Exit status: 0 undone, 1 undone and not come to rest, 2 bad input (nothing has changed).
+    """
+    from mgsgraph.project.edits import undo as take_back
+    from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
+
+    if table is not None:
+        require_writable(table, project)
+    with open_project(project, write=True) as opened:
+        impact = take_back(opened, change)
+        (done,) = opened.changes(1)
+    click.echo(f"{project}: change {done.number}, undid {done.what}")
+    _print_edit(ctx, project, impact, table)
+
+
+def _print_edit(ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None) -> None:
+    if impact is None:
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        return
+    print_impact(impact, None, table)
+    ctx.exit(0 if impact.converged else 1)
+
+
+@click.command()
+@click.argument("project", type=PATH)
 @NO_FIGURES
 @TABLES
 @DEVICE

@@ -96,6 +96,14 @@ def move(
     return _edit(project, "move", f"{point} in {image}", point, record.with_measure(now))
 
 
+def measure_or_move(
+    project: Project, point: str, image: str, place: tuple[float, float], sigma: float | None = None
+) -> Impact | None:
+    """`move` where the point is measured in the image, `measure` where it is not."""
+    there = require_point(project, point).of(image) is not None
+    return (move if there else measure)(project, point, image, place, sigma)
+
+
 def reject(project: Project, point: str, image: str) -> Impact | None:
     """Set a measure of a point aside, and adjust without it; as `new_point`.
 

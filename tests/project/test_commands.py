@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import numpy as np
 import profiles
 import pytest
@@ -349,3 +350,32 @@ def test_bad_input_is_one_line_and_status_2(tmp_path: Path) -> None:
     assert done.returncode == 2
     said = f"{tmp_path}: is no project: there is no project.sqlite in it; make one with: mgsgraph init {tmp_path}"
     assert done.stderr.strip() == f"mgsgraph: error: {said}"
+
+
+def test_a_point_is_measured_rejected_and_given_back(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = "SIM/A", "SIM/B"
+    refused(project, "no such point", "measure", project, "HAND1", "--pixel", first, "100", "50")
+    pixels = ("--pixel", first, "100.5", "50", "--pixel", second, "102", "51")
+    call("measure", project, "HAND1", "--new", *pixels)
+    assert "Nothing is adjusted yet" in capsys.readouterr().out
+    call("solve", project, "--no-figures")
+    capsys.readouterr()
+    call("measure", project, "HAND1", "--pixel", first, "101", "50", "--reject", second)
+    said = capsys.readouterr().out
+    assert f"change 4, move HAND1 in {first}" in said
+    assert f"change 5, reject HAND1 in {second}" in said
+    refused(project, "rejected already", "measure", project, "HAND1", "--reject", second)
+    call("measure", project, "HAND1", "--accept", second)
+    call("undo", project, "4")
+    assert "undid 4: move HAND1" in capsys.readouterr().out
+    call("measure", project, "HAND1", "--remove")
+    call("undo", project)
+    call("status", project)
+    assert "9: remove point HAND1" not in capsys.readouterr().out.split("History")[0]
+    for wrong in ((), ("--new", "--remove"), ("--sigma-px", "1", "--remove"), ("--pixel", first, "1", "1") * 2):
+        with pytest.raises(click.UsageError):
+            call("measure", project, "HAND1", *wrong)
+    with open_project(project) as opened:
+        network = opened.store.network()
+        mine = network.rays.point == network.points.ids.tolist().index("HAND1")
+        assert network.rays.places[mine].tolist() == [[100.5, 50.0], [102.0, 51.0]]
