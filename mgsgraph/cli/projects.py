@@ -1,5 +1,6 @@
 """Verbs for a project, a folder to which images come one after the other."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from mgsgraph.incremental.closing import Closing
     from mgsgraph.incremental.impact import Impact
     from mgsgraph.project.addition import Addition
+    from mgsgraph.project.edits import Edited
     from mgsgraph.reports.large_tables import TableForm
 
 
@@ -206,34 +208,32 @@ def measure(
 
     Exit status: 0 done, 1 done and not come to rest, 2 bad input (nothing has changed).
     """
-    from mgsgraph.project.edits import accept, measure_or_move, new_point, reject, remove_point
+    from mgsgraph.errors import InputError
+    from mgsgraph.project import edits
+    from mgsgraph.project.journal import Measure
     from mgsgraph.project.project import open_project
     from mgsgraph.reports.impact import require_writable
 
     if not (pixels or rejected or accepted or gone):
         raise click.UsageError("one of --pixel, --reject, --accept and --remove")
-    if (new and (rejected or accepted or gone)) or (gone and (pixels or rejected or accepted)):
+    if (new and (not pixels or rejected or accepted or gone)) or (gone and (pixels or rejected or accepted)):
         raise click.UsageError("--new goes with --pixel alone, --remove with nothing else")
     if sigma_px is not None and not pixels:
         raise click.UsageError("--sigma-px is of --pixel")
-    if len(wanted := {image: (line, sample) for image, line, sample in pixels}) < len(pixels):
-        raise click.UsageError("--pixel of each image once")
+    if sigma_px is not None and not 0.0 < sigma_px < float("inf"):
+        raise InputError("--sigma-px", f"{sigma_px}", "a positive number of pixels")
     if table is not None:
         require_writable(table, project)
+    wanted = [Measure(image, line, sample, *[sigma_px or 0.0] * 2) for image, line, sample in pixels]
     with open_project(project, write=True) as opened:
-        if new:
-            impacts = [new_point(opened, point, wanted, sigma_px)]
-        else:
-            impacts = [measure_or_move(opened, point, image, place, sigma_px) for image, place in wanted.items()]
-        impacts += [reject(opened, point, image) for image in rejected]
-        impacts += [accept(opened, point, image) for image in accepted]
-        impacts += [remove_point(opened, point)] if gone else []
-        done = opened.changes(len(impacts))
-    for change, impact in zip(done, impacts, strict=True):
-        click.echo(f"{project}: change {change.number}, {change.verb} {change.what}")
-        if impact is not None and impact is not impacts[-1]:
-            print_sentences(impact.sentences())
-    _print_edit(ctx, project, impacts[-1], table)
+        if new and edits.point_state(opened, point) is not None:
+            raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
+        done = [edits.measure(opened, point, wanted)] if new else []
+        done += [] if new else [edits.put_measure(opened, point, one) for one in wanted]
+        done += [edits.reject(opened, point, image) for image in rejected]
+        done += [edits.accept(opened, point, image) for image in accepted]
+        done += [edits.remove_point(opened, point)] if gone else []
+    _print_edits(ctx, project, done, table)
 
 
 @click.command()
@@ -255,13 +255,17 @@ def undo(ctx: click.Context, project: Path, change: int | None, table: Path | No
     if table is not None:
         require_writable(table, project)
     with open_project(project, write=True) as opened:
-        impact = take_back(opened, change)
-        (done,) = opened.changes(1)
-    click.echo(f"{project}: change {done.number}, undid {done.what}")
-    _print_edit(ctx, project, impact, table)
+        done = take_back(opened, change)
+    _print_edits(ctx, project, [done], table)
 
 
-def _print_edit(ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None) -> None:
+def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", table: Path | None) -> None:
+    """Each in a sentence; what the last one did to the rest in full."""
+    for one in done:
+        click.echo(f"{project}: change {one.change}. {one.sentence}")
+        if one.impact is not None and one is not done[-1]:
+            print_sentences(one.impact.sentences())
+    impact = done[-1].impact
     if impact is None:
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
         return

@@ -71,9 +71,9 @@ class Impact:
     """What adding or removing images, or editing points, has done to the rest."""
 
     verb: str
-    """add, remove or edit."""
+    """add, remove, or what was done to points."""
     subjects: tuple[str, ...]
-    """Images added or removed; points edited."""
+    """Images added or removed."""
     images: MovedImages
     """Images that the change reached."""
     points: MovedPoints
@@ -119,7 +119,7 @@ class Impact:
         if self.undetermined:
             said.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
         if self.lost:
-            which = "" if self.verb == "edit" else " that no other image saw"
+            which = " that no other image saw" if self.subjects else ""
             said.append(f"{many(len(self.lost), 'point')}{which}: gone.")
         if not self.converged:
             said.append("It did not come to rest; solve the project anew.")

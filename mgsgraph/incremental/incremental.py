@@ -239,25 +239,25 @@ class IncrementalAdjustment:
         changed = without(self.store, images, after, turned_bundles(self.store, before, after))
         return self._change("remove", list(images), [], *changed, after)
 
-    def edit(self, names: Sequence[str], network: Network | None) -> Impact:
-        """Replace some points, with their measures, by those of a network; None takes them out.
+    def put_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
+        """Put points as a network has them, with all of their rows, in the place of what they were before.
 
         Parameters
         ----------
-        names : sequence of str
-            The points; those that are not there are new.
+        ids : sequence of str
+            Names of these points.
         network : Network or None
-            Points of these names alone, in images that are there.
+            With images that are there; None takes the points out.
+        verb : str
+            What is said to have been done.
 
         Raises
         ------
         InputError
-            When a ray misses the body, or parts contradict.
-        PointBehindCamera
-            With the present orientation of an image. In all cases nothing has changed then.
+            When parts contradict each other; nothing has changed then.
         """
-        changed = with_points(self.store, names, network)
-        return self._change("edit", names, [], *changed, self.store.definitions())
+        known = self.store.definitions()
+        return self._change(verb, (), (), *with_points(self.store, ids, network, known), known)
 
     def close(self, name: str = "adjustment", progress: "Progress" = lambda _: None) -> tuple[Closing, "Solution"]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.

@@ -30,7 +30,7 @@ from mgsgraph.network.joining import seconds
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.network.terrain_control import over_terrain
-from mgsgraph.project.journal import Measure
+from mgsgraph.project.journal import Measure, all_set_aside
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
@@ -161,7 +161,7 @@ def read_addition(
     observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
     measures = observed(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
     if measures is not None:
-        measures = unknown_alone(measures, store, project.journal.all_set_aside())
+        measures = unknown_alone(measures, store, all_set_aside(project))
     if measures is not None:
         networks.append(on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))

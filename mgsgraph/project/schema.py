@@ -83,21 +83,6 @@ PACKED = (
 ) WITHOUT ROWID""",
 )
 """Tables of packed columns."""
-_EDITS = (
-    """CREATE TABLE edit ( -- changes of single points, by which they are undone
-    change INTEGER PRIMARY KEY REFERENCES change,
-    point TEXT NOT NULL,
-    before TEXT, -- JSON: the point and its measures as they were; NULL where it was not there
-    after TEXT, -- JSON: the same afterwards; NULL where it was taken out
-    undone INTEGER -- number of the change that took it back
-)""",
-    """CREATE TABLE set_aside ( -- measures that a person has rejected: no adjustment has them
-    point TEXT NOT NULL,
-    image INTEGER NOT NULL REFERENCES image,
-    measure TEXT NOT NULL, -- JSON: line, sample and their sigmas, px
-    PRIMARY KEY (point, image)
-) WITHOUT ROWID""",
-)
 _OF_FORMAT_3 = (
     """CREATE TABLE stereo_height ( -- points that lie on them
     point INTEGER PRIMARY KEY REFERENCES point,
@@ -116,6 +101,18 @@ _COMMON = (
     name TEXT PRIMARY KEY,
     record BLOB NOT NULL -- .npz: kind, names of images, a-priori sigmas
 ) WITHOUT ROWID""",
+)
+_EDITS = (
+    """CREATE TABLE edit ( -- measures and a-priori places that a person has changed, one point each
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    change INTEGER NOT NULL REFERENCES change,
+    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove, undo
+    point TEXT NOT NULL,
+    before TEXT, -- JSON: kind, a-priori place, measures; NULL where there was no such point
+    after TEXT, -- the same afterwards
+    undoes INTEGER REFERENCES edit -- of kind undo
+)""",
+    "CREATE INDEX edit_of_point ON edit (point, number)",
 )
 TABLES = (
     """CREATE TABLE meta ( -- what this file is
@@ -190,8 +187,7 @@ TABLES = (
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
-    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister; of single points: measure, move, reject,
-    -- accept, hold, release, remove, undo
+    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister, edit
     what TEXT NOT NULL,
     summary TEXT NOT NULL -- JSON
 )""",
@@ -228,6 +224,6 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
     4: (),  # had no checksum, which every change writes
     5: _COMMON,  # every image had an orientation of its own, and nothing was shared
     6: PACKED,  # points and their rows had a row each, which `migration.py` packs
-    7: _EDITS,  # no point had been edited
+    7: _EDITS,  # nobody had changed a measure
 }
 """Statements by which a format becomes the next one."""

@@ -9,6 +9,7 @@ from mgsgraph.io.files import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.links import groups
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
+from mgsgraph.project.journal import all_set_aside
 from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow
 from mgsgraph.wording import many, some
 
@@ -44,7 +45,7 @@ def _contents(project: Project) -> list[str]:
         f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
         f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
         f"  terrain model as control: {model}",
-        f"  measures set aside by hand: {sum(map(len, project.journal.all_set_aside().values())) or 'none'}",
+        f"  measures set aside by hand: {sum(map(len, all_set_aside(project).values())) or 'none'}",
         *_passes(project),
     ]
 

@@ -101,8 +101,7 @@ class ProjectStore:
     def drop_image(self, name: str) -> None:
         """Take an image out; its bundles have been replaced before."""
         (number,) = self._one("SELECT id FROM image WHERE name = ?", name)
-        for table in ("source", "set_aside"):
-            self._connection.execute(f"DELETE FROM {table} WHERE image = ?", (number,))
+        self._connection.execute("DELETE FROM source WHERE image = ?", (number,))
         self._connection.execute("DELETE FROM image WHERE id = ?", (number,))
         self._images.pop(name, None)
 

@@ -358,23 +358,24 @@ def test_a_point_is_measured_rejected_and_given_back(project: Path, capsys: pyte
     pixels = ("--pixel", first, "100.5", "50", "--pixel", second, "102", "51")
     call("measure", project, "HAND1", "--new", *pixels)
     assert "Nothing is adjusted yet" in capsys.readouterr().out
+    refused(project, "it is there already", "measure", project, "HAND1", "--new", *pixels)
     call("solve", project, "--no-figures")
     capsys.readouterr()
-    call("measure", project, "HAND1", "--pixel", first, "101", "50", "--reject", second)
+    call("measure", project, "HAND1", "--pixel", first, "101", "50", "--sigma-px", "0.5", "--reject", second)
     said = capsys.readouterr().out
-    assert f"change 4, move HAND1 in {first}" in said
-    assert f"change 5, reject HAND1 in {second}" in said
-    refused(project, "rejected already", "measure", project, "HAND1", "--reject", second)
+    assert f"change 4. Point HAND1: moved in {first}" in said
+    assert f"change 5. Point HAND1: rejected in {second}" in said
+    refused(project, f"image {second}: no measure", "measure", project, "HAND1", "--reject", second)
     call("measure", project, "HAND1", "--accept", second)
     call("undo", project, "4")
-    assert "undid 4: move HAND1" in capsys.readouterr().out
+    refused(project, "change 4 was undone by change 7", "undo", project, "4")
+    refused(project, "change 3 is none of a point", "undo", project, "3")
     call("measure", project, "HAND1", "--remove")
     call("undo", project)
-    call("status", project)
-    assert "9: remove point HAND1" not in capsys.readouterr().out.split("History")[0]
-    for wrong in ((), ("--new", "--remove"), ("--sigma-px", "1", "--remove"), ("--pixel", first, "1", "1") * 2):
+    for wrong in ((), ("--new", "--remove"), ("--sigma-px", "1", "--remove")):
         with pytest.raises(click.UsageError):
             call("measure", project, "HAND1", *wrong)
+    refused(project, "a positive number", "measure", project, "HAND1", "--pixel", first, "1", "1", "--sigma-px", "nan")
     with open_project(project) as opened:
         network = opened.store.network()
         mine = network.rays.point == network.points.ids.tolist().index("HAND1")

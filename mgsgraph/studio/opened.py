@@ -1,0 +1,263 @@
+"""What is open in the studio: a project, results or a case, as it stands now; a change of a project makes it anew."""
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, NamedTuple, TypeVar
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.starts import Minima
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.case_file import decode
+from mgsgraph.case.reading import picture_of, read_case
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.records import Array
+from mgsgraph.incremental.incremental import IncrementalAdjustment
+from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.project.changes import is_solved
+from mgsgraph.project.connection import FILE
+from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.reading import read_posterior, results_of
+from mgsgraph.reports.archive import ARCHIVE, read_solution
+from mgsgraph.studio.block import Block
+
+Kind = Literal["project", "result", "case"]
+_Found = TypeVar("_Found")
+_CHANGED = "only a project can be changed; make one of the case: mgsgraph init PROJECT --case CASE"
+
+
+class _Now(NamedTuple):
+    """The block in one state, and where what is asked of it comes from."""
+
+    name: str
+    block: Block
+    before: Array | None
+    """(n, 3) m, places of the points before the adjustment; None where there was none."""
+    posterior: Callable[[], Posterior] | None
+    """None before any adjustment."""
+    solution: Solution | None
+    """The batch solution that it is; None of a project that has changed since, and of a case."""
+    pictures: Mapping[str, Path | None]
+    folder: Path | None
+    warning: str
+
+
+class Opened:
+    """A project, a folder of results or a case file, opened for the studio; may be used by several threads.
+
+    Parameters
+    ----------
+    path : Path
+        Which.
+    case : Path, optional
+        Case of the results, for its images' pixels; found by itself for a demonstration and a project.
+
+    Attributes
+    ----------
+    path : Path
+    kind : str
+        project, result or case.
+    revision : int
+        Changes since it was opened.
+
+    Raises
+    ------
+    InputError
+        None of them, or one that can't be read.
+    """
+
+    def __init__(self, path: Path, case: Path | None = None) -> None:
+        self.path, self._case = path, case
+        self.kind: Kind = _kind(path)
+        self.revision = 0
+        self._lock = threading.RLock()
+        self._state: _Now | None = None
+        self._asked: dict[str, object] = {}
+        self.centre = _centre(self._now.block)
+        """(3,) m, body-fixed, where the map has its zero."""
+
+    # --- the state
+
+    @property
+    def _now(self) -> _Now:
+        with self._lock:
+            if self._state is None:
+                self._state = {"project": _project, "result": _result, "case": _of_case}[self.kind](
+                    self.path, self._case
+                )
+            return self._state
+
+    def once(self, name: str, make: Callable[[], _Found]) -> _Found:
+        """What is made of the present state when it is first asked for, and kept until a change."""
+        with self._lock:
+            if name not in self._asked:
+                self._asked[name] = make()
+            found: _Found = self._asked[name]  # type: ignore[assignment]  # one kind for a name
+            return found
+
+    @property
+    def name(self) -> str:
+        """What the case is called."""
+        return self._now.name
+
+    @property
+    def warning(self) -> str:
+        """What is to be said of it; empty where nothing is."""
+        return self._now.warning
+
+    @property
+    def solution(self) -> Solution | None:
+        """The batch solution that it is; None of a project that has changed since, and of a case."""
+        return self._now.solution
+
+    @property
+    def pictures(self) -> Mapping[str, Path | None]:
+        """File of each image's pixels, by its name."""
+        return self._now.pictures
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of its results."""
+        return self._now.folder
+
+    @property
+    def minima(self) -> Minima | None:
+        """Found by starts over the terrain model's shift."""
+        return None if self.solution is None else self.solution.minima
+
+    @property
+    def before(self) -> Array | None:
+        """(n, 3) m, places of the points before the adjustment; None where there was none."""
+        return self._now.before
+
+    def block(self) -> Block:
+        """Images and points as they are now."""
+        return self._now.block
+
+    def posterior(self) -> Posterior:
+        """The posterior; InputError before any adjustment."""
+        make = self._now.posterior
+        if make is None:
+            remedy = "adjust it: mgsgraph solve PROJECT, or mgsgraph adjust CASE --out RESULT"
+            raise InputError(str(self.path), "nothing has been adjusted: there is no posterior", remedy=remedy)
+        return self.once("posterior", make)
+
+    # --- the map
+
+    @cached_property
+    def map_words(self) -> str:
+        """What map coordinates are."""
+        return "m east and north of the block's middle, azimuthal equidistant on the sphere through it"
+
+    def map_places(self, points: Array) -> Array:
+        """(n, 2) m on the map, of points (n, 3) in m, body-fixed; NaN where there is none."""
+        return east_north(points, self.centre)
+
+    def footprints(self) -> list[Array]:
+        """Of each image its outline (k, 2) in m on the map."""
+
+        def make() -> list[Array]:
+            block = self.block()
+            found = network_footprints(block.network, block.places, lambda j: block.corrections[j])  # type: ignore[arg-type,return-value]
+            return [self.map_places(one.outline) if len(one.outline) else np.zeros((0, 2)) for one in found]
+
+        return self.once("footprints", make)
+
+    # --- changes
+
+    def places_of(self, names: Sequence[str]) -> Array:
+        """(n, 3) m, places of some of a project's points as its last change left them, without all others."""
+        with self._lock, open_project(self.path) as project:
+            settings = replace(project.settings.solver.settings, form="bundle")
+            return IncrementalAdjustment(settings, project.store).points(names)[1]
+
+    def change(self, act: Callable[[Project], _Found]) -> _Found:
+        """Change the project, in one transaction.
+
+        Raises
+        ------
+        InputError
+            Results or a case; another process is changing it; what `act` refuses: nothing has changed then.
+        """
+        if self.kind != "project":
+            raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
+        with self._lock, open_project(self.path, write=True) as project:
+            found = act(project)
+        with self._lock:
+            self.revision += 1
+            self._state = None
+            self._asked.clear()
+        return found
+
+
+def _kind(path: Path) -> Kind:
+    if path.is_dir() and (path / FILE).is_file():
+        return "project"
+    if (path.is_dir() and (path / ARCHIVE).is_file()) or path.suffix == ".npz":
+        return "result"
+    if path.is_file():
+        return "case"
+    found = "no such file or folder" if not path.exists() else f"a folder with neither {ARCHIVE} nor {FILE}"
+    raise InputError(str(path), found, "a project, results of `mgsgraph adjust`, or a case file")
+
+
+def _centre(block: Block) -> Array:
+    """Middle (3,) in m of the points, or of what the images see where no point has a place."""
+    if np.any(np.all(np.isfinite(block.places), axis=1)):
+        return centre_of(block.places)
+    outlines = [one.outline for one in network_footprints(block.network, block.places) if len(one.outline)]
+    if not outlines:
+        raise InputError("studio", "no point with a place, and no image that sees the ground", "one of them")
+    return centre_of(np.concatenate(outlines))
+
+
+def _pictures(case: Path | None) -> dict[str, Path | None]:
+    if case is None or not case.is_file():
+        return {}
+    return {entry.name: picture_of(entry, case.parent) for entry in decode(case).images}
+
+
+def _result(path: Path, case: Path | None) -> _Now:
+    results = results_of(path)
+    solution = read_solution(results.folder)
+    return _of_solution(solution, results.folder, _pictures(case or results.case), "")
+
+
+def _of_solution(solution: Solution, folder: Path, pictures: Mapping[str, Path | None], warning: str) -> _Now:
+    words = [warning] if warning else []
+    if not solution.converged:
+        words.append(f"The adjustment has NOT converged, so that sigmas mean little: {solution.message}")
+    return _Now(solution.name, Block.of_solution(solution), solution.places_before, lambda: Posterior.of(solution),
+                solution, pictures, folder if folder.is_dir() else folder.parent, "; ".join(words))  # fmt: skip
+
+
+def _of_case(path: Path, _: Path | None) -> _Now:
+    case = read_case(path)
+    words = "Nothing has been adjusted yet: nominal orientation, a-priori places."
+    return _Now(case.name, Block.of_network(case.network, case.settings), None, None, None,
+                _pictures(path), None, words)  # fmt: skip
+
+
+def _project(path: Path, case: Path | None) -> _Now:
+    with open_project(path) as project:
+        pictures = {name: Path(found) if found else None for name, found in project.pictures().items()}
+        pictures |= _pictures(case)
+        last, changes = project.last_results(), project.changes(1)
+        solved, name = is_solved(project), project.name
+        current = last is not None and bool(changes) and last.change >= changes[-1].number
+        unsolved = None if solved else Block.of_network(project.store.network(), project.settings.solver.settings)
+    if current and last is not None and last.folder is not None and (path / last.folder / ARCHIVE).is_file():
+        return _of_solution(read_solution(path / last.folder), path / last.folder, pictures, "")
+    folder = path / last.folder if last is not None and last.folder is not None else None
+    if unsolved is not None:
+        words = f"Nothing has been adjusted yet: mgsgraph solve {path}"
+        return _Now(name, unsolved, None, None, None, pictures, folder, words)
+    posterior = read_posterior(path)[1]
+    words = f"Adjusted by iSAM2 since the last batch solution; of everything at once: mgsgraph solve {path}"
+    return _Now(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, folder,
+                words if last is not None else "")  # fmt: skip
