@@ -172,6 +172,11 @@ class IncrementalAdjustment:
         """Everything as one network, images in the order in which they came."""
         return self._everything()[0]
 
+    def everything(self) -> tuple[Network, Array]:
+        """Everything as one network, and the places (n, 3) in m of its points, refreshed; NaN where undetermined."""
+        network, stored = self._everything()
+        return network, Sweep(network, self.settings, stored).places(self._engine.value)
+
     def _everything(self) -> tuple[Network, Array]:
         """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
         if not self.store.members():
@@ -266,8 +271,7 @@ class IncrementalAdjustment:
         """
         from mgsgraph.adjustment.adjust import adjust_network  # a whole batch solver, which changes do without
 
-        network, stored = self._everything()
-        places = Sweep(network, self.settings, stored).places(self._engine.value)
+        network, places = self.everything()
         solution = adjust_network(network, replace(self.settings, starts=0), name, progress)
         found = closing(solution, self._engine.value, places)
         if found.adopted:

@@ -1,6 +1,7 @@
 """What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +30,6 @@ _OWN_CASE = Path("inputs", "case.toml")
 _SUMMARY = "summary.json"
 """Where they hold how they compare with the truth."""
 _NETWORK = "network.pvl"
-_Values = Mapping[Unknown, Array]
 
 
 class Results(NamedTuple):
@@ -105,7 +105,9 @@ def read_state(path: Path) -> tuple[str, NetworkState, str]:
     """
     if _is_project(path):
         with open_project(path) as opened:
-            network, values, places = _state(opened, str(path))
+            adjustment = _adjusted(opened, str(path))
+            with errors_from(str(path)):
+                (network, places), values = adjustment.everything(), adjustment.values
             there, kept = np.isfinite(places[:, 0]), unmarked(network)
             rays, ranges = kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]
             settings = opened.settings.solver.settings
@@ -118,9 +120,10 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
     """Name, posterior and warning of the same."""
     if _is_project(path):
         with open_project(path) as opened:
-            network, values, places = _state(opened, str(path))
-            every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
-            return opened.name, Posterior(at_values(network, opened.settings.solver.settings, every, places)), ""
+            adjustment = _adjusted(opened, str(path))
+            network, near = opened.store.everything()
+            every, settings = values_of(network, adjustment.values), opened.settings.solver.settings
+            return opened.name, Posterior(at_values(network, settings, every, near, near=True)), ""
     solution = read_solution(path)
     return solution.name, Posterior.of(solution), _warning(solution)
 
@@ -141,13 +144,14 @@ def _is_project(path: Path) -> bool:
     return (path / FILE).exists()
 
 
-def _state(project: Project, where: str) -> tuple[Network, _Values, Array]:
-    """Everything as one network, its shared unknowns, and the places (n, 3) in m of its points."""
+def values_of(network: Network, values: Mapping[Unknown, Array]) -> list[Array]:
+    """Values (d,) of all variables of a network, m and rad; none of those that are held."""
+    return [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
+
+
+def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
+    """The adjustment that a project holds; InputError for one that has never been solved."""
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
-    with errors_from(where):
-        adjustment = IncrementalAdjustment(project.settings.solver.settings, project.store)
-        network = adjustment.network
-        names, found, _ = adjustment.points()
-    place = dict(zip(names, found, strict=True))
-    return network, adjustment.values, np.array([place[name] for name in network.points.ids]).reshape(-1, 3)
+    settings = replace(project.settings.solver.settings, form="bundle")
+    return IncrementalAdjustment(settings, project.store)
