@@ -148,6 +148,10 @@ class IncrementalAdjustment:
                 raise InputError(f"image {image}", found, "an image with an orientation of its own", remedy)
         return self._engine.joint([Unknown("image", image) for image in images])
 
+    def joint(self, wanted: Sequence[Unknown]) -> Array:
+        """Joint covariance (d, d) of some adjusted unknowns, m and rad, straight from iSAM2."""
+        return self._engine.joint(wanted)
+
     def points(self, ids: Sequence[str] | None = None) -> tuple[tuple[str, ...], Array, Array]:
         """Names, places (n, 3) in m and covariances (n, 3, 3) in m^2 of points, refreshed; all of them when absent.
 

@@ -1,6 +1,5 @@
 """What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -10,15 +9,14 @@ import numpy as np
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
+from mgsgraph.analysis.nearby import posterior_of, stands_alone
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.io.files import understood
 from mgsgraph.io.records import read_record
-from mgsgraph.network import Network
-from mgsgraph.network.parts import Unknown, unknowns
+from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
@@ -122,10 +120,29 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
         with open_project(path) as opened:
             adjustment = _adjusted(opened, str(path))
             network, near = opened.store.everything()
-            every, settings = values_of(network, adjustment.values), opened.settings.solver.settings
+            values, settings = adjustment.values, opened.settings.solver.settings
+            every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
             return opened.name, Posterior(at_values(network, settings, every, near, near=True)), ""
     solution = read_solution(path)
     return solution.name, Posterior.of(solution), _warning(solution)
+
+
+def posterior_near(path: Path, point: str) -> Posterior | None:
+    """Posterior of a project's points that depend on the same unknowns as a point: their rows, and the covariance of
+    these unknowns from iSAM2, so that no other point is read. None without such a point or an adjustment, and where
+    they don't stand alone (`stands_alone`).
+    """
+    with open_project(path) as opened:
+        members = opened.store.bundles_of([point]).get(point)
+        if members is None or not is_solved(opened):
+            return None
+        bundle, adjustment = opened.store.bundle(members), _adjusted(opened, str(path))
+        if opened.store.considered or not stands_alone(bundle.network):
+            return None
+        with errors_from(str(path)):
+            return posterior_of(
+                bundle.network, adjustment.settings, adjustment.values, bundle.places, adjustment.joint
+            )  # fmt: skip
 
 
 def _warning(solution: Solution) -> str:
@@ -142,11 +159,6 @@ def _is_project(path: Path) -> bool:
         found = f"a folder with neither {ARCHIVE} nor {FILE}"
         raise InputError(str(path), found, "results of `mgsgraph adjust`, or a project")
     return (path / FILE).exists()
-
-
-def values_of(network: Network, values: Mapping[Unknown, Array]) -> list[Array]:
-    """Values (d,) of all variables of a network, m and rad; none of those that are held."""
-    return [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
 
 
 def _adjusted(project: Project, where: str) -> IncrementalAdjustment:

@@ -1,8 +1,7 @@
 """What is open in the studio: a project, results or a case, as it stands now; a change of a project makes it anew."""
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
@@ -11,23 +10,26 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.starts import Minima
+from mgsgraph.analysis.nearby import posterior_of_points
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.map_plane import centre_of, east_north
-from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.incremental import IncrementalAdjustment
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import Project, open_project
-from mgsgraph.project.reading import read_posterior, results_of
+from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.reports.archive import ARCHIVE, read_solution
 from mgsgraph.studio.block import Block
 
 Kind = Literal["project", "result", "case"]
 _Found = TypeVar("_Found")
+_MOST_NEAR = 2000
+"""Points about one of a solution whose posterior is found together."""
 _CHANGED = "only a project can be changed; make one of the case: mgsgraph init PROJECT --case CASE"
 
 
@@ -45,6 +47,17 @@ class _Now(NamedTuple):
     pictures: Mapping[str, Path | None]
     folder: Path | None
     warning: str
+
+
+class About(NamedTuple):
+    """A point and others."""
+
+    block: Block
+    """They and the images that show them."""
+    posterior: Posterior | None
+    """None before any adjustment."""
+    before: Array | None
+    """(n, 3) m, their places before the adjustment; None where there was none."""
 
 
 class Opened:
@@ -78,7 +91,10 @@ class Opened:
         self._lock = threading.RLock()
         self._state: _Now | None = None
         self._asked: dict[str, object] = {}
-        self.centre = _centre(self._now.block)
+        self._pictures: Mapping[str, Path | None] | None = None
+        self._near: tuple[int, str, About | None] | None = None
+        self._near_lock = threading.Lock()
+        self.centre, self._pictures = _centre(self._now.block), self._now.pictures
         """(3,) m, body-fixed, where the map has its zero."""
 
     # --- the state
@@ -118,7 +134,10 @@ class Opened:
     @property
     def pictures(self) -> Mapping[str, Path | None]:
         """File of each image's pixels, by its name."""
-        return self._now.pictures
+        state = self._state
+        if self._pictures is None or state is not None:  # no change of a point changes them
+            self._pictures = self._now.pictures
+        return self._pictures
 
     @property
     def folder(self) -> Path | None:
@@ -147,6 +166,30 @@ class Opened:
             raise InputError(str(self.path), "nothing has been adjusted: there is no posterior", remedy=remedy)
         return self.once("posterior", make)
 
+    def about(self, point: str) -> "About":
+        """A point and others that feel the same unknowns, where they can be had without all the rest, which takes its
+        time; the whole block otherwise.
+        """
+        with self._near_lock:
+            if self._near is None or self._near[:2] != (self.revision, point):
+                self._near = self.revision, point, self._found_near(point)
+            if (found := self._near[2]) is not None:
+                return found
+        return About(self.block(), None if self._now.posterior is None else self.posterior(), self.before)
+
+    def _found_near(self, point: str) -> "About | None":
+        state = self._state
+        if self.kind == "project" and (state is None or state.solution is None):
+            near = posterior_near(self.path, point)
+            return None if near is None else About(Block.of_posterior(near), near, None)
+        solution = self.solution
+        mine = None if solution is None else near_points(solution.network, solution.places, point)
+        near = None if mine is None or solution is None else posterior_of_points(solution, mine)
+        if near is None or mine is None:
+            return None
+        before = self.before
+        return About(Block.of_posterior(near), near, None if before is None else before[mine])
+
     # --- the map
 
     @cached_property
@@ -170,12 +213,6 @@ class Opened:
 
     # --- changes
 
-    def places_of(self, names: Sequence[str]) -> Array:
-        """(n, 3) m, places of some of a project's points as its last change left them, without all others."""
-        with self._lock, open_project(self.path) as project:
-            settings = replace(project.settings.solver.settings, form="bundle")
-            return IncrementalAdjustment(settings, project.store).points(names)[1]
-
     def change(self, act: Callable[[Project], _Found]) -> _Found:
         """Change the project, in one transaction.
 
@@ -193,6 +230,20 @@ class Opened:
             self._state = None
             self._asked.clear()
         return found
+
+
+def near_points(network: Network, places: Array, point: str) -> Index | None:
+    """(m,) points that share an image with a point, the nearest of them, ascending; None where it has no place."""
+    (number,) = network.points.ids.find([point]).tolist()
+    if number < 0 or not np.all(np.isfinite(places[number])):
+        return None
+    rays, ranges = network.rays, network.ranges
+    images = np.union1d(rays.image[rays.point == number], ranges.image[ranges.point == number])
+    shared = np.zeros(len(network.points), dtype=bool)
+    shared[rays.point[np.isin(rays.image, images)]] = shared[ranges.point[np.isin(ranges.image, images)]] = True
+    mine = np.flatnonzero(shared & np.all(np.isfinite(places), axis=1))
+    away = np.linalg.norm(places[mine] - places[number], axis=1)
+    return np.sort(mine[np.argsort(away, kind="stable")[:_MOST_NEAR]])
 
 
 def _kind(path: Path) -> Kind:
