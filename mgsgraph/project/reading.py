@@ -118,11 +118,11 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
     """Name, posterior and warning of the same."""
     if _is_project(path):
         with open_project(path) as opened:
-            adjustment = _adjusted(opened, str(path))
-            network, near = opened.store.everything()
-            values, settings = adjustment.values, opened.settings.solver.settings
-            every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
-            return opened.name, Posterior(at_values(network, settings, every, near, near=True)), ""
+            values, settings = _adjusted(opened, str(path)).values, opened.settings.solver.settings
+            name, (network, near) = opened.name, opened.store.everything()
+        every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]  # the file is free meanwhile
+        with errors_from(str(path)):
+            return name, Posterior(at_values(network, settings, every, near, near=True)), ""
     solution = read_solution(path)
     return solution.name, Posterior.of(solution), _warning(solution)
 

@@ -7,6 +7,7 @@ asked of the network.
 
 import secrets
 import socket
+import threading
 from collections.abc import Awaitable, Callable
 from contextlib import closing
 from pathlib import Path
@@ -149,5 +150,6 @@ def serve(opened: Opened, port: int | None, ready: Callable[[str], Any]) -> None
             application(opened, token, number), log_level="warning", access_log=False, timeout_graceful_shutdown=2
         )
         server = uvicorn.Server(config)
+        threading.Thread(target=opened.warm, daemon=True).start()
         ready(f"http://{HOST}:{number}/?token={token}")
         server.run(sockets=[place])

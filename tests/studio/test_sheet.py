@@ -53,7 +53,7 @@ def changed(solved: Path, tmp_path: Path) -> tuple[Opened, str]:
 def test_after_a_change_the_sheet_reads_its_point_alone(changed: tuple[Opened, str]) -> None:
     opened, name = changed
     sheet = point_sheet(opened, name)
-    assert opened._state is None  # nothing of the block was read
+    assert not opened.is_read
     whole = read_posterior(opened.path)[1]
     found = whole.point(name)
     frame = east_north_up(found.position[None])[0]
@@ -69,7 +69,7 @@ def test_after_a_change_the_sheet_reads_its_point_alone(changed: tuple[Opened, s
 def test_tests_of_a_point_are_those_of_the_whole_block(changed: tuple[Opened, str]) -> None:
     opened, name = changed
     found = judged(opened, name)
-    assert opened._state is None
+    assert not opened.is_read
     whole = reliability(read_posterior(opened.path)[1].linearised)
     every, number = whole.measures, whole.at.network.points.ids.find([name])[0]
     mine = np.flatnonzero((every.kind == MeasureKind.RAY) & (every.point == number))
