@@ -61,8 +61,6 @@ class Prediction(NamedTuple):
     """(2,) line and sample; may lie outside the image."""
     jacobian: Array
     """(2, 2) px per px, by line and sample of the first image."""
-    by_height: Array
-    """(2,) px per m, by which height of the ground moves it, the first image's place being given."""
     inside: bool
     """Whether the image has that place."""
     ellipse: Ellipse | None
@@ -128,7 +126,7 @@ class LinkedImages:
         inside = bool(np.all((places[0] >= 0.0) & (places[0] <= [picture.lines, picture.samples])))
         by_height = by_point[0] @ ground.by_height
         ellipse = self._ellipse((first, other), (place, places[0]), ground, jacobian, by_height) if inside else None
-        return Prediction(other, places[0], jacobian, by_height, inside, ellipse)
+        return Prediction(other, places[0], jacobian, inside, ellipse)
 
     def _ellipse(
         self, pair: tuple[int, int], places: tuple[Array, Array], ground: Ground, jacobian: Array, by_height: Array

@@ -19,8 +19,6 @@ _HALF = (10, 10)
 """px of the reference window on each side of its middle."""
 _REACH = 8.0
 """px by which the place may leave where it was clicked."""
-_LEAST_PARALLAX = 1e-3
-"""px per m of height below which two views see no relief."""
 _ROOM = 12
 """px that are read beyond the window and its reach."""
 _WORDS = {
@@ -50,9 +48,9 @@ def refine(
     """Move a clicked place to where the ground around the reference's place is.
 
     The window's shape follows from the geometry of both images, turned and scaled by the Jacobian of one image's places
-    by the other's; least squares adjust it (Grün 1985), and along the direction in which height displaces it may be
-    curved, as the ground is. The covariance is that of noise and, along that direction, of relief that the window's
-    shape does not follow (`matching.least_squares`).
+    by the other's; least squares adjust it (Grün 1985). The covariance is that of noise and of what the window's own
+    bend has above its noise (`matching.least_squares`): in so small a window unknowns of the relief would add more
+    noise than they take away.
 
     Parameters
     ----------
@@ -79,17 +77,15 @@ def refine(
     other, second = _window(block, pictures, wanted, start, reach + _ROOM)
     anchor = np.floor(place) + 0.5
     begin = start + found.jacobian @ (anchor - place)
-    relief = found.by_height[None] if np.linalg.norm(found.by_height) > _LEAST_PARALLAX else None
     match = match_least_squares(
-        template, other, (anchor - first)[None], (begin - second)[None], found.jacobian[None], _HALF, relief,
-        LeastSquaresSettings(reach=_REACH), threads=1,
+        template, other, (anchor - first)[None], (begin - second)[None], found.jacobian[None], _HALF,
+        settings=LeastSquaresSettings(reach=_REACH), threads=1,
     )  # fmt: skip
     if not match.converged[0]:
         words = _WORDS[MatchStatus(int(match.status[0]))]
         raise InputError(f"image {wanted}", f"no least-squares match with {name}: {words}", remedy="click it by eye")
     there = match.pixels[0] + second + match.affine[0] @ (place - anchor)
-    covariance = match.covariance if relief is None else match.covariance_with_relief(relief)
-    return Refined(there, covariance[0] + FINEST**2 * np.eye(2), float(match.correlation[0]))
+    return Refined(there, match.covariance[0] + FINEST**2 * np.eye(2), float(match.correlation[0]))
 
 
 def _window(
