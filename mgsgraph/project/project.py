@@ -35,6 +35,8 @@ MATCHES = "matches"
 _ANOTHER = "choose another one"
 _TIMES = {"image.trajectory.epoch": float, "image.timing": LineTiming}
 """Of an image's record, what says when it was taken."""
+CHANGING = ("add", "remove", "edit")
+"""Verbs of changes that put measures in or take them out."""
 _Kind = TypeVar("_Kind")
 _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of these, whole or left over by a process that was killed."""
@@ -63,7 +65,7 @@ class EditRow(NamedTuple):
     kind: str
     point: str
     before: str | None
-    """JSON (`project.edits.PointState`); None where there was no such point."""
+    """JSON (`project.journal.PointState`); None where there was no such point."""
     after: str | None
     """JSON; None where there is none any longer."""
 
@@ -259,6 +261,23 @@ class Project:
             "(SELECT undoes FROM edit WHERE undoes IS NOT NULL) ORDER BY number DESC LIMIT 1"
         ).fetchone()
         return None if row is None else self._record(row, EditRow)
+
+    def edit(self, change: int) -> EditRow | None:
+        """The change of a point that a change of the history was; None where it was none."""
+        row = self._connection.execute(
+            "SELECT number, kind, point, before, after FROM edit WHERE change = ?", (change,)
+        ).fetchone()
+        return None if row is None else self._record(row, EditRow)
+
+    def undone_by(self, number: int) -> int | None:
+        """Number in the history of what undid a change of a point, which has its number in the journal."""
+        found = self._connection.execute("SELECT change FROM edit WHERE undoes = ?", (number,)).fetchone()
+        return None if found is None else int(found[0])
+
+    def edited_points(self) -> list[str]:
+        """Points that a person has changed."""
+        rows = self._connection.execute("SELECT DISTINCT point FROM edit ORDER BY point")
+        return [point for (point,) in rows]
 
     def last_edit_of(self, point: str) -> tuple[int, str | None] | None:
         """Number of the last change of a point, and its state since; None where nobody has changed it."""

@@ -12,9 +12,11 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, from_geodetic
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.impact import Impact
 from mgsgraph.project import edits
-from mgsgraph.project.edits import Edited, Measure
+from mgsgraph.project.edits import Edited
+from mgsgraph.project.journal import Measure
 from mgsgraph.project.project import Project
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
@@ -65,13 +67,13 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
     began, kind = time.perf_counter(), _text(asked, "kind")
     if kind not in _KINDS:
         raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
-    edited = opened.change(lambda project: _KINDS[kind](project, asked))
+    edited, moved = opened.change(lambda project: _with_moved(project, _KINDS[kind](project, asked)))
     sentences = [edited.sentence]
     if edited.impact is not None:
         sentences += edited.impact.sentences
     return {
         "kind": edited.kind, "point": edited.point, "revision": opened.revision, "sentences": sentences,
-        "moved": [] if edited.impact is None else _moved(opened, edited.impact),
+        "moved": [] if edited.impact is None else _moved(opened, edited.impact, moved),
         "seconds": round(time.perf_counter() - began, 3),
     }  # fmt: skip
 
@@ -121,12 +123,25 @@ _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
 }
 
 
-def _moved(opened: Opened, impact: Impact) -> list[dict[str, Any]]:
-    """Points that moved, those first that moved by most of their sigmas; new ones before."""
-    moved = impact.points
-    order = np.argsort(-np.nan_to_num(moved.in_sigmas, nan=np.inf), kind="stable")[:_MOST_MOVED]
+def _with_moved(project: Project, edited: Edited) -> tuple[Edited, Array]:
+    """A change, and places (n, 3) in m of the points that moved by it, as the project has them now."""
+    names = [] if edited.impact is None else [edited.impact.points.ids[k] for k in _order(edited.impact).tolist()]
+    found, place = project.store.bundles_of(names), dict[str, Array]()
+    for members in dict.fromkeys(found.values()):
+        bundle = project.store.bundle(members)
+        place |= zip(bundle.network.points.ids, bundle.places, strict=True)
+    return edited, np.array([place.get(name, np.full(3, np.nan)) for name in names]).reshape(-1, 3)
+
+
+def _order(impact: Impact) -> Index:
+    """Points that moved, new ones before those that moved by most of their sigmas; the first ones."""
+    return np.argsort(-np.nan_to_num(impact.points.in_sigmas, nan=np.inf), kind="stable")[:_MOST_MOVED]
+
+
+def _moved(opened: Opened, impact: Impact, places: Array) -> list[dict[str, Any]]:
+    """Points that moved, in that order, at places (n, 3) in m."""
+    moved, order = impact.points, _order(impact)
     names = [moved.ids[k] for k in order.tolist()]
-    places = opened.places_of(names)
     frames = east_north_up(np.where(np.isfinite(places), places, 1.0))
     vectors = np.einsum("nij,nj->ni", frames, moved.moves[order])
     plane = opened.map_places(places)

@@ -41,6 +41,8 @@ class MapPoints:
     """Whose."""
     block: Block
     """In which state."""
+    before: Array | None
+    """(n, 3) m, where they were before the adjustment; a-priori places when absent."""
 
     @cached_property
     def plane(self) -> Array:
@@ -69,9 +71,7 @@ class MapPoints:
     @cached_property
     def moved(self) -> Array:
         """(n, 3) m east, north and up, adjusted minus before; NaN where nothing was before."""
-        before = self.opened.before
-        if before is None:
-            before = self.block.network.points.places
+        before = self.block.network.points.places if self.before is None else self.before
         return np.asarray(np.einsum("nij,nj->ni", self.frames(), self.block.places - before))
 
     def value(self, name: str) -> Array:
@@ -190,7 +190,7 @@ class MapPoints:
 
 def map_points(opened: Opened) -> MapPoints:
     """The points as they are now."""
-    return opened.once("map points", lambda: MapPoints(opened, opened.block()))
+    return opened.once("map points", lambda: MapPoints(opened, opened.block(), opened.before))
 
 
 def _largest(values: Array, groups: Index, number: int) -> Array:

@@ -7,26 +7,28 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from mgsgraph.analysis.companions import cross_covariances
 from mgsgraph.analysis.measures import MeasureKind, ScalarMeasures
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic, planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array
 from mgsgraph.io.pictures import picture_size, read_picture_part
 from mgsgraph.network import PointClass
-from mgsgraph.project.edits import Measure, point_state
+from mgsgraph.project.edits import point_state
+from mgsgraph.project.journal import Measure
 from mgsgraph.project.project import open_project
 from mgsgraph.reports.answers import Questions, answered
-from mgsgraph.studio.map_points import map_points
+from mgsgraph.studio.block import Block
+from mgsgraph.studio.map_points import MapPoints
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
-_NEIGHBOURS, _SHOWN = 40, 12
-"""Nearest points of its class whose correlation with the point is found, and how many of them are shown."""
-_MOST_MEASURES = 400_000
-"""Observations up to which all redundancies are found for the sheet."""
+_SHOWN = 12
+"""Points that go along with one of which most are shown."""
 _CHIP = 32
 """px from the middle of a chip to its edge, at the most."""
 _ENLARGED = 4
@@ -41,7 +43,7 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
     InputError
         No such point.
     """
-    block = opened.block()
+    block, posterior, before = opened.about(point)
     set_aside, edited = _of_project(opened, point)
     (found,) = block.network.points.ids.find([point]).tolist()
     if found < 0 and not set_aside:
@@ -52,17 +54,17 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
     }  # fmt: skip
     if found < 0:
         return record | {"rays": [], "class": "tie", "kind": "free", "place": None}
-    points = map_points(opened)
+    points = MapPoints(opened, block, before)
     rays = np.flatnonzero(block.network.rays.point == found)
     record |= {
         "class": PointClass(int(block.network.points.classes[found])).name.lower(),
         "kind": PointKind(int(block.network.points.kinds[found])).name.lower(),
-        "place": _place(opened, block.places[found]), "map_m": _known(points.plane[found]),
+        "place": _place(block, block.places[found]), "map_m": _known(points.plane[found]),
         "sigmas_m": _known(np.sqrt(np.diagonal(points.local[found]))), "moved_m": _known(points.moved[found]),
-        "rays": [_ray(opened, found, k) for k in rays.tolist()],
+        "rays": [_ray(opened, block, found, k) for k in rays.tolist()],
         "ranges": int(np.count_nonzero(block.network.ranges.point == found)),
     }  # fmt: skip
-    return record | {"answer": _answer(opened, point)}
+    return record | _answer(posterior, point)
 
 
 def _of_project(opened: Opened, point: str) -> tuple[tuple[Measure, ...], bool]:
@@ -78,18 +80,18 @@ def _measure_record(one: Measure) -> dict[str, Any]:
     return {"image": one.image, "line": one.line, "sample": one.sample, "sigma_px": [one.sigma_line, one.sigma_sample]}
 
 
-def _place(opened: Opened, place: Array) -> dict[str, float] | None:
+def _place(block: Block, place: Array) -> dict[str, float] | None:
     if not np.all(np.isfinite(place)):
         return None
     longitude, latitude, radius = planetocentric(place[None])[0].tolist()
-    height = float(geodetic(place[None], opened.block().images[0].body)[0, 2])
+    height = float(geodetic(place[None], block.images[0].body)[0, 2])
     return {"longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
             "height_m": height}  # fmt: skip
 
 
-def _ray(opened: Opened, point: int, ray: int) -> dict[str, Any]:
+def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
     """A measure with its residual."""
-    block, rays = opened.block(), opened.block().network.rays
+    rays = block.network.rays
     image = int(rays.image[ray])
     at = projected(block, image, block.places[point][None], rays.places[[ray], 0])[0]
     return {
@@ -100,15 +102,15 @@ def _ray(opened: Opened, point: int, ray: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _answer(opened: Opened, point: str) -> str | None:
-    """What `mgsgraph analyze --point` says of it; None before any adjustment, or of an undetermined point."""
-    if not opened.block().adjusted:
-        return None
+def _answer(posterior: Posterior | None, point: str) -> dict[str, Any]:
+    """What `mgsgraph analyze --point` says of it, and its error ellipsoid; None before any adjustment, or of an
+    undetermined point.
+    """
     try:
-        (found,) = answered(opened.posterior(), Questions(points=(point,)))
+        found = [] if posterior is None else list(answered(posterior, Questions(points=(point,))))
     except InputError:
-        return None
-    return found.text
+        found = []
+    return {"answer": found[0].text, "ellipsoid": found[0].record["ellipsoid"]} if found else {"answer": None}
 
 
 def tests_of(opened: Opened, point: str) -> dict[str, Any]:
@@ -117,18 +119,18 @@ def tests_of(opened: Opened, point: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        A block too large to find them while somebody waits; nothing adjusted.
+        No such point; nothing adjusted.
     """
-    number, size = map_points(opened).number(point), opened.block().network.rays.point.size
-    if 2 * size > _MOST_MEASURES:
-        remedy = "mgsgraph analyze RESULT --reliability 20 --out FOLDER lists them"
-        raise InputError(str(opened.path), f"{2 * size} observations", f"up to {_MOST_MEASURES} for this sheet", remedy)
-    found = opened.once("reliability", lambda: reliability(opened.posterior().linearised))
+    block, posterior, before = opened.about(point)
+    number = MapPoints(opened, block, before).number(point)
+    if posterior is None:
+        raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block: tests are of residuals")
+    found = reliability(posterior.linearised)
     every = found.measures
     mine = np.flatnonzero((every.kind == MeasureKind.RAY) & (every.point == number))
     rows = dict[str, dict[str, list[float | None]]]()
     for k in mine.tolist():
-        name = opened.block().images[int(every.image[k])].name
+        name = block.images[int(every.image[k])].name
         of_image = rows.setdefault(name, {key: [None, None] for key in ("redundancy", "w", "detectable_px")})
         for key, value in _test(every, k).items():
             of_image[key][int(every.component[k])] = value
@@ -141,30 +143,29 @@ def _test(every: ScalarMeasures, k: int) -> dict[str, float | None]:
 
 
 def correlations(opened: Opened, point: str) -> dict[str, Any]:
-    """How the place of a point goes along with those of its neighbours: correlation east, north and up, as JSON."""
-    points, posterior = map_points(opened), opened.posterior()
+    """How the place of a point goes along with those of others that feel the same unknowns: correlation east, north and
+    up with those most correlated, and how many were looked at, as JSON.
+    """
+    block, posterior, before = opened.about(point)
+    points = MapPoints(opened, block, before)
     number = points.number(point)
-    away = np.linalg.norm(points.plane - points.plane[number], axis=1)
-    alike = np.isfinite(away) & (points.classes == points.classes[number])
-    order: Index = np.argsort(np.where(alike, away, np.inf), kind="stable")[: min(_NEIGHBOURS + 1, alike.sum())]
-    ids = points.block.network.points.ids
-    names, quantities = list[str](), []
-    for name in dict.fromkeys([point, *(ids[i] for i in order.tolist())]):
-        try:
-            quantities.append(posterior.of_point(name))
-            names.append(name)
-        except InputError:  # held, or undetermined
-            continue
-    if not names or names[0] != point:
+    if posterior is None:
+        raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block")
+    if not np.any(np.nan_to_num(points.local[number])):
         raise InputError(f"point {point}", "held or without a place: it goes along with nothing", "a free point")
-    joint = posterior.covariance(quantities).reshape(len(names), 3, len(names), 3)
-    frames = points.frames(np.array([points.number(name) for name in names]))
-    local = np.einsum("iab,ibjc,jdc->iajd", frames, joint, frames)
-    spread = np.sqrt(np.maximum(np.einsum("iaia->ia", local), 1e-300))
-    found = np.einsum("aja->ja", local[0] / (spread[0][:, None, None] * spread[None]))
-    rows = sorted(zip(names[1:], found[1:].tolist(), strict=True), key=lambda row: -max(map(abs, row[1])))[:_SHOWN]
-    return {"axes": ["east", "north", "up"], "rows": [{"name": name, "correlation": value} for name, value in rows],
-            "distance_m": {name: float(away[points.number(name)]) for name, _ in rows}}  # fmt: skip
+    cross, frames = cross_covariances(posterior.linearised, number), points.frames()
+    axes = np.einsum("ab,nbd,nad->na", frames[number], cross, frames)
+    variances = np.diagonal(points.local, axis1=1, axis2=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = axes / np.sqrt(variances[number] * variances)
+    looked_at = np.flatnonzero(np.all(np.isfinite(found), axis=1) & (np.arange(len(found)) != number))
+    size = np.abs(found[looked_at]).max(axis=1, initial=0.0)
+    chosen = looked_at[np.argsort(-size, kind="stable")[:_SHOWN]]
+    away = np.linalg.norm(block.places - block.places[number], axis=1)
+    ids = block.network.points.ids
+    rows = [{"name": ids[k], "correlation": found[k].tolist()} for k in chosen.tolist()]
+    return {"axes": ["east", "north", "up"], "rows": rows, "looked_at": int(looked_at.size),
+            "distance_m": {ids[k]: float(away[k]) for k in chosen.tolist()}}  # fmt: skip
 
 
 def chip(path: Path, line: float, sample: float) -> bytes:

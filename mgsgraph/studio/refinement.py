@@ -10,6 +10,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.pictures import read_picture_part
 from mgsgraph.matching.least_squares import LeastSquaresSettings, MatchStatus, match_least_squares
+from mgsgraph.matching.measuring import FINEST
 from mgsgraph.matching.spline import SplinePicture
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.linked import LinkedImages
@@ -47,7 +48,9 @@ def refine(
     """Move a clicked place to where the ground around the reference's place is.
 
     The window's shape follows from the geometry of both images, turned and scaled by the Jacobian of one image's places
-    by the other's; least squares adjust it (Grün 1985).
+    by the other's; least squares adjust it (Grün 1985). The covariance is that of noise and of what the window's own
+    bend has above its noise (`matching.least_squares`): in so small a window unknowns of the relief would add more
+    noise than they take away.
 
     Parameters
     ----------
@@ -82,7 +85,7 @@ def refine(
         words = _WORDS[MatchStatus(int(match.status[0]))]
         raise InputError(f"image {wanted}", f"no least-squares match with {name}: {words}", remedy="click it by eye")
     there = match.pixels[0] + second + match.affine[0] @ (place - anchor)
-    return Refined(there, match.covariance[0], float(match.correlation[0]))
+    return Refined(there, match.covariance[0] + FINEST**2 * np.eye(2), float(match.correlation[0]))
 
 
 def _window(

@@ -21,7 +21,8 @@ from mgsgraph.incremental.closing import EXACT
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import PointClass
 from mgsgraph.project import edits
-from mgsgraph.project.edits import Edited, Measure, point_state
+from mgsgraph.project.edits import Edited, point_state
+from mgsgraph.project.journal import Measure, PointState
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -217,7 +218,7 @@ def test_undoing_gives_the_former_adjustment_back(solved: Path, tmp_path: Path, 
         edit(folder, edits.undo)
 
 
-def _sorted(state: edits.PointState | None) -> edits.PointState | None:
+def _sorted(state: PointState | None) -> PointState | None:
     if state is None:
         return None
     return msgspec.structs.replace(state, measures=tuple(sorted(state.measures, key=lambda one: one.image)))

@@ -199,7 +199,7 @@ export class Sheet {
     this.testWords.textContent = `A measure is suspected where |w| exceeds ${short(critical)} (a false alarm in ${short(1 / alpha, 4)}); the least detectable error is one that would be found with a probability of 80 %.`;
   }
 
-  showCorrelations({axes, rows, distance_m: away}) {
+  showCorrelations({axes, rows, distance_m: away, looked_at: count}) {
     if (!rows.length) return this.along.replaceChildren(make('p', {className: 'caption', textContent: 'No other point with a place.'}));
     const head = make('tr', {}, ...['point', 'distance (m)', ...axes].map(textContent => make('th', {scope: 'col', textContent})));
     const body = make('tbody');
@@ -209,7 +209,7 @@ export class Sheet {
       body.append(make('tr', {}, make('td', {}, link), make('td', {className: 'number', textContent: short(away[name])}), ...correlation.map(one => make('td', {className: 'number', textContent: one.toFixed(3)}))));
     }
     return this.along.replaceChildren(make('div', {className: 'scroll', tabIndex: 0}, make('table', {}, make('thead', {}, head), body)),
-      make('p', {className: 'caption', textContent: 'Those of the 40 nearest points of its kind whose coordinates are most correlated with its own: 1 means that they are wrong together.'}));
+      make('p', {className: 'caption', textContent: `Of ${count} points that its images show, those whose coordinates are most correlated with its own: 1 means that they are wrong together.`}));
   }
 }
 
