@@ -37,7 +37,8 @@ def test_every_kind_of_figure_is_known() -> None:
     found = {
         node.args[0].value
         for path in (HOUSE / "figures").rglob("*.py")
-        if not path.stem.startswith("page")  # whose sheets stand in the page itself
+        # sheets of the page stand in it, those of the studio's views are handed out one by one
+        if not path.stem.startswith("page") and not path.stem.endswith("_views")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
