@@ -15,6 +15,7 @@ TABLE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 FOLDERS = {"mgsgraph": ROOT / "mgsgraph", "mgsgraph.factors": ROOT / "factors"}
 STOREYS = [
     ("mgsgraph.cli",),
+    ("mgsgraph.studio",),
     ("mgsgraph.campaign", "mgsgraph.project"),
     ("mgsgraph.demo",),
     ("mgsgraph.export", "mgsgraph.review"),
@@ -61,6 +62,7 @@ ONLY_IN = {
     "jinja2": ("mgsgraph.output.page",),
     "google": ("mgsgraph.control",),
     "click": ("mgsgraph.cli",),
+    "starlette": ("mgsgraph.studio",),
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.blunders", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.gpu",
@@ -69,7 +71,7 @@ ONLY_IN = {
         "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.common_errors", "mgsgraph.geometry.footprint",
         "mgsgraph.geometry.stereo_surface", "mgsgraph.geometry.terrain",
         "mgsgraph.geometry.track_terrain",
-        "mgsgraph.matching", "mgsgraph.dem", "mgsgraph.spacing",
+        "mgsgraph.matching", "mgsgraph.dem", "mgsgraph.spacing", "mgsgraph.studio.ground",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

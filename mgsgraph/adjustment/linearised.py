@@ -6,7 +6,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance
+from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, point_covariances
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
@@ -98,6 +98,18 @@ class Linearised:
             self.orientation[variables.columns_of(v)] if first >= 0 else np.zeros(variables.width[v])
             for v, first in enumerate(variables.first.tolist())
         ]
+
+    @property
+    def places(self) -> Array:
+        """(n, 3) m, of the network's points; NaN for those that nothing determines."""
+        out = self.rows.kind == OUT
+        return self.layout.network_order(np.where(out[:, None], np.nan, self.points))
+
+    def point_covariances(self) -> Array:
+        """(n, 3, 3) m^2, of these, for sigma0 = 1; NaN for those that nothing determines."""
+        found = point_covariances(self.layout, self.rows, self.orientation, self.points, self.joint)
+        out = self.rows.kind == OUT
+        return self.layout.network_order(np.where(out[:, None, None], np.nan, found))
 
     def fit(self) -> Fit:
         """Weighted squares, observations and unknowns of the rows that take part."""

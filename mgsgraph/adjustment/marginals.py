@@ -261,6 +261,24 @@ def joint_covariance(root: SquareRoot) -> JointCovariance:
     return JointCovariance(root, _clique_blocks(root))
 
 
+def dense_covariance(first: Index, width: Index, covariance: Array) -> JointCovariance:
+    """Joint covariance of variables of which it is known as one matrix.
+
+    Parameters
+    ----------
+    first, width : (v,)
+        First column of each variable, ascending, -1 for a held one; number of its columns.
+    covariance : (columns, columns)
+        m and rad, positive definite.
+    """
+    members = np.flatnonzero(first >= 0)
+    turned = np.linalg.cholesky(covariance[::-1, ::-1])[::-1, ::-1]  # U upper, U U' = S: R = U^-1, R'R = S^-1
+    rows = np.triu(np.linalg.solve(turned, np.eye(covariance.shape[0])))
+    cliques = np.array([members.size] if members.size else [], dtype=np.int64)
+    root = SquareRoot(first.copy(), width.copy(), members, cliques, cliques.copy(), rows.ravel())
+    return JointCovariance(root, np.ascontiguousarray(covariance).ravel().copy())
+
+
 def _clique_blocks(root: SquareRoot) -> Array:
     """Rows [S_FF S_FS] of all cliques, flat, by the recursion from the root down."""
     blocks = np.empty_like(root.rows)

@@ -1,9 +1,12 @@
-"""Medians of groups of many values, without a loop; and by them, how well each image fits."""
+"""Medians of groups of many values, without a loop, and robust ends of scales; by them, how well each image fits."""
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index, Mask
+
+SHARE = 0.98
+"""Share of the values that a colour scale covers, on either side."""
 
 
 def counts(groups: Index, number: int) -> Index:
@@ -57,3 +60,12 @@ def median_residuals(solution: Solution) -> Array:
 def worst_first(solution: Solution) -> Index:
     """(images,) images by their median residuals, largest first; those without any come last."""
     return np.argsort(-np.nan_to_num(median_residuals(solution), nan=-1.0), kind="stable")
+
+
+def span(values: Array) -> tuple[float, float]:
+    """Ends of a colour scale from the 2 % to the 98 % quantile of the finite values; 0 and 1 where there are none."""
+    sound = values[np.isfinite(values)]
+    if not sound.size:
+        return 0.0, 1.0
+    low, high = np.quantile(sound, [1.0 - SHARE, SHARE]).tolist()
+    return low, max(high, low + 1e-12 + 1e-6 * abs(low))

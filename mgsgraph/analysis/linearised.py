@@ -1,12 +1,13 @@
 """A network linearised at its solution, and the rows of the priors there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.linearised import Linearised
+from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.rounds import unmarked
@@ -14,7 +15,9 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.reduction import reduce
 from mgsgraph.kernel.rows import OUT
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network, PolynomialPrior
 
 
@@ -41,9 +44,20 @@ def at_solution(solution: Solution) -> Linearised:
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance, mixed)
 
 
-def at_values(network: Network, settings: SolverSettings, values: Sequence[Array], places: Array) -> Linearised:
+def at_values(
+    network: Network, settings: SolverSettings, values: Sequence[Array], places: Array, near: bool = False,
+    joint_of: Callable[[Layout], JointCovariance] | None = None,
+) -> Linearised:  # fmt: skip
     """A network at given values of its variables (m and rad) and places (n, 3) of its points; NaN for points that
     nothing determines. Blunders, as the network marks them, stay out.
+
+    Parameters
+    ----------
+    near : bool
+        Whether the places are near by alone: the points then go to where the values put them.
+    joint_of : function, optional
+        Gives the joint covariance of a layout's unknowns, where the network is a part of one from which they follow;
+        from the network's own rows when absent.
     """
     layout = lay_out(network, settings, places)
     out = ~np.all(np.isfinite(places), axis=1)
@@ -51,9 +65,14 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
     layout, points = exactly(layout, orientation, points)
     present = unmarked(network)
     rows = layout.active(present.rays, present.ranges, out, present.stereo)
+    if joint_of is not None:
+        if near:
+            points = reduce(rows, layout.groups, layout.blocks.target, layout.model, orientation, COSTS, points).points
+        return Linearised(layout, settings, rows, orientation, points, joint_of(layout))
     graph = BundleGraph(layout, rows)
-    joint = orientation_covariance(graph, graph.reduction(orientation, points=points))
-    return Linearised(layout, settings, rows, orientation, points, joint)
+    reduction = graph.reduction(orientation, points=points)
+    joint = orientation_covariance(graph, reduction)
+    return Linearised(layout, settings, rows, orientation, reduction.points if near else points, joint)
 
 
 def _placed(layout: Layout, values: Sequence[Array], places: Array) -> tuple[Array, Array]:

@@ -128,7 +128,7 @@ class View:
             slopes[near] = by_origin @ d_origins + by_direction @ d_directions
         else:
             points[near] = meet_terrain(origins, directions, terrain)
-            slopes[near] = _slopes(points[near], origins, directions, d_origins, d_directions, terrain)
+            slopes[near] = terrain_slopes(points[near], origins, directions, d_origins, d_directions, terrain)
         met = np.all(np.isfinite(points), axis=1)
         states[near & ~met] = State.NO_GROUND
         covariances = None
@@ -172,7 +172,7 @@ def _squares(body: Ellipsoid) -> Array:
     return np.array([body.equatorial, body.equatorial, body.polar]) ** 2
 
 
-def _slopes(
+def terrain_slopes(
     points: Array, origins: Array, directions: Array, d_origins: Array, d_directions: Array, terrain: TerrainGrid
 ) -> Array:
     """(n, 3, 2) m per px, how places on a terrain model move over it with line and sample."""

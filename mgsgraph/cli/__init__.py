@@ -19,6 +19,7 @@ _VERBS = {
     "adjust": ("cases", "Adjust a case: orientation, ground points and their sigmas."),
     "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak."),
     "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
+    "compare": ("questions", "Say how two solutions differ: settings, input, what moved by how many sigmas."),
     "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),
     "coregister": ("cases", "Move laser, terrain models and images onto each other by relief, in the adjustment."),
     "campaign": ("cases", "Adjust many cases, here or on a cluster, with a record of what is done."),
@@ -29,6 +30,7 @@ _VERBS = {
     "help": ("beginning", "Say what a verb takes, or every key of a case file: mgsgraph help case [TABLE]."),
     "init": ("projects", "Make a project, to which images are added as they come."),
     "match": ("sources", "Find tie points in the images themselves."),
+    "measure": ("projects", "Measure a point of a project, reject or accept a measure, and adjust."),
     "new": ("beginning", "Write a case file for the files that one has: images, networks, shots, terrain, kernels."),
     "nodes": ("cases", "Choose how close orientation images stand from the data, and look for vibrations."),
     "plan": ("questions", "Rank what might be observed next by what it would do to the sigmas."),
@@ -40,7 +42,9 @@ _VERBS = {
     "shots": ("shots", "Find the laser profiles over images, and those taken along with them."),
     "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
     "solve": ("projects", "Adjust everything in a project by batch, and compare."),
+    "studio": ("studio", "Look at a project, results or a case in the browser, measure and ask."),
     "status": ("projects", "Say what is in a project and what its last solution was."),
+    "undo": ("projects", "Take back the last edit of a point of a project."),
 }
 """Module of each verb, and its line of help: known before that module is imported."""
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM

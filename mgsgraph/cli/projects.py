@@ -1,5 +1,6 @@
 """Verbs for a project, a folder to which images come one after the other."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from mgsgraph.incremental.closing import Closing
     from mgsgraph.incremental.impact import Impact
     from mgsgraph.project.addition import Addition
+    from mgsgraph.project.edits import Edited
     from mgsgraph.reports.large_tables import TableForm
 
 
@@ -177,6 +179,97 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
         return
     print_impact(impact, closing, table)
+    ctx.exit(0 if impact.converged else 1)
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@click.argument("point")
+@click.option("--new", is_flag=True, help="POINT is a new tie point, of one or more --pixel.")
+@click.option(
+    "--pixel", "pixels", multiple=True, type=(str, float, float), metavar="IMAGE LINE SAMPLE",
+    help="Where an image shows it: a measure more, or another place of the one there. The first pixel's centre is at "
+    "0.5 (ISIS: 1). May be repeated.",
+)  # fmt: skip
+@click.option("--sigma-px", type=float, help="Of line and sample; when absent the project's, or that which is there.")
+@click.option("--reject", "rejected", multiple=True, metavar="IMAGE", help="Set its measure in IMAGE aside.")
+@click.option("--accept", "accepted", multiple=True, metavar="IMAGE", help="Take a rejected measure in again.")
+@click.option("--remove", "gone", is_flag=True, help="Take POINT out.")
+@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@click.pass_context
+def measure(
+    ctx: click.Context, project: Path, point: str, new: bool, pixels: tuple[tuple[str, float, float], ...],
+    sigma_px: float | None, rejected: tuple[str, ...], accepted: tuple[str, ...], gone: bool, table: Path | None,
+) -> None:  # fmt: skip
+    """Measure POINT in images of PROJECT, or reject what is measured, and adjust what it touches.
+
+    All of it is done or nothing; each step is a change of the history, which `mgsgraph undo` takes back. A rejected
+    measure stays out of `mgsgraph solve`, too, until it is accepted again.
+
+    Exit status: 0 done, 1 done and not come to rest, 2 bad input (nothing has changed).
+    """
+    from mgsgraph.errors import InputError
+    from mgsgraph.project import edits
+    from mgsgraph.project.journal import Measure
+    from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
+
+    if not (pixels or rejected or accepted or gone):
+        raise click.UsageError("one of --pixel, --reject, --accept and --remove")
+    if (new and (not pixels or rejected or accepted or gone)) or (gone and (pixels or rejected or accepted)):
+        raise click.UsageError("--new goes with --pixel alone, --remove with nothing else")
+    if sigma_px is not None and not pixels:
+        raise click.UsageError("--sigma-px is of --pixel")
+    if sigma_px is not None and not 0.0 < sigma_px < float("inf"):
+        raise InputError("--sigma-px", f"{sigma_px}", "a positive number of pixels")
+    if table is not None:
+        require_writable(table, project)
+    wanted = [Measure(image, line, sample, *[sigma_px or 0.0] * 2) for image, line, sample in pixels]
+    with open_project(project, write=True) as opened:
+        if new and edits.point_state(opened, point) is not None:
+            raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
+        done = [edits.measure(opened, point, wanted)] if new else []
+        done += [] if new else [edits.put_measure(opened, point, one) for one in wanted]
+        done += [edits.reject(opened, point, image) for image in rejected]
+        done += [edits.accept(opened, point, image) for image in accepted]
+        done += [edits.remove_point(opened, point)] if gone else []
+    _print_edits(ctx, project, done, table)
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@click.argument("change", type=int, required=False)
+@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@click.pass_context
+def undo(ctx: click.Context, project: Path, change: int | None, table: Path | None) -> None:
+    """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
+
+    Edits are the changes that `mgsgraph measure` makes; `mgsgraph status` shows their numbers.
+
+    Exit status: 0 undone, 1 undone and not come to rest, 2 bad input (nothing has changed).
+    """
+    from mgsgraph.project.edits import undo as take_back
+    from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
+
+    if table is not None:
+        require_writable(table, project)
+    with open_project(project, write=True) as opened:
+        done = take_back(opened, change)
+    _print_edits(ctx, project, [done], table)
+
+
+def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", table: Path | None) -> None:
+    """Each in a sentence; what the last one did to the rest in full."""
+    for one in done:
+        click.echo(f"{project}: change {one.change}. {one.sentence}")
+        if one.impact is not None and one is not done[-1]:
+            print_sentences(one.impact.sentences)
+    impact = done[-1].impact
+    if impact is None:
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        return
+    print_impact(impact, None, table)
     ctx.exit(0 if impact.converged else 1)
 
 

@@ -220,6 +220,40 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     click.echo(f"The page is {out}")
 
 
+@click.command()
+@click.argument("earlier", type=PATH, metavar="A")
+@click.argument("later", type=PATH, metavar="B")
+@click.option("--out", type=PATH, help="Folder for comparison.json, tables and a map of the differences; made anew.")
+@NO_FIGURES
+def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> None:
+    """Say how solution B differs from solution A: settings, input, what moved by how many sigmas, what is better known.
+
+    Each is a folder of results of `mgsgraph adjust` (also one of a project's solutions/NNNN), or a project: its last
+    batch solution. Differences are B minus A.
+
+    Exit status: 0, 2 bad input.
+    """
+    from mgsgraph.output.folders import COMPARISON, require_replaceable
+    from mgsgraph.project.reading import results_of
+    from mgsgraph.reports.analysis import require_used
+    from mgsgraph.reports.archive import read_solution
+    from mgsgraph.reports.comparison import compare as compared
+    from mgsgraph.reports.comparison import comparison_text, write_comparison
+
+    require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
+    if out is not None:
+        require_replaceable(out, COMPARISON)
+    one, other = results_of(earlier), results_of(later)
+    before, after = read_solution(one.folder), read_solution(other.folder)
+    found = compared(after, before, ("A", "B"))
+    click.echo(f"A: {one.folder} ({before.name})\nB: {other.folder} ({after.name})")
+    print_sentences([words for words in (one.warning, other.warning) if words])
+    click.echo(comparison_text(found))
+    if out is not None:
+        write_comparison(after, before, found, out, figures=not no_figures)
+        click.echo(f"The comparison is in {out}")
+
+
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:
     """Checksums of the solutions' archives, of the case, and of every file that it names."""
     from mgsgraph.campaign.inputs import checksums

@@ -13,9 +13,9 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.aggregate import MOST_ROWS, image_rows
 from mgsgraph.figures.connectivity import connectivity_sheet, island_colours
-from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import frame, map_axes
 from mgsgraph.figures.sheet import AFTER, INK, Sheet, new_sheet, plain_style
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_statements

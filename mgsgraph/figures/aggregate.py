@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import counts
+from mgsgraph.analysis.group_medians import SHARE, counts
 from mgsgraph.figures.sheet import short
 from mgsgraph.geometry.records import Array, Index
 
@@ -19,8 +19,6 @@ MOST_ROWS = 500
 """Rows of a picture; a block of more images has several in a row."""
 _NAMED = 12
 """Rows that have their image's name beside them."""
-_SHARE = 0.98
-"""Share of the values that a colour scale covers."""
 
 
 def means(values: Array, groups: Index, number: int) -> Array:
@@ -56,16 +54,7 @@ def cell_numbers(places: Array, size: Array | tuple[float, float], cells: tuple[
 def limit(values: Array) -> float:
     """Half the width of a colour scale about zero that covers 98 % of the values; 1 where nothing is finite."""
     sound = np.abs(values[np.isfinite(values)])
-    return (float(np.quantile(sound, _SHARE)) if sound.size else 0.0) or 1.0
-
-
-def span(values: Array) -> tuple[float, float]:
-    """Ends of a colour scale from the 2 % to the 98 % quantile of the finite values; 0 and 1 where there are none."""
-    sound = values[np.isfinite(values)]
-    if not sound.size:
-        return 0.0, 1.0
-    low, high = np.quantile(sound, [1.0 - _SHARE, _SHARE]).tolist()
-    return low, max(high, low + 1e-12 + 1e-6 * abs(low))
+    return (float(np.quantile(sound, SHARE)) if sound.size else 0.0) or 1.0
 
 
 def image_rows(images: int, most: int = MOST_ROWS) -> Index:

@@ -13,7 +13,6 @@ from matplotlib.transforms import Bbox
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import frame, map_axes
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
@@ -28,6 +27,7 @@ from mgsgraph.figures.sheet import (
     short,
 )
 from mgsgraph.geometry.footprint import areas
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity

@@ -44,29 +44,6 @@ def image_residuals(solution: Solution, image: int) -> ImageResiduals:
     )
 
 
-def centre_of(points: Array) -> Array:
-    """Middle (3,) in m of points (n, 3): the mean of their directions, at their mean distance from the origin."""
-    sound = points[np.all(np.isfinite(points), axis=1)]
-    radii = np.linalg.norm(sound, axis=1)
-    mean = np.mean(sound / radii[:, None], axis=0)
-    return np.asarray(mean / np.linalg.norm(mean) * radii.mean())
-
-
-def east_north(points: Array, centre: Array) -> Array:
-    """East and north (n, 2) in m of points (n, 3) around a centre (3,), azimuthal equidistant on the sphere through it.
-
-    Distances and directions from the centre are true however large the block is (Snyder 1987, p. 191).
-    """
-    radius = float(np.linalg.norm(centre))
-    up = centre / radius
-    planar = float(np.hypot(up[0], up[1]))
-    east = np.array([-up[1], up[0], 0.0]) / planar if planar > 0.0 else np.array([0.0, 1.0, 0.0])
-    flat = points @ np.stack([east, np.cross(up, east)], axis=1)
-    length = np.linalg.norm(flat, axis=1)
-    angle = np.arctan2(length, points @ up)
-    return np.asarray(flat * np.where(length > 0.0, radius * angle / np.where(length > 0.0, length, 1.0), 0.0)[:, None])
-
-
 def rms(values: Array) -> float:
     """Root mean square of what is finite; NaN when nothing is."""
     return root_mean_square(values[np.isfinite(values)])

@@ -9,7 +9,6 @@ from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.overview_map import MOST_TRACK, WEAK, WEAK_COLOUR, overview_map, weak_points
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
@@ -25,6 +24,7 @@ from mgsgraph.figures.sheet import (
     short,
 )
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity

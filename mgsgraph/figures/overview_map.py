@@ -14,11 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import counts, medians
-from mgsgraph.figures.aggregate import cell_numbers, limit, span
-from mgsgraph.figures.content import centre_of, east_north
+from mgsgraph.analysis.group_medians import counts, medians, span
+from mgsgraph.figures.aggregate import cell_numbers, limit
 from mgsgraph.figures.sheet import CLASS_COLOUR, CLASS_NAME, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned
@@ -136,7 +136,7 @@ def overview_map(solution: Solution) -> Sheet:
         (cells.upward, "RdBu_r", Normalize(-up, up), "median correction upward (m)"),
     )
     for panel, (values, colours, norm, label) in zip(panels, shown, strict=True):
-        _draw(sheet, panel, frame, values, colours, norm, label)
+        draw_cells(sheet, panel, frame, values, colours, norm, label)
     handles = _draw_marks(panels, solution, frame, weak)
     panels[0].set(xlim=(frame.low[0], frame.high[0]), ylim=(frame.low[1], frame.high[1]))
     axes = ("km along the block", "km across,\nfrom its middle") if frame.long else ("km east", "km north")
@@ -153,9 +153,10 @@ def _positive(values: Array) -> Normalize:
     return LogNorm(max(low, 1e-9), max(high, 1.01 * low, 1e-8))
 
 
-def _draw(
+def draw_cells(
     sheet: Sheet, panel: Axes, frame: GroundFrame, values: Array, colours: str, norm: Normalize, label: str
 ) -> None:
+    """Values (first, second) of a frame's cells as colours, with their bar."""
     panel.set_facecolor(_EMPTY)
     panel.grid(visible=False)
     drawn = panel.imshow(

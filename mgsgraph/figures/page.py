@@ -9,12 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.figures.adjacency import links_sheet
 from mgsgraph.figures.closeups import closeup_sheets
-from mgsgraph.figures.content import centre_of, east_north
+from mgsgraph.figures.comparison import comparison_sheet
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import frame, map_sheets
 from mgsgraph.figures.minima import minima_sheets
@@ -36,6 +37,7 @@ from mgsgraph.figures.sheet import (
 )
 from mgsgraph.figures.sigmas import raster_sheet
 from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
@@ -49,6 +51,8 @@ _QUALITY = 80
 """Of JPEG, for sheets that are pictures."""
 _LARGE = 300_000
 """Bytes of an SVG from which a PNG is tried."""
+_CSS = 96.0
+"""CSS pixels in an inch."""
 _MOST_ARROWS = 800
 _LONGEST = 0.5
 """inch, of the longest arrow."""
@@ -67,7 +71,9 @@ class Picture:
     caption: str
     """What one sees, for those who can't see it."""
     uri: str
-    """data: URI of the drawing."""
+    """data: URI of the drawing without title and caption; empty where `svg` has it."""
+    svg: str
+    """The drawing as an SVG element whose text can be selected; empty where `uri` has it."""
     width: int
     """CSS pixels, true size."""
     height: int
@@ -76,23 +82,27 @@ class Picture:
 
 def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
     """Sheets as pictures, in order: SVG, or PNG where that is large and for pictures of cells; `as_picture`: JPEG, for
-    what shows pixels.
+    what shows pixels. Title and caption are left to the page.
     """
     return [_drawn(sheet, as_picture) for sheet in sheets]
 
 
 def _drawn(sheet: Sheet, as_picture: bool) -> Picture:
+    svg = kind = ""
     if as_picture:
-        kind, data = "jpeg", encoded(sheet, "jpg", pil_kwargs={"quality": _QUALITY, "optimize": True})
+        kind, data = "jpeg", encoded(sheet, "jpg", words=False, quality=_QUALITY, optimize=True)
     elif not sheet.vector:
-        kind, data = "png", encoded(sheet, "png")
+        kind, data = "png", encoded(sheet, "png", words=False)
     else:
-        about = {"Title": sheet.title, "Date": None, "Creator": "mgsgraph"}
-        kind, data = "svg+xml", encoded(sheet, "svg", metadata=about)
-    if kind == "svg+xml" and len(data) > _LARGE:
-        kind, data = min((kind, data), ("png", encoded(sheet, "png")), key=lambda one: len(one[1]))
-    width, height = (round(96.0 * float(inch)) for inch in sheet.figure.get_size_inches())
-    return Picture(sheet.name, sheet.title, sheet.caption, data_uri(f"image/{kind}", data), width, height)
+        data = encoded(sheet, "svg", words=False, metadata={"Date": None, "Creator": None})
+        if len(data) > _LARGE and len(smaller := encoded(sheet, "png", words=False)) < len(data):
+            kind, data = "png", smaller
+        else:
+            svg = data.decode()
+    width, height = (float(inch) for inch in sheet.figure.get_size_inches())
+    size = (round(_CSS * width), round(_CSS * (height - sheet.above - sheet.below)))
+    uri = "" if svg else data_uri(f"image/{kind}", data)
+    return Picture(sheet.name, sheet.title, sheet.caption, uri, svg, *size)
 
 
 def data_uri(kind: str, data: bytes) -> str:
@@ -132,6 +142,12 @@ def registration_figures(registration: CaseRegistration) -> list[Picture]:
     pixels = [pixels_of(path) for path in registration.pictures]
     closeups = drawn(closeup_sheets(registration, pixels), as_picture=True)
     return [*drawn(discrepancy_sheets(registration)), *closeups]
+
+
+def comparison_figures(solution: Solution, earlier: Solution) -> list[Picture]:
+    """The map of the differences from an earlier solution; none of fewer than three common points."""
+    sheet = comparison_sheet(CommonPoints(solution, earlier), ("the earlier one", "this one"), solution.name)
+    return drawn([] if sheet is None else [sheet])
 
 
 def sigma_figures(solution: Solution) -> tuple[list[Picture], str]:

@@ -12,7 +12,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import frame, map_axes
 from mgsgraph.figures.sheet import (
     AFTER,
@@ -32,6 +31,7 @@ from mgsgraph.figures.sheet import (
     short,
 )
 from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned

@@ -5,6 +5,7 @@ stand to matplotlib's constrained layout. No pyplot, and the user's matplotlib s
 """
 
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,12 +19,14 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import Locator, LogLocator
 from numpy.typing import NDArray
+from PIL import Image
 
 from mgsgraph.network import PointClass
 
@@ -68,6 +71,8 @@ _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "mgsgraph",
 }
 _DPI = 150
+_POINTS = 72.0
+"""SVG units in an inch."""
 _MARGIN, _TITLE, _BAND, _CAPTION_LINE = 0.12, 0.33, 0.27, 0.165
 """inch: white border, heights of the title, the legend band and a line of the caption."""
 _INCH_PER_LETTER = 0.0672
@@ -97,6 +102,10 @@ class Sheet:
     """What is drawn."""
     vector: bool = True
     """False for a picture of cells, of which no SVG is made."""
+    above: float = 0.0
+    """inch, height of the title."""
+    below: float = 0.0
+    """inch, height of the caption."""
 
     def panels(
         self, rows: int = 1, columns: int = 1, heights: Sequence[float] | None = None,
@@ -148,18 +157,47 @@ def new_sheet(
     engine.set(rect=inside, w_pad=0.06, h_pad=gap, hspace=0.5 * gap)
     figure.text(left, 1.0 - _MARGIN / total, title, va="top", size=12.0, weight="bold")
     figure.text(left, _MARGIN / total, "\n".join(lines), va="bottom", size=8.5, color="#333333", linespacing=1.35)
-    return Sheet(name, title, caption, figure, vector)
+    return Sheet(name, title, caption, figure, vector, _MARGIN + _TITLE, below - _MARGIN)
 
 
 @plain_style()
-def encoded(sheet: Sheet, kind: str, **options: Any) -> bytes:
-    """A sheet as png, jpg or svg; the same sheet gives the same bytes."""
+def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> bytes:
+    """A sheet as png, jpg, svg or pdf; the same sheet gives the same bytes. Without `words`, for a page that says title
+    and caption itself, they are cut off, and what an SVG says is text that can be selected.
+    """
     file = BytesIO()
-    canvas = (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(sheet.figure)  # savefig would draw twice
+    drawn_by = {"svg": FigureCanvasSVG, "pdf": FigureCanvasPdf}.get(kind, FigureCanvasAgg)
+    canvas: Any = drawn_by(sheet.figure)  # savefig would draw twice
     _align_labels(sheet.figure)
     _lay_out(sheet.figure)
-    getattr(canvas, f"print_{kind}")(file, **options)
+    if words:
+        getattr(canvas, f"print_{kind}")(file, **options)
+        return file.getvalue()
+    for text in sheet.figure.texts:
+        text.set_visible(False)
+    if kind == "svg":
+        mpl.rcParams["svg.fonttype"] = "none"
+        canvas.print_svg(file, **options)
+        return _cut_svg(file.getvalue().decode(), sheet).encode()
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    rows = round(sheet.above * _DPI), picture.height - round(sheet.below * _DPI)
+    picture.crop((0, rows[0], picture.width, rows[1])).save(file, "jpeg" if kind == "jpg" else kind, **options)
     return file.getvalue()
+
+
+def _cut_svg(text: str, sheet: Sheet) -> str:
+    """The `svg` element of an SVG file between title and caption, its size left to the page; every id has the sheet's
+    name before it, for a page holds several.
+    """
+    width, height = (_POINTS * float(inch) for inch in sheet.figure.get_size_inches())
+    top, left = _POINTS * sheet.above, height - _POINTS * (sheet.above + sheet.below)
+    text = text[text.index("<svg") :]
+    head, body = text[: text.index(">") + 1], text[text.index(">") + 1 :]
+    head = re.sub(r' (width|height|viewBox|version|xmlns|xmlns:xlink)="[^"]*"', "", head)
+    head = head.replace("<svg", f'<svg viewBox="0 {top:.2f} {width:.2f} {left:.2f}"', 1)
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    return head + re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{sheet.name}-", body)
 
 
 def _align_labels(figure: Figure) -> None:

@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import map_axes
 from mgsgraph.figures.relief import along_track, vertical
 from mgsgraph.figures.sheet import AFTER, BEFORE, CLASS_COLOUR, INK, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.geometry.body import east_north as ways
 from mgsgraph.geometry.body import geodetic, planetocentric
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration

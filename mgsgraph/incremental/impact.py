@@ -68,10 +68,10 @@ class MovedPoints(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Impact(Record):
-    """What adding or removing images has done to the rest."""
+    """What adding or removing images, or editing points, has done to the rest."""
 
     verb: str
-    """add or remove."""
+    """add, remove, or what was done to points."""
     subjects: tuple[str, ...]
     """Images added or removed."""
     images: MovedImages
@@ -120,7 +120,8 @@ class Impact(Record):
         if self.undetermined:
             said.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
         if self.lost:
-            said.append(f"{many(len(self.lost), 'point')} that no other image saw: gone.")
+            which = " that no other image saw" if self.subjects else ""
+            said.append(f"{many(len(self.lost), 'point')}{which}: gone.")
         if not self.converged:
             said.append("It did not come to rest; solve the project anew.")
         return said

@@ -34,6 +34,7 @@ from mgsgraph.incremental.state import (
     StateStore,
     require_one_body,
     with_addition,
+    with_points,
     without,
 )
 from mgsgraph.incremental.sweep import Sweep
@@ -148,6 +149,10 @@ class IncrementalAdjustment(Record):
                 raise InputError(f"image {image}", found, "an image with an orientation of its own", remedy)
         return self._engine.joint([Unknown("image", image) for image in names])
 
+    def joint(self, wanted: Sequence[Unknown]) -> Array:
+        """Joint covariance (d, d) of some adjusted unknowns, m and rad, straight from iSAM2."""
+        return self._engine.joint(wanted)
+
     def points(self, ids: Sequence[str] | None = None) -> tuple[tuple[str, ...], Array, Array]:
         """Names, places (n, 3) in m and covariances (n, 3, 3) in m^2 of points, refreshed; all of them when absent.
 
@@ -171,6 +176,11 @@ class IncrementalAdjustment(Record):
     def network(self) -> Network:
         """Everything as one network, images in the order in which they came."""
         return self._everything()[0]
+
+    def everything(self) -> tuple[Network, Array]:
+        """Everything as one network, and the places (n, 3) in m of its points, refreshed; NaN where undetermined."""
+        network, stored = self._everything()
+        return network, Sweep(network, self.settings, stored).places(self._engine.value)
 
     def _everything(self) -> tuple[Network, Array]:
         """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
@@ -237,6 +247,26 @@ class IncrementalAdjustment(Record):
         changed = without(self.store, names, after, turned_bundles(self.store, before, after))
         return self._change("remove", list(names), [], *changed, after)
 
+    def put_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
+        """Put points as a network has them, with all of their rows, in the place of what they were before.
+
+        Parameters
+        ----------
+        ids : sequence of str
+            Names of these points.
+        network : Network or None
+            With images that are there; None takes the points out.
+        verb : str
+            What is said to have been done.
+
+        Raises
+        ------
+        InputError
+            When parts contradict each other; nothing has changed then.
+        """
+        known = self.store.definitions()
+        return self._change(verb, (), (), *with_points(self.store, ids, network, known), known)
+
     def close(self, name: str = "adjustment", progress: "Progress" = lambda _: None) -> tuple[Closing, "Solution"]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
 
@@ -244,8 +274,7 @@ class IncrementalAdjustment(Record):
         """
         from mgsgraph.adjustment.adjust import adjust_network  # a whole batch solver, which changes do without
 
-        network, stored = self._everything()
-        places = Sweep(network, self.settings, stored).places(self._engine.value)
+        network, places = self.everything()
         solution = adjust_network(network, replace(self.settings, starts=0), name, progress)
         found = closing(solution, self._engine.value, places)
         if found.adopted:

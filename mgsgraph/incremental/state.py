@@ -17,7 +17,7 @@ from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import HELD, Network
 from mgsgraph.network.definitions import Definitions, with_definitions
 from mgsgraph.network.parts import KnownImage as KnownImage
-from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images, without_images
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images, without_images, without_points
 from mgsgraph.units import KM
 
 NOTICEABLE = 0.01
@@ -335,6 +335,16 @@ def without(
     parts = (store.bundle(members).network for members in gone)
     rest = [left for network in parts if (left := without_images(network, images)) is not None]
     return _completed(store, gone, rest, known)
+
+
+def with_points(
+    store: StateStore, ids: Sequence[str], network: Network | None, known: Definitions
+) -> tuple[list[Members], dict[Members, Network]]:
+    """Bundles that have some points, and what they become with these as a network has them; None: without them."""
+    gone = sorted(set(store.bundles_of(ids).values()))
+    parts = (store.bundle(members).network for members in gone)
+    rest = [left for one in parts if (left := without_points(one, ids)) is not None]
+    return _completed(store, gone, rest if network is None else [*rest, network], known)
 
 
 def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:

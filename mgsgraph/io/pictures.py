@@ -1,8 +1,10 @@
 """Pixels of images of any camera: MOC's own formats, and rasters that GDAL reads (ISIS cubes, GeoTIFF, PDS, ...)."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,9 @@ from mgsgraph.io.files import opened, understood
 from mgsgraph.io.image_label import cube_of, instrument_of, read_label
 from mgsgraph.io.moc_pixels import PixelArea, pixel_area, require_fragments
 from mgsgraph.io.raster_file import open_raster, read_band
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
 
 Pixels = NDArray[np.uint8]
 """(lines, samples) of an image, as they came down (not calibrated)."""
@@ -33,8 +38,40 @@ def read_picture(path: Path) -> NDArray[Any]:
     InputError
         No such file, or none that can be read as an image of one band.
     """
-    cube = path.suffix.lower() == ".cub"  # calibrated ones hold real numbers
-    return _by_gdal(path) if cube or not is_moc(path) else read_moc_pixels(path)
+    return read_moc_pixels(path) if _is_whole(path) else _by_gdal(path)
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a picture is in one of MOC's own formats; cubes are rasters, for calibrated ones hold real numbers."""
+    return path.suffix.lower() != ".cub" and is_moc(path)
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Lines and samples of an image's pixels, without reading these; InputError as `read_picture` has them."""
+    if _is_whole(path):
+        label = label_of(path, read_label(path))
+        return label.lines, label.samples
+    with _opened_band(path) as file:
+        lines, samples = file.shape
+    return int(lines), int(samples)
+
+
+def read_picture_part(path: Path, lines: slice, samples: slice) -> NDArray[Any]:
+    """Some lines and samples of an image as `read_picture` gives them: of a raster no others are read; one of MOC's own
+    formats, which are small and may be compressed as a whole, is read whole.
+
+    Parameters
+    ----------
+    path : Path
+    lines, samples : slice
+        px, from the first to before the last, within the image.
+
+    Raises
+    ------
+    InputError
+        As `read_picture`.
+    """
+    return read_moc_pixels(path)[lines, samples] if _is_whole(path) else _by_gdal(path, (lines, samples))
 
 
 def as_bytes(pixels: NDArray[Any]) -> NDArray[np.uint8]:
@@ -57,13 +94,23 @@ def is_moc(path: Path) -> bool:
         return False
 
 
-def _by_gdal(path: Path) -> NDArray[Any]:
+@contextmanager
+def _opened_band(path: Path) -> Iterator["DatasetReader"]:
+    """An image's raster, opened; InputError where it has several bands, or pixels that are no grey values."""
     with open_raster(path, "an image") as file:
         if file.count != 1:
             raise InputError(str(path), f"{file.count} bands", "one band")
         if not file.dtypes[0].startswith(("int", "uint", "float")):
             raise InputError(str(path), f"pixels of type {file.dtypes[0]}", "grey values")
-        pixels, null = read_band(file, path), file.nodata
+        yield file
+
+
+def _by_gdal(path: Path, part: tuple[slice, slice] | None = None) -> NDArray[Any]:
+    from rasterio.windows import Window  # heavy
+
+    with _opened_band(path) as file:
+        window = None if part is None else Window.from_slices(*part)
+        pixels, null = read_band(file, path, window), file.nodata
     if pixels.dtype.kind == "f":
         with np.errstate(over="ignore", invalid="ignore"):  # what float32 can't hold is none
             pixels = pixels.astype(np.float32)

@@ -455,3 +455,11 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
         left = replace(left, stereo=control)
         seen[control.surface >= 0] = True
     return part(left, np.flatnonzero(seen))
+
+
+def without_points(network: Network, ids: Sequence[str]) -> Network | None:
+    """A network without some points and their rows; None where no other is left."""
+    there = network.points.ids.find(ids)
+    kept = np.ones(len(network.points), dtype=bool)
+    kept[there[there >= 0]] = False
+    return part(network, np.flatnonzero(kept)) if np.any(kept) else None

@@ -29,12 +29,14 @@ NODES = "nodes.json"
 """File that makes a folder without any of them a study of orientation images by this program."""
 DEM = "dem.json"
 """File that makes a folder without any of them a terrain model by this program."""
+COMPARISON = "comparison.json"
+"""File that makes a folder without any of them a comparison of two solutions by this program."""
 EXPORT = "export.json"
 """File that makes a folder without any of them an export by this program; it names all others."""
 COREGISTRATION = "coregistration.json"
 """Record of a registration by relief, beside the solution that makes the folder a result."""
 
-_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, EXPORT)
+_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, COMPARISON, EXPORT)
 """The first of these in a folder says of what kind its results are."""
 TABLES = (
     RECORD, "solution.npz", "summary.json", "points.csv", "points.parquet", "orientation.csv", "residuals.csv",
@@ -48,6 +50,8 @@ TABLES = (
     NODES, "spacings.csv", "course.csv", "spectra.csv",
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
     DEM, "dem.tif", "ortho.tif", "shots.csv",
+    COMPARISON, "merit_compared.csv", "sigmas_compared.csv", "settings_compared.csv", "input_compared.csv",
+    "images_compared.csv", "points_compared.csv",
     COREGISTRATION, "profiles.csv", "costs.csv", "disagreement.csv",
 )  # fmt: skip
 """Files of results but for figures."""
@@ -55,7 +59,7 @@ FIGURES = (
     "residuals", "orientation", "passes", "pass", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "unexplained", "vibrations", "spacings",
     "spectrum", "course", "matches", "dem", "costs", "profiles", "shifts", "story", "minima",
-    "overview_residuals", "overview_orientation", "overview_map",
+    "overview_residuals", "overview_orientation", "overview_map", "comparison",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"

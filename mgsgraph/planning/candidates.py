@@ -21,7 +21,7 @@ from mgsgraph.planning.coverage import CommonGround, ImageCoverage, OrientedImag
 from mgsgraph.planning.state import ReducedNetwork
 from mgsgraph.ties import PointKind
 
-Kind = Literal["image", "profile", "control point"]
+Kind = Literal["image", "profile", "control point", "tie point"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,6 +266,20 @@ def planned_control(
     )  # fmt: skip
     addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))
     return Candidate(name, "control point", addition, "", tuple(seen))
+
+
+def planned_tie(coverage: ImageCoverage, name: str, place: Array, sigma: float) -> Candidate:
+    """A candidate tie point at a place (3,) in m, body-fixed, measured to `sigma` px in all images that show it."""
+    _require_new(coverage, (name,), name)
+    point, seen, places = coverage.rays(place[None], coverage.near(place[None]))
+    if len(seen) < 2:
+        return Candidate(name, "tie point", None, "fewer than two images of the network show it", tuple(seen))
+    points = GroundPoints(
+        Names.of([name]), np.array([int(PointClass.TIE)]), np.array([int(PointKind.FREE)]), place[None],
+        np.zeros((1, 3, 3)),
+    )  # fmt: skip
+    return Candidate(name, "tie point", _network(coverage, points, (point, seen, places, np.full(places.shape, sigma))),
+                     "", tuple(seen))  # fmt: skip
 
 
 def _require_new(coverage: ImageCoverage, ids: Sequence[str], name: str) -> None:

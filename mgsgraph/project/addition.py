@@ -1,6 +1,6 @@
 """What is to be added to a project: images from their files, and the measures of ties and shots that name them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from mgsgraph.network.joining import seconds
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.network.terrain_control import over_terrain
+from mgsgraph.project.journal import Measure, all_set_aside
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
@@ -159,7 +160,9 @@ def read_addition(
     profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
     observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
     measures = observed(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
-    if measures is not None and (measures := unknown_alone(measures, store)) is not None:
+    if measures is not None:
+        measures = unknown_alone(measures, store, all_set_aside(project))
+    if measures is not None:
         networks.append(on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
     if not networks:
@@ -350,9 +353,12 @@ def _profile(
 # --- points that are there already
 
 
-def unknown_alone(network: Network, store: ProjectStore) -> Network | None:
+def unknown_alone(
+    network: Network, store: ProjectStore, set_aside: Mapping[str, Sequence[Measure]] | None = None
+) -> Network | None:
     """The network with points that are there already as free ones (but for what is known better now), and without the
-    measures that are there already and the points that have no other; None where nothing is left.
+    measures that are there already (or have been `set_aside`, of points by name) and the points that have no other;
+    None where nothing is left.
 
     A measure of the same point in the same image with another place stays: it contradicts, and will be refused.
     """
@@ -370,7 +376,7 @@ def unknown_alone(network: Network, store: ProjectStore) -> Network | None:
         places=np.where(known[:, None], before.places[of], points.places),
         covariances=np.where(known[:, None, None], 0.0, points.covariances),
     )
-    rays, ranges = ~_repeated_rays(network, old, there), ~_repeated_ranges(network, old, there)
+    rays, ranges = ~_repeated_rays(network, old, there, set_aside or {}), ~_repeated_ranges(network, old, there)
     if not (np.any(rays) or np.any(ranges)):
         return None
     shifts = network.shifts
@@ -381,9 +387,13 @@ def unknown_alone(network: Network, store: ProjectStore) -> Network | None:
     return part(replace(left, points=points, shifts=shifts), with_rows)
 
 
-def _repeated_rays(network: Network, old: Network, there: Index) -> Mask:
-    """(k,) True for rays that are there already, with the same line and sample."""
+def _repeated_rays(
+    network: Network, old: Network, there: Index, set_aside: Mapping[str, Sequence[Measure]]
+) -> Mask:
+    """(k,) True for rays that are there already, or set aside, with the same line and sample."""
     known = set(_ray_rows(old, old.rays.point))
+    place = dict(zip(set_aside, old.points.ids.find(list(set_aside)).tolist(), strict=True))
+    known |= {(place[name], m.image, m.line, m.sample) for name, ms in set_aside.items() for m in ms}
     return np.array([row in known for row in _ray_rows(network, there[network.rays.point])], dtype=bool)
 
 

@@ -159,7 +159,7 @@ def put_in(store: ProjectStore, addition: Addition) -> None:
     after = extended(store, before, addition.definitions, [one.known for one in addition.images])
     turned = turned_bundles(store, before, after)
     store.put_definitions(after)
-    _put_waiting(store, *with_addition(store, network, after, turned))
+    put_waiting(store, *with_addition(store, network, after, turned))
 
 
 def _take_out(store: ProjectStore, images: Sequence[str]) -> None:
@@ -167,12 +167,12 @@ def _take_out(store: ProjectStore, images: Sequence[str]) -> None:
     after = shortened(store, before, images)
     changed = without(store, images, after, turned_bundles(store, before, after))
     store.put_definitions(after)
-    _put_waiting(store, *changed)
+    put_waiting(store, *changed)
     for name in images:
         store.drop_image(name)
 
 
-def _put_waiting(store: ProjectStore, gone: Sequence[Members], networks: Mapping[Members, Network]) -> None:
+def put_waiting(store: ProjectStore, gone: Sequence[Members], networks: Mapping[Members, Network]) -> None:
     """Put bundles in the place of others, not adjusted yet."""
     waiting = dict[Members, Bundle]()
     for members, network in networks.items():
@@ -193,8 +193,12 @@ def _note(project: Project, verb: str, what: str, summary: dict[str, Any], impac
     moved = int(np.count_nonzero(~impact.points.new))
     counts = {"images_reached": len(impact.images.names), "points_moved": moved, "updates": impact.updates}
     project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
-    message = "All unknowns came to rest." if impact.converged else "It did not come to rest; solve the project anew."
-    project.record_incremental(impact.converged, message)
+    project.record_incremental(impact.converged, outcome(impact))
+
+
+def outcome(impact: Impact) -> str:
+    """How an incremental adjustment ended, for the record of the solution."""
+    return "All unknowns came to rest." if impact.converged else "It did not come to rest; solve the project anew."
 
 
 class NewProject(NamedTuple):

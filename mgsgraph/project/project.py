@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -35,6 +35,8 @@ MATCHES = "matches"
 _ANOTHER = "choose another one"
 _TIMES = {"image.trajectory.epoch": float, "image.timing": LineTiming}
 """Of an image's record, what says when it was taken."""
+CHANGING = ("add", "remove", "edit")
+"""Verbs of changes that put measures in or take them out."""
 _Kind = TypeVar("_Kind")
 _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of these, whole or left over by a process that was killed."""
@@ -49,11 +51,23 @@ class Change:
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, match, add, remove, solve, check or coregister."""
+    """init, match, add, remove, edit, solve, check or coregister."""
     what: str
     """What was changed, in a few words."""
     summary: Mapping[str, Any]
     """Numbers, with units in their names."""
+
+
+class EditRow(NamedTuple):
+    """A change of a point, as the journal has it."""
+
+    number: int
+    kind: str
+    point: str
+    before: str | None
+    """JSON (`project.journal.PointState`); None where there was no such point."""
+    after: str | None
+    """JSON; None where there is none any longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +210,10 @@ class Project:
         )
         return dict(rows.fetchall())
 
+    def pictures(self) -> dict[str, str | None]:
+        """File of each image's pixels, where it was then; None where it isn't known."""
+        return dict(self._connection.execute("SELECT name, picture FROM image ORDER BY id").fetchall())
+
     def add_networks(self, files: Iterable[Path]) -> None:
         """Remember files of tie points."""
         names = dict.fromkeys([*map(str, self.networks), *(str(file.resolve()) for file in files)])
@@ -224,6 +242,49 @@ class Project:
         names = [field.name for field in fields(Change)]
         cells = ((*row[:-1], self._from_json(row[-1], dict[str, Any])) for row in reversed(rows))
         return [self._record(dict(zip(names, one, strict=True)), Change) for one in cells]
+
+    # --- changes of single points
+
+    def record_edit(
+        self, change: int, kind: str, point: str, before: str | None, after: str | None, undoes: int | None
+    ) -> None:
+        """Note a change of a point (`project.edits`) in the journal."""
+        row = (change, kind, point, before, after, undoes)
+        self._connection.execute(
+            "INSERT INTO edit (change, kind, point, before, after, undoes) VALUES (?, ?, ?, ?, ?, ?)", row
+        )
+
+    def last_edit(self) -> EditRow | None:
+        """The last change of a point that has not been undone; None where there is none."""
+        row = self._connection.execute(
+            "SELECT number, kind, point, before, after FROM edit WHERE kind <> 'undo' AND number NOT IN "
+            "(SELECT undoes FROM edit WHERE undoes IS NOT NULL) ORDER BY number DESC LIMIT 1"
+        ).fetchone()
+        return None if row is None else self._record(row, EditRow)
+
+    def edit(self, change: int) -> EditRow | None:
+        """The change of a point that a change of the history was; None where it was none."""
+        row = self._connection.execute(
+            "SELECT number, kind, point, before, after FROM edit WHERE change = ?", (change,)
+        ).fetchone()
+        return None if row is None else self._record(row, EditRow)
+
+    def undone_by(self, number: int) -> int | None:
+        """Number in the history of what undid a change of a point, which has its number in the journal."""
+        found = self._connection.execute("SELECT change FROM edit WHERE undoes = ?", (number,)).fetchone()
+        return None if found is None else int(found[0])
+
+    def edited_points(self) -> list[str]:
+        """Points that a person has changed."""
+        rows = self._connection.execute("SELECT DISTINCT point FROM edit ORDER BY point")
+        return [point for (point,) in rows]
+
+    def last_edit_of(self, point: str) -> tuple[int, str | None] | None:
+        """Number of the last change of a point, and its state since; None where nobody has changed it."""
+        found = self._connection.execute(
+            "SELECT number, after FROM edit WHERE point = ? ORDER BY number DESC LIMIT 1", (point,)
+        ).fetchone()
+        return None if found is None else (int(found[0]), found[1])
 
     def last_solution(self, kind: str | None = None) -> SolutionRow | None:
         """The latest one, of a kind or of any; None before the first."""

@@ -1,6 +1,6 @@
 """What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
 
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,19 +9,18 @@ import numpy as np
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
+from mgsgraph.analysis.nearby import posterior_of, stands_alone
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.io.files import understood
 from mgsgraph.io.records import read_record
-from mgsgraph.network import Network
-from mgsgraph.network.parts import Unknown, unknowns
+from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
-from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.project import CHANGING, Project, open_project
 from mgsgraph.reports.archive import ARCHIVE, read_solution
 
 _OWN_CASE = Path("inputs", "case.toml")
@@ -29,7 +28,6 @@ _OWN_CASE = Path("inputs", "case.toml")
 _SUMMARY = "summary.json"
 """Where they hold how they compare with the truth."""
 _NETWORK = "network.pvl"
-_Values = Mapping[Unknown, Array]
 
 
 class Results(NamedTuple):
@@ -77,7 +75,7 @@ def results_of(path: Path) -> Results:
 
 def _since(project: Project, number: int) -> str:
     """What images and measures the project has taken in or out after a change of its."""
-    later = [change for change in project.changes() if change.number > number and change.verb in ("add", "remove")]
+    later = [change for change in project.changes() if change.number > number and change.verb in CHANGING]
     if not later:
         return ""
     said = ", ".join(f"{change.verb} {change.what}" for change in later)
@@ -105,7 +103,9 @@ def read_state(path: Path) -> tuple[str, NetworkState, str]:
     """
     if _is_project(path):
         with open_project(path) as opened:
-            network, values, places = _state(opened, str(path))
+            adjustment = _adjusted(opened, str(path))
+            with errors_from(str(path)):
+                (network, places), values = adjustment.everything(), adjustment.values
             there, kept = np.isfinite(places[:, 0]), unmarked(network)
             rays, ranges = kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]
             settings = opened.settings.solver.settings
@@ -118,11 +118,31 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
     """Name, posterior and warning of the same."""
     if _is_project(path):
         with open_project(path) as opened:
-            network, values, places = _state(opened, str(path))
-            every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
-            return opened.name, Posterior(at_values(network, opened.settings.solver.settings, every, places)), ""
+            values, settings = _adjusted(opened, str(path)).values, opened.settings.solver.settings
+            name, (network, near) = opened.name, opened.store.everything()
+        every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]  # the file is free meanwhile
+        with errors_from(str(path)):
+            return name, Posterior(at_values(network, settings, every, near, near=True)), ""
     solution = read_solution(path)
     return solution.name, Posterior.of(solution), _warning(solution)
+
+
+def posterior_near(path: Path, point: str) -> Posterior | None:
+    """Posterior of a project's points that depend on the same unknowns as a point: their rows, and the covariance of
+    these unknowns from iSAM2, so that no other point is read. None without such a point or an adjustment, and where
+    they don't stand alone (`stands_alone`).
+    """
+    with open_project(path) as opened:
+        members = opened.store.bundles_of([point]).get(point)
+        if members is None or not is_solved(opened):
+            return None
+        bundle, adjustment = opened.store.bundle(members), _adjusted(opened, str(path))
+        if opened.store.considered or not stands_alone(bundle.network):
+            return None
+        with errors_from(str(path)):
+            return posterior_of(
+                bundle.network, adjustment.settings, adjustment.values, bundle.places, adjustment.joint
+            )  # fmt: skip
 
 
 def _warning(solution: Solution) -> str:
@@ -141,13 +161,9 @@ def _is_project(path: Path) -> bool:
     return (path / FILE).exists()
 
 
-def _state(project: Project, where: str) -> tuple[Network, _Values, Array]:
-    """Everything as one network, its shared unknowns, and the places (n, 3) in m of its points."""
+def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
+    """The adjustment that a project holds; InputError for one that has never been solved."""
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
-    with errors_from(where):
-        adjustment = IncrementalAdjustment(project.settings.solver.settings, project.store)
-        network = adjustment.network
-        names, found, _ = adjustment.points()
-    place = dict(zip(names, found, strict=True))
-    return network, adjustment.values, np.array([place[name] for name in network.points.ids]).reshape(-1, 3)
+    settings = replace(project.settings.solver.settings, form="bundle")
+    return IncrementalAdjustment(settings, project.store)

@@ -10,7 +10,7 @@ their tables holds those of one bundle, a cell one column of them. A cell with o
 all; NULL means zeros.
 """
 
-FORMAT = 7
+FORMAT = 8
 """Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -102,6 +102,18 @@ _COMMON = (
     record BLOB NOT NULL -- .npz: kind, names of images, a-priori sigmas
 ) WITHOUT ROWID""",
 )
+_EDITS = (
+    """CREATE TABLE edit ( -- measures and a-priori places that a person has changed, one point each
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    change INTEGER NOT NULL REFERENCES change,
+    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove, undo
+    point TEXT NOT NULL,
+    before TEXT, -- JSON: kind, a-priori place, measures; NULL where there was no such point
+    after TEXT, -- the same afterwards
+    undoes INTEGER REFERENCES edit -- of kind undo
+)""",
+    "CREATE INDEX edit_of_point ON edit (point, number)",
+)
 TABLES = (
     """CREATE TABLE meta ( -- what this file is
     key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON), case (path),
@@ -175,7 +187,7 @@ TABLES = (
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
-    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister
+    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister, edit
     what TEXT NOT NULL,
     summary TEXT NOT NULL -- JSON
 )""",
@@ -193,6 +205,7 @@ TABLES = (
     kind TEXT NOT NULL DEFAULT 'batch' -- batch or incremental
 )""",
     *_COMMON,
+    *_EDITS,
 )
 """Statements that make an empty project."""
 
@@ -211,5 +224,6 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
     4: (),  # had no checksum, which every change writes
     5: _COMMON,  # every image had an orientation of its own, and nothing was shared
     6: PACKED,  # points and their rows had a row each, which `migration.py` packs
+    7: _EDITS,  # nobody had changed a measure
 }
 """Statements by which a format becomes the next one."""

@@ -9,7 +9,8 @@ from mgsgraph.io.files import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.links import groups
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
-from mgsgraph.project.project import Change, Project, SolutionRow
+from mgsgraph.project.journal import all_set_aside
+from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow
 from mgsgraph.wording import many, some
 
 _NAMED = 6
@@ -44,6 +45,7 @@ def _contents(project: Project) -> list[str]:
         f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
         f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
         f"  terrain model as control: {model}",
+        f"  measures set aside by hand: {sum(map(len, all_set_aside(project).values())) or 'none'}",
         *_passes(project),
     ]
 
@@ -100,7 +102,7 @@ def _solutions(project: Project, images: bool) -> list[str]:
         lines.append(f"  changes since then: {', '.join(f'{change.verb} {change.what}' for change in since[-_NAMED:])}")
     unchecked = [
         change for change in project.changes()
-        if change.verb in ("add", "remove") and (batch is None or change.number > batch.change)
+        if change.verb in CHANGING and (batch is None or change.number > batch.change)
     ]  # fmt: skip
     if unchecked:
         lines.append(

@@ -1,6 +1,7 @@
 """The report page of a solution: one HTML file without any outside address, figures and pictures as data URIs."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,15 @@ from mgsgraph.network import PointClass
 from mgsgraph.output.page import page_of, write_page
 from mgsgraph.output.table import NONE
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.reports.comparison import compare
 from mgsgraph.reports.likelihood import linearity_figure
-from mgsgraph.reports.page_comparison import compare
 from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
 from mgsgraph.reports.soundness import state_of
 from mgsgraph.reports.summary import statements
 from mgsgraph.workers import called_in_workers
 
 _TEMPLATE = "reports/templates/report.html"
-_SECTIONS = ("map", "registration", "orientation", "residuals")
+_SECTIONS = ("map", "registration", "orientation", "residuals", "comparison")
 """Sections of the page that have figures of the solution."""
 _ENDINGS = (".html", ".htm")
 
@@ -81,12 +82,15 @@ def _content(
     solution: Solution, case: Case | None, earlier: Solution | None, inputs: Mapping[str, str | None]
 ) -> dict[str, Any]:
     """Everything that the template shows."""
-    from mgsgraph.figures.page import figure_tasks, sigma_figures
+    from mgsgraph.figures.page import comparison_figures, figure_tasks, sigma_figures
 
     compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
     registration = None if case is None or not case.profiles else register_case(case, solution)
     connected = solution_connectivity(solution)
-    sections, tasks = zip(*figure_tasks(solution, connected), strict=True)
+    drawings = figure_tasks(solution, connected)
+    if earlier is not None:
+        drawings.append(("comparison", partial(comparison_figures, solution, earlier)))
+    sections, tasks = zip(*drawings, strict=True)
     with called_in_workers(tasks, "figures of the page", "give this program more memory") as drawn:
         sigmas, without_sigmas = sigma_figures(solution)
         content = {

@@ -10,10 +10,10 @@ from strip_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.group_medians import medians
+from mgsgraph.analysis.group_medians import medians, span
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.adjacency import adjacency, joints, links_sheet
-from mgsgraph.figures.aggregate import Rows, cell_means, image_rows, limit, means, span
+from mgsgraph.figures.aggregate import Rows, cell_means, image_rows, limit, means
 from mgsgraph.figures.overview import MiddleCorrections, residual_matrix, strangeness
 from mgsgraph.figures.overview_map import ground_cells, ground_frame, weak_points
 from mgsgraph.figures.sheet import encoded

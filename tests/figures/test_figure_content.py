@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.figures.content import east_north
 from mgsgraph.figures.residuals import cut
 from mgsgraph.figures.sheet import number, round_figure, short
 from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.geometry.map_plane import east_north
 from mgsgraph.registration.measured import thinned
 
 MARS = 3.39e6

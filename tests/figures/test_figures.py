@@ -16,13 +16,14 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.figures import registration_discrepancy, registration_offsets, write_figures
-from mgsgraph.figures.content import centre_of, east_north, image_residuals
+from mgsgraph.figures.content import image_residuals
 from mgsgraph.figures.ground_map import map_sheet, tie_sigmas
 from mgsgraph.figures.orientation import components, coupling, orientation_sheets
 from mgsgraph.figures.registration import MOST_SHOTS, magnification, registration_sheets
 from mgsgraph.figures.residuals import residual_sheets
 from mgsgraph.figures.sheet import MOST_MARKS, encoded
 from mgsgraph.geometry.footprint import footprint
+from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair

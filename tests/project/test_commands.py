@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import numpy as np
 import profiles
 import pytest
@@ -349,3 +350,33 @@ def test_bad_input_is_one_line_and_status_2(tmp_path: Path) -> None:
     assert done.returncode == 2
     said = f"{tmp_path}: is no project: there is no project.sqlite in it; make one with: mgsgraph init {tmp_path}"
     assert done.stderr.strip() == f"mgsgraph: error: {said}"
+
+
+def test_a_point_is_measured_rejected_and_given_back(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = "SIM/A", "SIM/B"
+    refused(project, "no such point", "measure", project, "HAND1", "--pixel", first, "100", "50")
+    pixels = ("--pixel", first, "100.5", "50", "--pixel", second, "102", "51")
+    call("measure", project, "HAND1", "--new", *pixels)
+    assert "Nothing is adjusted yet" in capsys.readouterr().out
+    refused(project, "it is there already", "measure", project, "HAND1", "--new", *pixels)
+    call("solve", project, "--no-figures")
+    capsys.readouterr()
+    call("measure", project, "HAND1", "--pixel", first, "101", "50", "--sigma-px", "0.5", "--reject", second)
+    said = capsys.readouterr().out
+    assert f"change 4. Point HAND1: moved in {first}" in said
+    assert f"change 5. Point HAND1: rejected in {second}" in said
+    refused(project, f"image {second}: no measure", "measure", project, "HAND1", "--reject", second)
+    call("measure", project, "HAND1", "--accept", second)
+    call("undo", project, "4")
+    refused(project, "change 4 was undone by change 7", "undo", project, "4")
+    refused(project, "change 3 is none of a point", "undo", project, "3")
+    call("measure", project, "HAND1", "--remove")
+    call("undo", project)
+    for wrong in ((), ("--new", "--remove"), ("--sigma-px", "1", "--remove")):
+        with pytest.raises(click.UsageError):
+            call("measure", project, "HAND1", *wrong)
+    refused(project, "a positive number", "measure", project, "HAND1", "--pixel", first, "1", "1", "--sigma-px", "nan")
+    with open_project(project) as opened:
+        network = opened.store.network()
+        mine = network.rays.point == network.points.ids.tolist().index("HAND1")
+        assert network.rays.places[mine].tolist() == [[100.5, 50.0], [102.0, 51.0]]

@@ -29,14 +29,17 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.output.table import NONE, Table, fixed
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.reports import page_tables as report_tables
+from mgsgraph.reports.comparison import compare, orientation_difference
 from mgsgraph.reports.page import write_report
-from mgsgraph.reports.page_comparison import compare, orientation_difference
 from mgsgraph.reports.page_tables import tables
 from mgsgraph.simulation.files import write_pair
 
 LINES, SAMPLES = (3000, 3400), (100, 250)
 """Of the bright field in the pictures."""
-FIGURES = {"map", "connectivity", "discrepancy", "closeups", "orientation", "residuals", "corrections", "sigma_map"}
+FIGURES = {
+    "map", "connectivity", "discrepancy", "closeups", "orientation", "residuals", "corrections", "sigma_map",
+    "comparison",
+}
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +108,7 @@ def test_it_is_one_file_without_an_outside_address(page: Path) -> None:
     addresses = re.findall(r'(?:src|href|action|srcset|data|poster)="([^"]*)"', text)
     assert len(addresses) > 20
     assert [one[:60] for one in addresses if not one.startswith(("data:", "#"))] == []
-    assert re.findall(r"https?://|@import|url\(", text) == []
+    assert re.findall(r"https?://|@import|url\((?!#)", text) == []
     assert set(re.findall(r'data-name="([a-z_]+)"', text)) == FIGURES
     assert len(text) < 5_000_000
 
@@ -382,12 +385,35 @@ class Opened:
 def test_every_figure_is_there_and_nothing_is_asked_for(browser: Any, page: Path) -> None:
     seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
     widths = seen.tab.evaluate("[...document.querySelectorAll('figure')].map(one => [one.dataset.name, "
-                               "one.querySelector('img').naturalWidth, one.querySelector('img').alt.length])")
+                               "one.querySelector('.drawing').clientWidth, one.querySelector('p').textContent.length])")
     assert {name for name, _, _ in widths} == FIGURES
     assert all(width > 300 and words > 30 for _, width, words in widths)
+    assert set(seen.tab.evaluate("[...document.images].map(one => one.complete && one.naturalWidth > 300)")) == {True}
     assert seen.tab.evaluate("[...document.querySelectorAll('nav a')].every(one => document.querySelector(one.hash))")
     assert seen.said == []
     assert {url for url in seen.asked if not url.startswith("data:")} == {page.as_uri()}
+
+
+def test_what_figures_say_can_be_selected(browser: Any, page: Path) -> None:
+    """Axes' labels are text, ids are there once, and what an id is asked for by is there."""
+    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
+    tab = seen.tab
+    tab.evaluate("getSelection().selectAllChildren(document.querySelector('figure[data-name=map]'))")
+    assert "km east of longitude" in tab.evaluate("getSelection().toString()")
+    ids = tab.evaluate("[...document.querySelectorAll('.drawing [id]')].map(one => one.id)")
+    assert len(ids) == len(set(ids))
+    asked = tab.evaluate("[...document.querySelectorAll('.drawing use')].map(one => one.getAttribute('xlink:href'))")
+    assert {one.removeprefix("#") for one in asked} <= set(ids)
+
+
+@pytest.mark.parametrize(("width", "some"), [(380, True), (1280, False)])
+def test_what_is_wider_than_the_screen_says_so(browser: Any, page: Path, width: int, some: bool) -> None:
+    tab = Opened(browser, page, viewport={"width": width, "height": 800}).tab
+    tab.wait_for_timeout(200)
+    found = tab.evaluate("[...document.querySelectorAll('.scroll')].map(one => [one.scrollWidth > one.clientWidth + 1, "
+                         "one.previousElementSibling?.className === 'hint'])")  # fmt: skip
+    assert all(wider == said for wider, said in found)
+    assert any(wider for wider, _ in found) or not some
 
 
 @pytest.mark.parametrize("width", [380, 1280])
@@ -523,7 +549,7 @@ def test_on_paper_images_are_whole(browser: Any, page: Path) -> None:
                                "one.clientHeight, one.viewBox.baseVal.width / one.viewBox.baseVal.height])")
     assert all(drawn == pytest.approx(wanted, rel=0.02) for drawn, wanted in shapes)
     right = "one => one.getBoundingClientRect().right"
-    assert max(seen.tab.evaluate(f"[...document.querySelectorAll('.piece > *, figure img')].map({right})")) <= 700
+    assert max(seen.tab.evaluate(f"[...document.querySelectorAll('.piece > *, figure .drawing')].map({right})")) <= 700
     assert seen.said == []
 
 

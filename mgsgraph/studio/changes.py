@@ -1,0 +1,170 @@
+"""Changes that a browser asks for: each is stored in the project, adjusted by iSAM2, and answered with what it did.
+
+One browser at a time may change a project: the first one that does. Another one reads, and hears who has it.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north_up, from_geodetic
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.incremental.impact import Impact
+from mgsgraph.project import edits
+from mgsgraph.project.edits import Edited
+from mgsgraph.project.journal import Measure
+from mgsgraph.project.project import Project
+from mgsgraph.studio.opened import Opened
+from mgsgraph.units import DEG
+
+_MOST_MOVED = 500
+"""Points that moved, of which the page is told; the rest is counted."""
+
+
+class EditLock:
+    """Which browser changes the project."""
+
+    def __init__(self) -> None:
+        self._holder, self._since = "", ""
+
+    def words(self, browser: str) -> str:
+        """Why a browser may not change the project now; empty where it may."""
+        if self._holder in ("", browser):
+            return ""
+        return f"Another browser has been changing this project since {self._since}; here it can be read only."
+
+    def require(self, browser: str) -> None:
+        """Give a browser the lock, where no other one has it; InputError where one has."""
+        if words := self.words(browser):
+            raise InputError("studio", words.rstrip("."), remedy="take over, if it is yours")
+        if not self._holder:
+            self.take(browser)
+
+    def take(self, browser: str) -> None:
+        """Give it the lock, whoever had it."""
+        self._holder, self._since = browser, datetime.now().strftime("%H:%M:%S")
+
+
+def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Carry out a change; what it did, as JSON.
+
+    Parameters
+    ----------
+    opened : Opened
+        A project.
+    asked : mapping
+        kind (as of `project.edits`), point; image, line, sample; measures of a new point; place of a held one.
+
+    Raises
+    ------
+    InputError
+        No project; another process changes it; what the change itself refuses: nothing has changed then.
+    """
+    began, kind = time.perf_counter(), _text(asked, "kind")
+    if kind not in _KINDS:
+        raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
+    edited, moved = opened.change(lambda project: _with_moved(project, _KINDS[kind](project, asked)))
+    sentences = [edited.sentence]
+    if edited.impact is not None:
+        sentences += edited.impact.sentences
+    return {
+        "kind": edited.kind, "point": edited.point, "revision": opened.revision, "sentences": sentences,
+        "moved": [] if edited.impact is None else _moved(opened, edited.impact, moved),
+        "seconds": round(time.perf_counter() - began, 3),
+    }  # fmt: skip
+
+
+def _measure(project: Project, asked: Mapping[str, Any]) -> Edited:
+    wanted = asked.get("measures")
+    if not isinstance(wanted, list) or not all(isinstance(one, dict) for one in wanted):
+        raise InputError("change, measures", repr(wanted)[:60], "a list of {image, line, sample}")
+    measures = [
+        Measure(_text(one, "image"), _number(one, "line"), _number(one, "sample"), *_sigmas(one)) for one in wanted
+    ]
+    return edits.measure(project, _text(asked, "point"), measures)
+
+
+def _sigmas(one: Mapping[str, Any]) -> tuple[float, float]:
+    sigma = _number(one, "sigma_px") if "sigma_px" in one else 0.0
+    return sigma, sigma
+
+
+def _move(project: Project, asked: Mapping[str, Any]) -> Edited:
+    at = _number(asked, "line"), _number(asked, "sample")
+    return edits.move(project, _text(asked, "point"), _text(asked, "image"), *at)
+
+
+def _hold(project: Project, asked: Mapping[str, Any]) -> Edited:
+    """At a place in degrees (planetodetic latitude) and m above the ellipsoid, with sigmas in m."""
+    point = _text(asked, "point")
+    names = project.store.image_names()
+    body = project.store.image(names[0]).image.body
+    place = np.array([_number(asked, "longitude_deg") * DEG, _number(asked, "latitude_deg") * DEG,
+                      _number(asked, "height_m")])  # fmt: skip
+    if abs(place[1]) > 0.5 * np.pi:
+        raise InputError("change, latitude_deg", f"{place[1] / DEG:g}", "-90 to 90")
+    sigmas = np.array([_number(asked, f"sigma_{axis}_m") for axis in ("east", "north", "up")])
+    return edits.hold(project, point, from_geodetic(place[None], body)[0], sigmas)
+
+
+_KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
+    "measure": _measure,
+    "move": _move,
+    "reject": lambda project, asked: edits.reject(project, _text(asked, "point"), _text(asked, "image")),
+    "accept": lambda project, asked: edits.accept(project, _text(asked, "point"), _text(asked, "image")),
+    "hold": _hold,
+    "release": lambda project, asked: edits.release(project, _text(asked, "point")),
+    "remove": lambda project, asked: edits.remove_point(project, _text(asked, "point")),
+    "undo": lambda project, asked: edits.undo(project),
+}
+
+
+def _with_moved(project: Project, edited: Edited) -> tuple[Edited, Array]:
+    """A change, and places (n, 3) in m of the points that moved by it, as the project has them now."""
+    names = [] if edited.impact is None else [edited.impact.points.ids[k] for k in _order(edited.impact).tolist()]
+    found, place = project.store.bundles_of(names), dict[str, Array]()
+    for members in dict.fromkeys(found.values()):
+        bundle = project.store.bundle(members)
+        place |= zip(bundle.network.points.ids, bundle.places, strict=True)
+    return edited, np.array([place.get(name, np.full(3, np.nan)) for name in names]).reshape(-1, 3)
+
+
+def _order(impact: Impact) -> Index:
+    """Points that moved, new ones before those that moved by most of their sigmas; the first ones."""
+    return np.argsort(-np.nan_to_num(impact.points.in_sigmas, nan=np.inf), kind="stable")[:_MOST_MOVED]
+
+
+def _moved(opened: Opened, impact: Impact, places: Array) -> list[dict[str, Any]]:
+    """Points that moved, in that order, at places (n, 3) in m."""
+    moved, order = impact.points, _order(impact)
+    names = [moved.ids[k] for k in order.tolist()]
+    frames = east_north_up(np.where(np.isfinite(places), places, 1.0))
+    vectors = np.einsum("nij,nj->ni", frames, moved.moves[order])
+    plane = opened.map_places(places)
+    return [
+        {"name": name, "map_m": _known(plane[k]), "vector_m": _known(vectors[k]),
+         "sigmas": None if new else float(moved.in_sigmas[order[k]])}
+        for k, (name, new) in enumerate(zip(names, moved.new[order].tolist(), strict=True))
+    ]  # fmt: skip
+
+
+def _known(values: np.ndarray) -> list[float] | None:
+    return [float(value) for value in values.tolist()] if np.all(np.isfinite(values)) else None
+
+
+def _text(asked: Mapping[str, Any], key: str) -> str:
+    value = asked.get(key, "" if key in ("point", "image") else None)
+    if not isinstance(value, str):
+        raise InputError(f"change, {key}", repr(value)[:60], "a text")
+    return value
+
+
+def _number(asked: Mapping[str, Any], key: str) -> float:
+    value = asked.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"change, {key}", repr(value)[:60], "a finite number")
+    return float(value)

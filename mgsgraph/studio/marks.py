@@ -1,0 +1,152 @@
+"""What is drawn on an image: its ties with residuals, its laser shots before and after, and their profile."""
+
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.terrain import areoid_heights
+from mgsgraph.network import PointClass
+from mgsgraph.studio.block import Block
+
+MOST_TIES = 20_000
+"""Ties of an image that a page is sent; of more, evenly chosen ones."""
+MOST_SHOTS = 20_000
+"""The same of shots."""
+
+
+def ties_of(block: Block, image: int) -> dict[str, Any]:
+    """Measured points of an image with their residuals, as JSON.
+
+    Parameters
+    ----------
+    block : Block
+    image : int
+        Which.
+
+    Returns
+    -------
+    dict
+        names; measured (m, 2) line and sample; residuals (m, 2) px, measured minus predicted, null where the point has
+        no place; sigmas (m, 2) px; used (m); kinds (m) of points; count of all.
+    """
+    rays, network = block.rays_by_image[image], block.network
+    total, kept = rays.size, rays[_thinned(rays.size, MOST_TIES)]
+    points, measured = network.rays.point[kept], network.rays.places[kept]
+    predicted = projected(block, image, block.places[points], measured[:, 0])
+    return {
+        "count": int(total), "names": [network.points.ids[i] for i in points.tolist()],
+        "measured": measured.tolist(), "residuals": _pairs(measured - predicted),
+        "sigmas": network.rays.sigmas[kept].tolist(), "used": block.used[kept].tolist(),
+        "kinds": [PointClass(k).name.lower() for k in network.points.classes[points].tolist()],
+    }  # fmt: skip
+
+
+def projected(block: Block, image: int, points: Array, lines: Array | None = None, nominal: bool = False) -> Array:
+    """(n, 2) line and sample of points (n, 3) in m in an image, NaN where it does not see them; `nominal`: with the
+    orientation before the adjustment.
+    """
+    found = np.full((len(points), 2), np.nan)
+    known = np.flatnonzero(np.all(np.isfinite(points), axis=1) & np.any(points, axis=1))
+    picture = block.network.images[image] if nominal else block.images[image]
+    correction = None if nominal else block.corrections[image]
+    if known.size:
+        start = None if lines is None else lines[known]
+        found[known] = picture.ground_to_image(points[known], correction, start)[0]
+    return found
+
+
+def shots_of(block: Block, image: int) -> dict[str, Any]:
+    """Laser shots that fall in an image before or after the adjustment, profile by profile along its track, as JSON.
+
+    Returns
+    -------
+    dict
+        above: what heights are above; profiles: of each its name, shots' names, before and after (n, 2) line and
+        sample, along_m, height_before_m, height_m, sigma_m (null where nothing is known).
+    """
+    profiles = []
+    for name, every in laser_profiles(block):
+        points = every[_near(block, image, block.network.points.places[every])]
+        before = projected(block, image, block.network.points.places[points], nominal=True)
+        after = projected(block, image, block.places[points]) if block.adjusted else before
+        mine = np.flatnonzero(_inside(block, image, before) | _inside(block, image, after))
+        mine = mine[_thinned(mine.size, MOST_SHOTS)]
+        if mine.size:
+            mine = mine[_order(block.network.points.places[points[mine]])]
+            profiles.append(_profile(block, name, points[mine], before[mine], after[mine]))
+    return {"above": "areoid" if block.network.areoid is not None else "ellipsoid", "profiles": profiles}
+
+
+def laser_profiles(block: Block) -> list[tuple[str, Index]]:
+    """Name and points of each laser profile, in the order of its shots: as the case has them, else by what the names of
+    shots begin with.
+    """
+    points, shifts = block.network.points, block.network.shifts
+    laser = np.flatnonzero(points.classes == PointClass.LASER)
+    owner = [points.ids[i].rpartition(":")[0] or "laser shots" for i in laser.tolist()]
+    if shifts is not None:
+        profile = np.asarray(shifts.profile)[laser].tolist()
+        owner = [shifts.names[p] if p >= 0 else name for p, name in zip(profile, owner, strict=True)]
+    found = dict[str, list[int]]()
+    for name, i in zip(owner, laser.tolist(), strict=True):
+        found.setdefault(name, []).append(i)
+    return [(name, np.array(members)) for name, members in found.items()]
+
+
+def _order(places: Array) -> Index:
+    """Shots in the order of their track, from the end where the first one is: files may have them in any other."""
+    apart = places - places.mean(axis=0)
+    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    order = np.argsort(along, kind="stable")
+    return order if along[0] <= 0.0 else order[::-1]
+
+
+def _profile(block: Block, name: str, points: Index, before: Array, after: Array) -> dict[str, Any]:
+    archived, places = block.network.points.places[points], block.places[points]
+    ground = np.where(np.isfinite(places), places, archived)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(archived, axis=0), axis=1))])
+    covariances = block.network.points.covariances if block.covariances is None else block.covariances
+    up = east_north_up(ground)[:, 2]
+    sigmas = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, covariances[points], up), 0.0))
+    return {
+        "name": name, "names": [block.network.points.ids[i] for i in points.tolist()],
+        "before": _pairs(before), "after": _pairs(after), "along_m": along.tolist(),
+        "height_before_m": _values(_heights(block, archived)), "height_m": _values(_heights(block, ground)),
+        "sigma_m": _values(sigmas),
+    }  # fmt: skip
+
+
+def _heights(block: Block, points: Array) -> Array:
+    """(n,) m above the areoid where it is known, else above the ellipsoid."""
+    if block.network.areoid is not None:
+        return areoid_heights(points, block.network.areoid)
+    return np.asarray(geodetic(points, block.images[0].body)[:, 2])
+
+
+def _near(block: Block, image: int, places: Array) -> Mask:
+    """Which places (n, 3) in m may fall in an image: few are left of the shots of a whole campaign."""
+    middles, reaches = block.caps
+    along = places @ middles[image] / np.linalg.norm(places, axis=1)
+    return np.asarray(along >= np.cos(reaches[image]))
+
+
+def _inside(block: Block, image: int, places: Array) -> Mask:
+    picture = block.images[image]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.all((places >= 0.0) & (places <= [picture.lines, picture.samples]), axis=1))
+
+
+def _thinned(size: int, most: int) -> Index:
+    return np.arange(size) if size <= most else np.linspace(0, size - 1, most).astype(np.int64)
+
+
+def _values(values: Array) -> list[float | None]:
+    """Numbers for JSON: null where there is none."""
+    return [value if np.isfinite(value) else None for value in values.tolist()]
+
+
+def _pairs(values: Array) -> list[list[float] | None]:
+    there = np.all(np.isfinite(values), axis=1).tolist()
+    return [pair if known else None for pair, known in zip(values.tolist(), there, strict=True)]

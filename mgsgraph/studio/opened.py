@@ -1,0 +1,334 @@
+"""What is open in the studio: a project, results or a case, as it stands now; a change of a project makes it anew."""
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, NamedTuple, TypeVar
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.starts import Minima
+from mgsgraph.analysis.nearby import posterior_of_points
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.case_file import decode
+from mgsgraph.case.reading import picture_of, read_case
+from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network
+from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.project.changes import is_solved
+from mgsgraph.project.connection import FILE
+from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.reading import posterior_near, read_posterior, results_of
+from mgsgraph.reports.archive import ARCHIVE, read_solution
+from mgsgraph.studio.block import Block
+
+Kind = Literal["project", "result", "case"]
+_Found = TypeVar("_Found")
+_MOST_NEAR = 2000
+"""Points about one of a solution whose posterior is found together."""
+_CHANGED = "only a project can be changed; make one of the case: mgsgraph init PROJECT --case CASE"
+
+
+class _Now(NamedTuple):
+    """The block in one state, and where what is asked of it comes from."""
+
+    name: str
+    block: Block
+    before: Array | None
+    """(n, 3) m, places of the points before the adjustment; None where there was none."""
+    posterior: Callable[[], Posterior] | None
+    """None before any adjustment."""
+    solution: Solution | None
+    """The batch solution that it is; None of a project that has changed since, and of a case."""
+    pictures: Mapping[str, Path | None]
+    folder: Path | None
+    warning: str
+
+
+class About(NamedTuple):
+    """A point and others."""
+
+    block: Block
+    """They and the images that show them."""
+    posterior: Posterior | None
+    """None before any adjustment."""
+    before: Array | None
+    """(n, 3) m, their places before the adjustment; None where there was none."""
+
+
+class Opened:
+    """A project, a folder of results or a case file, opened for the studio; may be used by several threads.
+
+    Parameters
+    ----------
+    path : Path
+        Which.
+    case : Path, optional
+        Case of the results, for its images' pixels; found by itself for a demonstration and a project.
+
+    Attributes
+    ----------
+    path : Path
+    kind : str
+        project, result or case.
+    revision : int
+        Changes since it was opened.
+
+    Raises
+    ------
+    InputError
+        None of them, or one that can't be read.
+    """
+
+    def __init__(self, path: Path, case: Path | None = None) -> None:
+        self.path, self._case = path, case
+        self.kind: Kind = _kind(path)
+        self.revision = 0
+        self._lock, self._near_lock, self._changing = threading.RLock(), threading.Lock(), threading.Lock()
+        self._state: tuple[int, _Now] | None = None
+        self._asked: dict[str, object] = {}
+        self._near: tuple[int, str, About | None] | None = None
+        now = self._now
+        self._pictures, self._warning = now.pictures, now.warning
+        self.centre = _centre(now.block)
+        """(3,) m, body-fixed, where the map has its zero."""
+
+    # --- the state
+
+    @property
+    def _now(self) -> _Now:
+        """The state; read anew after a change, which does not wait for a state that is being read."""
+        with self._lock:
+            if self._state is None or self._state[0] != self.revision:
+                revision = self.revision
+                read = {"project": _project, "result": _result, "case": _of_case}[self.kind]
+                self._state = revision, read(self.path, self._case)
+                self._asked.clear()
+            return self._state[1]
+
+    @property
+    def is_read(self) -> bool:
+        """Whether all of it has been read since the last change."""
+        return self._state is not None and self._state[0] == self.revision
+
+    def once(self, name: str, make: Callable[[], _Found]) -> _Found:
+        """What is made of the present state when it is first asked for, and kept until a change."""
+        with self._lock:
+            _ = self._now  # forgets what was made of an older one
+            if name not in self._asked:
+                self._asked[name] = make()
+            found: _Found = self._asked[name]  # type: ignore[assignment]  # one kind for a name
+            return found
+
+    @property
+    def name(self) -> str:
+        """What the case is called."""
+        return self._now.name
+
+    @property
+    def warning(self) -> str:
+        """What is to be said of it; empty where nothing is."""
+        return self._warning
+
+    @property
+    def solution(self) -> Solution | None:
+        """The batch solution that it is; None of a project that has changed since, and of a case."""
+        return self._now.solution
+
+    @property
+    def pictures(self) -> Mapping[str, Path | None]:
+        """File of each image's pixels, by its name."""
+        return self._pictures  # no change of a point changes them
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of its results."""
+        return self._now.folder
+
+    @property
+    def minima(self) -> Minima | None:
+        """Found by starts over the terrain model's shift."""
+        return None if self.solution is None else self.solution.minima
+
+    @property
+    def before(self) -> Array | None:
+        """(n, 3) m, places of the points before the adjustment; None where there was none."""
+        return self._now.before
+
+    def block(self) -> Block:
+        """Images and points as they are now."""
+        return self._now.block
+
+    def posterior(self) -> Posterior:
+        """The posterior; InputError before any adjustment."""
+        make = self._now.posterior
+        if make is None:
+            remedy = "adjust it: mgsgraph solve PROJECT, or mgsgraph adjust CASE --out RESULT"
+            raise InputError(str(self.path), "nothing has been adjusted: there is no posterior", remedy=remedy)
+        return self.once("posterior", make)
+
+    def about(self, point: str) -> "About":
+        """A point and others that feel the same unknowns, where they can be had without all the rest, which takes its
+        time; the whole block otherwise.
+        """
+        with self._near_lock:
+            if self._near is None or self._near[:2] != (self.revision, point):
+                self._near = self.revision, point, self._found_near(point)
+            if (found := self._near[2]) is not None:
+                return found
+        return About(self.block(), None if self._now.posterior is None else self.posterior(), self.before)
+
+    def _found_near(self, point: str) -> "About | None":
+        if self.kind == "project" and not (self.is_read and self.solution is not None):
+            near = posterior_near(self.path, point)
+            return None if near is None else About(Block.of_posterior(near), near, None)
+        solution = self.solution
+        mine = None if solution is None else near_points(solution.network, solution.places, point)
+        near = None if mine is None or solution is None else posterior_of_points(solution, mine)
+        if near is None or mine is None:
+            return None
+        before = self.before
+        return About(Block.of_posterior(near), near, None if before is None else before[mine])
+
+    # --- the map
+
+    @cached_property
+    def map_words(self) -> str:
+        """What map coordinates are."""
+        return "m east and north of the block's middle, azimuthal equidistant on the sphere through it"
+
+    def map_places(self, points: Array) -> Array:
+        """(n, 2) m on the map, of points (n, 3) in m, body-fixed; NaN where there is none."""
+        return east_north(points, self.centre)
+
+    def footprints(self) -> list[Array]:
+        """Of each image its outline (k, 2) in m on the map."""
+
+        def make() -> list[Array]:
+            block = self.block()
+            found = network_footprints(block.network, block.places, lambda j: block.corrections[j])  # type: ignore[arg-type,return-value]
+            return [self.map_places(one.outline) if len(one.outline) else np.zeros((0, 2)) for one in found]
+
+        return self.once("footprints", make)
+
+    # --- changes
+
+    def change(self, act: Callable[[Project], _Found]) -> _Found:
+        """Change the project, in one transaction.
+
+        Raises
+        ------
+        InputError
+            Results or a case; another process is changing it; what `act` refuses: nothing has changed then.
+        """
+        if self.kind != "project":
+            raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
+        with self._changing:
+            with open_project(self.path, write=True) as project:
+                found = act(project)
+                words = _words(project)
+            self.revision, self._warning = self.revision + 1, words
+        return found
+
+    def warm(self) -> None:
+        """Ask for one point, so that what is compiled and loaded is there when a person asks for the first."""
+        network, places = self.block().network, self.block().places
+        for k in np.flatnonzero(np.all(np.isfinite(places), axis=1))[:1].tolist():
+            name = network.points.ids[k]
+            with suppress(MgsgraphError):  # it will be said when it is asked for
+                self.about(name)
+                if self.kind == "project":
+                    posterior_near(self.path, name)
+
+
+def near_points(network: Network, places: Array, point: str) -> Index | None:
+    """(m,) points that share an image with a point, the nearest of them, ascending; None where it has no place."""
+    (number,) = network.points.ids.find([point]).tolist()
+    if number < 0 or not np.all(np.isfinite(places[number])):
+        return None
+    rays, ranges = network.rays, network.ranges
+    images = np.union1d(rays.image[rays.point == number], ranges.image[ranges.point == number])
+    shared = np.zeros(len(network.points), dtype=bool)
+    shared[rays.point[np.isin(rays.image, images)]] = shared[ranges.point[np.isin(ranges.image, images)]] = True
+    mine = np.flatnonzero(shared & np.all(np.isfinite(places), axis=1))
+    away = np.linalg.norm(places[mine] - places[number], axis=1)
+    return np.sort(mine[np.argsort(away, kind="stable")[:_MOST_NEAR]])
+
+
+def _kind(path: Path) -> Kind:
+    if path.is_dir() and (path / FILE).is_file():
+        return "project"
+    if (path.is_dir() and (path / ARCHIVE).is_file()) or path.suffix == ".npz":
+        return "result"
+    if path.is_file():
+        return "case"
+    found = "no such file or folder" if not path.exists() else f"a folder with neither {ARCHIVE} nor {FILE}"
+    raise InputError(str(path), found, "a project, results of `mgsgraph adjust`, or a case file")
+
+
+def _centre(block: Block) -> Array:
+    """Middle (3,) in m of the points, or of what the images see where no point has a place."""
+    if np.any(np.all(np.isfinite(block.places), axis=1)):
+        return centre_of(block.places)
+    outlines = [one.outline for one in network_footprints(block.network, block.places) if len(one.outline)]
+    if not outlines:
+        raise InputError("studio", "no point with a place, and no image that sees the ground", "one of them")
+    return centre_of(np.concatenate(outlines))
+
+
+def _pictures(case: Path | None) -> dict[str, Path | None]:
+    if case is None or not case.is_file():
+        return {}
+    return {entry.name: picture_of(entry, case.parent) for entry in decode(case).images}
+
+
+def _result(path: Path, case: Path | None) -> _Now:
+    results = results_of(path)
+    solution = read_solution(results.folder)
+    return _of_solution(solution, results.folder, _pictures(case or results.case), "")
+
+
+def _of_solution(solution: Solution, folder: Path, pictures: Mapping[str, Path | None], warning: str) -> _Now:
+    words = [warning] if warning else []
+    if not solution.converged:
+        words.append(f"The adjustment has NOT converged, so that sigmas mean little: {solution.message}")
+    return _Now(solution.name, Block.of_solution(solution), solution.places_before, lambda: Posterior.of(solution),
+                solution, pictures, folder if folder.is_dir() else folder.parent, "; ".join(words))  # fmt: skip
+
+
+def _of_case(path: Path, _: Path | None) -> _Now:
+    case = read_case(path)
+    words = "Nothing has been adjusted yet: nominal orientation, a-priori places."
+    return _Now(case.name, Block.of_network(case.network, case.settings), None, None, None,
+                _pictures(path), None, words)  # fmt: skip
+
+
+def _project(path: Path, case: Path | None) -> _Now:
+    with open_project(path) as project:
+        pictures = {name: Path(found) if found else None for name, found in project.pictures().items()}
+        pictures |= _pictures(case)
+        last, changes = project.last_results(), project.changes(1)
+        solved, name, words = is_solved(project), project.name, _words(project)
+        current = last is not None and bool(changes) and last.change >= changes[-1].number
+        unsolved = None if solved else Block.of_network(project.store.network(), project.settings.solver.settings)
+    if current and last is not None and last.folder is not None and (path / last.folder / ARCHIVE).is_file():
+        return _of_solution(read_solution(path / last.folder), path / last.folder, pictures, "")
+    folder = path / last.folder if last is not None and last.folder is not None else None
+    if unsolved is not None:
+        return _Now(name, unsolved, None, None, None, pictures, folder, words)
+    posterior = read_posterior(path)[1]
+    return _Now(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, folder, words)
+
+
+def _words(project: Project) -> str:
+    """What is to be said of a project that is not as its last batch solution left it."""
+    if not is_solved(project):
+        return f"Nothing has been adjusted yet: mgsgraph solve {project.folder}"
+    if project.last_results() is None:
+        return ""
+    return f"Adjusted by iSAM2 since the last batch solution; of everything at once: mgsgraph solve {project.folder}"

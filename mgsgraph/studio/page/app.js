@@ -1,0 +1,68 @@
+// What all panels share: what is open, the selected point, requests, changes, and the line that says what happened.
+// Events: "opened" (the scene is there), "selected" (a point), "changed" (a change was stored; event.detail says what).
+
+export class App extends EventTarget {
+  constructor(saying) {
+    super();
+    Object.assign(this, {saying, scene: null, selection: '', last: null, browser: crypto.randomUUID(), busy: 0});
+  }
+
+  async open() {
+    const [scene, state] = await Promise.all([this.request('/api/scene'), this.request('/api/state')]);
+    this.scene = Object.assign(scene, state);
+    this.emit('opened');
+  }
+
+  emit(name, detail) {
+    this.dispatchEvent(new CustomEvent(name, {detail}));
+  }
+
+  // The answer of the server as an object; an Error with its sentence where it refuses
+  async request(path, body) {
+    const options = {headers: {'X-Browser': this.browser}, cache: 'no-store'};
+    if (body !== undefined) {
+      Object.assign(options, {method: 'POST', body: JSON.stringify(body)});
+      options.headers['Content-Type'] = 'application/json';
+    }
+    let answer;
+    try {
+      answer = await fetch(path, options);
+    } catch {
+      throw new Error('The studio does not answer: has its command been ended? What was stored is in the project.');
+    }
+    if (!answer.ok) throw new Error((await answer.text()).slice(0, 500) || `The studio answered with ${answer.status}.`);
+    const found = await answer.json();
+    if (found.error) throw new Error(found.error);
+    return found;
+  }
+
+  // Store a change; resolves with what it did
+  async change(body) {
+    const found = await this.request('/api/changes', body);
+    this.last = found;
+    const open = this.scene;
+    Object.assign(open, {revision: found.revision, writable: found.writable ?? open.writable, lock: found.lock ?? open.lock});
+    this.say(found.sentences.join(' '));
+    this.emit('changed', found);
+    return found;
+  }
+
+  async undo() {
+    try {
+      return await this.change({kind: 'undo'});
+    } catch (error) {
+      this.say(error.message, 'error');
+      return null;
+    }
+  }
+
+  select(name) {
+    this.selection = name;
+    this.emit('selected', name);
+  }
+
+  say(sentence, kind = '') {
+    this.saying.textContent = sentence;
+    this.saying.className = kind;
+  }
+}

@@ -1,0 +1,112 @@
+// The page: its tabs and keys. Each panel is a module with a function panel(app, element); it is made when it is first
+// shown and hears of what happens by the app's events.
+
+import {App} from './app.js';
+import {make} from './plot.js';
+
+const PANELS = [
+  ['map', 'Map', '1', './map.js'],
+  ['images', 'Images', '2', './images.js'],
+  ['point', 'Point', '3', './sheet.js'],
+  ['questions', 'Questions', '4', './questions.js'],
+  ['registration', 'Registration', '5', './registration.js'],
+  ['comparison', 'Comparison', '6', './comparison.js'],
+];
+const KEYS = [
+  ['1 … 6', 'the six views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
+  ['map: arrows, + −, 0', 'move, zoom, whole block'], ['map: c', 'select the point nearest to the middle'],
+  ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'],
+  ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'the next image'],
+  ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
+  ['Escape', 'close what is open'],
+];
+
+const byId = id => document.getElementById(id);
+const app = new App(byId('say'));
+window.studio = app; // for the browser's console and for tests
+const tabs = new Map();
+
+function build() {
+  for (const [key, title, shortcut, module] of PANELS) {
+    const tab = make('button', {type: 'button', id: `tab-${key}`, role: 'tab', textContent: title, title: `Key ${shortcut}`});
+    tab.setAttribute('aria-controls', key);
+    const element = make('section', {id: key, role: 'tabpanel', hidden: true});
+    element.setAttribute('aria-labelledby', tab.id);
+    tab.addEventListener('click', () => show(key));
+    tab.addEventListener('keydown', event => {
+      const step = {ArrowRight: 1, ArrowLeft: -1}[event.key];
+      if (!step) return;
+      const order = [...tabs.keys()], next = order[(order.indexOf(key) + step + order.length) % order.length];
+      show(next);
+      tabs.get(next).tab.focus();
+    });
+    byId('tabs').append(tab);
+    byId('content').append(element);
+    tabs.set(key, {tab, element, module, made: null});
+  }
+}
+
+export async function show(key) {
+  for (const [name, {tab, element}] of tabs) {
+    tab.setAttribute('aria-selected', String(name === key));
+    tab.tabIndex = name === key ? 0 : -1;
+    element.hidden = name !== key;
+  }
+  const one = tabs.get(key);
+  one.made ??= import(one.module).then(module => module.panel(app, one.element));
+  await one.made;
+  app.emit('shown', key);
+}
+app.show = show;
+
+function typing(target) {
+  return target.closest?.('input, select, textarea, [contenteditable]') !== null;
+}
+
+document.addEventListener('keydown', event => {
+  if (event.ctrlKey || event.metaKey || event.altKey || typing(event.target)) return;
+  const panel = PANELS.find(([, , shortcut]) => shortcut === event.key);
+  if (panel) show(panel[0]);
+  else if (event.key === '?') help();
+  else if (event.key === 'u' && !byId('undo').hidden) app.undo();
+  else return;
+  event.preventDefault();
+});
+
+function help() {
+  const dialog = byId('keys'), table = make('table');
+  for (const [keys, words] of KEYS) table.append(make('tr', {}, make('td', {}, make('kbd', {textContent: keys})), make('td', {textContent: words})));
+  const close = make('button', {type: 'button', textContent: 'Close'});
+  close.addEventListener('click', () => dialog.close());
+  dialog.replaceChildren(make('h2', {id: 'keys-title', textContent: 'Keys'}), table, close);
+  dialog.showModal();
+}
+byId('help').addEventListener('click', help);
+byId('undo').addEventListener('click', () => app.undo());
+
+function about() {
+  const {scene} = app, count = scene.classes.filter(one => one.count).map(one => `${one.count} ${one.name} points`);
+  byId('name').textContent = scene.name;
+  document.title = `${scene.name} – mgsgraph studio`;
+  const words = {project: 'Project', result: 'Results', case: 'Case'}[scene.kind];
+  byId('about').textContent = `${words} ${scene.path}: ${scene.images.length} images, ${count.join(', ') || 'no points'}`;
+  const warning = [scene.warning, scene.lock].filter(Boolean).join(' ');
+  byId('warning').textContent = warning;
+  byId('warning').hidden = !warning;
+  byId('undo').hidden = scene.kind !== 'project';
+}
+app.addEventListener('opened', about);
+app.addEventListener('changed', async () => {
+  const fresh = await app.request('/api/state');
+  Object.assign(app.scene, fresh);
+  about();
+});
+
+build();
+try {
+  const first = show('map');
+  await app.open();
+  await first;
+} catch (error) {
+  app.say(error.message, 'error');
+}

@@ -1,0 +1,122 @@
+// Measuring a point by hand: its name, a click in each image, least-squares refinement where the server offers it.
+
+import {make, short} from './plot.js';
+
+export class Measuring {
+  constructor(app, images, place) {
+    Object.assign(this, {app, images, place, running: false, places: new Map()});
+  }
+
+  // [line, sample] measured in an image
+  placeIn(name) {
+    return this.running ? this.places.get(name)?.at : undefined;
+  }
+
+  open() {
+    if (this.running) return this.name.focus();
+    if (this.app.scene.writable === false) {
+      const {lock} = this.app.scene;
+      return this.app.say(lock || 'Only a project can be changed: make one with mgsgraph init.', 'error');
+    }
+    this.running = true;
+    this.places.clear();
+    this.name = make('input', {type: 'text', value: this.app.selection || this.freeName(), maxLength: 200});
+    this.refine = make('input', {type: 'checkbox', checked: true});
+    this.list = make('ul', {className: 'measured-places'});
+    this.sentence = make('p', {className: 'caption'});
+    this.storing = make('button', {type: 'submit', textContent: 'Store', disabled: true});
+    const cancel = make('button', {type: 'button', textContent: 'Cancel'});
+    cancel.addEventListener('click', () => this.close());
+    const form = make('form', {className: 'measuring'},
+      make('label', {}, 'Point ', this.name), make('label', {}, this.refine, ' Refine by least squares'),
+      this.list, this.storing, cancel, this.sentence);
+    form.setAttribute('aria-label', 'Measure a point');
+    form.addEventListener('submit', event => {
+      event.preventDefault();
+      this.store();
+    });
+    form.addEventListener('keydown', event => { if (event.key === 'Escape') this.close(); });
+    this.place.replaceChildren(form);
+    this.show();
+    this.name.focus();
+    this.name.select();
+  }
+
+  // A name that no tie of these images has
+  freeName() {
+    const taken = new Set(this.images.panes.flatMap(one => one.image?.ties.names || []));
+    let k = 1;
+    while (taken.has(`hand-${k}`)) k += 1;
+    return `hand-${k}`;
+  }
+
+  close() {
+    this.running = false;
+    this.place.replaceChildren();
+    this.images.request();
+    this.images.frame?.canvas.focus();
+  }
+
+  // The place clicked in an image; from the second image on it is refined against the first
+  async take(pane, at) {
+    const {lines, samples} = pane.image;
+    if (at[0] < 0 || at[1] < 0 || at[0] > lines || at[1] > samples)
+      return this.app.say(`${pane.name}: this place lies beside the image.`, 'error');
+    this.places.set(pane.name, {at, words: 'by hand'});
+    this.show();
+    const [first] = this.places.keys();
+    if (this.refine.checked && first !== pane.name && pane.layer) await this.refined(first, pane.name, at);
+  }
+
+  async refined(first, name, at) {
+    const [line, sample] = this.places.get(first).at;
+    try {
+      const found = await this.app.request('/api/refine', {
+        reference: {image: first, line, sample}, image: name, line: at[0], sample: at[1],
+      });
+      if (this.places.get(name)?.at !== at) return;
+      this.places.set(name, {
+        at: [found.line, found.sample],
+        words: `least squares, sigma ${short(found.sigma_px, 2)} px, correlation ${short(found.correlation, 2)}`,
+        sigma: found.sigma_px,
+      });
+    } catch (error) {
+      this.app.say(`${error.message} The place stays as it was clicked.`, 'error');
+    }
+    this.show();
+  }
+
+  show() {
+    const items = [...this.places].map(([name, one]) => {
+      const away = make('button', {type: 'button', textContent: '×', title: `Take the place in ${name} away`});
+      away.addEventListener('click', () => {
+        this.places.delete(name);
+        this.show();
+      });
+      return make('li', {}, `${name}: line ${one.at[0].toFixed(2)}, sample ${one.at[1].toFixed(2)} (${one.words}) `, away);
+    });
+    this.list.replaceChildren(...items);
+    this.storing.disabled = !this.places.size;
+    this.sentence.textContent = this.places.size
+      ? 'Store measures the point in these images, in one change that can be undone.'
+      : 'Click the point in each image, or bring it under the cross and press Enter.';
+    this.images.request();
+  }
+
+  async store() {
+    const point = this.name.value.trim();
+    if (!point) return this.app.say('The point needs a name.', 'error');
+    const measures = [...this.places].map(([image, {at, sigma}]) => ({
+      image, line: at[0], sample: at[1], ...(sigma ? {sigma_px: sigma} : {}),
+    }));
+    this.storing.disabled = true;
+    try {
+      await this.app.change({kind: 'measure', point, measures});
+      this.close();
+      this.app.select(point);
+    } catch (error) {
+      this.app.say(error.message, 'error');
+      this.storing.disabled = false;
+    }
+  }
+}

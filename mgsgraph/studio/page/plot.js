@@ -1,0 +1,125 @@
+// Axes for small diagrams on a canvas: round ticks, units in the labels, colours of the page.
+
+const MARGIN = {left: 74, right: 14, top: 12, bottom: 40};
+
+export function make(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [key, value] of Object.entries(properties))
+    key in element ? (element[key] = value) : element.setAttribute(key, value);
+  element.append(...children);
+  return element;
+}
+
+// Round steps between two values, about `count` of them
+export function ticks(low, high, count) {
+  const raw = (high - low) / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map(one => one * power).find(one => one >= raw) || 10 * power;
+  const found = [];
+  for (let value = Math.ceil(low / step) * step; value <= high + 1e-9 * step; value += step)
+    found.push(Math.abs(value) < 1e-9 * step ? 0 : value);
+  return found;
+}
+
+export function short(value, digits = 3) {
+  if (value === null || !Number.isFinite(value)) return '–';
+  const text = Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3) ? value.toExponential(digits - 1)
+    : String(Number(value.toPrecision(Math.max(digits, Math.ceil(Math.log10(Math.abs(value) + 1))))));
+  return text.replace('-', '−');
+}
+
+// Prepares a canvas for the density of the screen; returns its context and size in CSS pixels
+export function prepared(canvas) {
+  const density = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * density) || canvas.height !== Math.round(height * density)) {
+    canvas.width = Math.round(width * density);
+    canvas.height = Math.round(height * density);
+  }
+  const context = canvas.getContext('2d');
+  context.setTransform(density, 0, 0, density, 0, 0);
+  return {context, width, height, density};
+}
+
+export function pageColours(element) {
+  const style = getComputedStyle(element);
+  return {ink: style.color, soft: 'rgba(128, 128, 128, 0.35)', font: `12px ${style.fontFamily}`};
+}
+
+// Axes over x and y ranges; `equal` keeps one scale. Returns {context, x(), y(), inverse(), box}.
+export function axes(canvas, {x, y, xLabel, yLabel, equal = false}) {
+  const {context, width, height} = prepared(canvas), colours = pageColours(canvas);
+  const box = {left: MARGIN.left, top: MARGIN.top, right: width - MARGIN.right, bottom: height - MARGIN.bottom};
+  if (equal) {
+    const scale = Math.min((box.right - box.left) / (x[1] - x[0]), (box.bottom - box.top) / (y[1] - y[0]));
+    box.right = box.left + scale * (x[1] - x[0]);
+    box.bottom = box.top + scale * Math.abs(y[1] - y[0]);
+  }
+  const across = (box.right - box.left) / (x[1] - x[0]), up = (box.bottom - box.top) / (y[1] - y[0]);
+  const toX = value => box.left + (value - x[0]) * across, toY = value => box.bottom - (value - y[0]) * up;
+  context.clearRect(0, 0, width, height);
+  context.font = colours.font;
+  context.fillStyle = colours.ink;
+  context.lineWidth = 1;
+  const line = (x0, y0, x1, y1, colour) => {
+    context.strokeStyle = colour;
+    context.beginPath();
+    context.moveTo(x0, y0);
+    context.lineTo(x1, y1);
+    context.stroke();
+  };
+  context.textAlign = 'center';
+  context.textBaseline = 'top';
+  for (const value of ticks(Math.min(...x), Math.max(...x), Math.max(2, (box.right - box.left) / 90))) {
+    line(toX(value), box.top, toX(value), box.bottom, colours.soft);
+    context.fillText(short(value, 6), toX(value), box.bottom + 5);
+  }
+  context.textAlign = 'right';
+  context.textBaseline = 'middle';
+  for (const value of ticks(Math.min(...y), Math.max(...y), Math.max(2, (box.bottom - box.top) / 45))) {
+    line(box.left, toY(value), box.right, toY(value), colours.soft);
+    context.fillText(short(value, 6), box.left - 6, toY(value));
+  }
+  context.strokeStyle = colours.ink;
+  context.strokeRect(box.left, box.top, box.right - box.left, box.bottom - box.top);
+  context.textAlign = 'center';
+  context.textBaseline = 'bottom';
+  context.fillText(xLabel, (box.left + box.right) / 2, box.bottom + MARGIN.bottom - 2);
+  context.save();
+  context.translate(11, (box.top + box.bottom) / 2);
+  context.rotate(-Math.PI / 2);
+  context.textBaseline = 'middle';
+  context.fillText(yLabel, 0, 0);
+  context.restore();
+  const inverse = (px, py) => [x[0] + (px - box.left) / across, y[0] + (box.bottom - py) / up];
+  return {context, toX, toY, inverse, box, colours};
+}
+
+// Range of numbers with a margin; null where there are none
+export function range(values, margin = 0.06) {
+  let low = Infinity, high = -Infinity;
+  for (const value of values)
+    if (value !== null && Number.isFinite(value)) {
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+  if (low > high) return null;
+  const more = margin * (high - low) || 1;
+  return [low - more, high + more];
+}
+
+// Colour of a share 0 .. 1: dark blue to yellow, evenly light (after viridis, at seven stations)
+const STATIONS = [[68, 1, 84], [70, 50, 127], [54, 92, 141], [39, 127, 142], [31, 161, 135], [109, 205, 89], [253, 231, 37]];
+export function colour(share) {
+  const at = Math.max(0, Math.min(1, share)) * (STATIONS.length - 1), k = Math.min(Math.floor(at), STATIONS.length - 2);
+  return STATIONS[k].map((one, c) => Math.round(one + (at - k) * (STATIONS[k + 1][c] - one)));
+}
+
+// Red for above zero, blue for below, white between
+export function twoSided(share) {
+  const at = Math.max(-1, Math.min(1, share)), far = at < 0 ? [33, 102, 172] : [178, 24, 43];
+  return far.map(one => Math.round(247 + Math.abs(at) * (one - 247)));
+}
+
+// 64 colours for drawing many marks: of amounts, or of what has a sign
+export function palette(signed = false) {
+  return Array.from({length: 64}, (_, k) => `rgb(${(signed ? twoSided((k + 0.5) / 32 - 1) : colour((k + 0.5) / 64)).join(',')})`);
+}

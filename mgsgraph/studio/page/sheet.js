@@ -1,0 +1,219 @@
+// The sheet of the selected point: its place and sigmas, every ray with chip, residual and tests; what a person may
+// change of it. Each change is stored at once, and the map and this sheet say what it did.
+
+import {make, short} from './plot.js';
+
+export class Sheet {
+  constructor(app, element) {
+    Object.assign(this, {app, element});
+    this.name = make('input', {type: 'text', size: 28, placeholder: 'name of a point'});
+    const form = make('form', {className: 'tools'}, make('label', {}, 'Point ', this.name), make('button', {type: 'submit', textContent: 'Show'}));
+    form.addEventListener('submit', event => {
+      event.preventDefault();
+      if (this.name.value.trim()) this.app.select(this.name.value.trim());
+    });
+    this.body = make('div');
+    element.replaceChildren(form, this.body);
+    app.addEventListener('selected', () => this.show());
+    app.addEventListener('changed', () => this.show());
+    this.show();
+  }
+
+  get path() {
+    return `/api/points/${encodeURIComponent(this.app.selection)}`;
+  }
+
+  async show() {
+    const name = this.app.selection;
+    if (!name) {
+      this.body.replaceChildren(make('p', {textContent: 'Select a point on the map or in an image, or name it here.'}));
+      return;
+    }
+    this.name.value = name;
+    let sheet;
+    try {
+      sheet = await this.app.request(this.path);
+    } catch (error) {
+      this.body.replaceChildren(make('p', {className: 'caption', textContent: error.message}));
+      return;
+    }
+    if (name !== this.app.selection) return;
+    this.sheet = sheet;
+    this.draw();
+    this.readMore(name);
+  }
+
+  // Tests and correlations take longer: they come when they are there
+  async readMore(name) {
+    if (!this.sheet.answer) return;
+    const [tests, along] = await Promise.allSettled([this.app.request(`${this.path}/tests`), this.app.request(`${this.path}/correlations`)]);
+    if (name !== this.app.selection) return;
+    if (tests.status === 'fulfilled') this.showTests(tests.value);
+    else this.testWords.textContent = tests.reason.message;
+    if (along.status === 'fulfilled') this.showCorrelations(along.value);
+    else this.along.replaceChildren(make('p', {className: 'caption', textContent: along.reason.message}));
+  }
+
+  draw() {
+    const {sheet} = this, parts = [];
+    parts.push(make('h2', {textContent: `${sheet.name}: ${sheet.class} point, ${sheet.kind}${sheet.edited ? ', changed by hand' : ''}`}));
+    if (sheet.place) {
+      const {longitude_deg: east, latitude_deg: north, height_m: height} = sheet.place;
+      const sigmas = sheet.sigmas_m ? `; sigma east ${short(sheet.sigmas_m[0])}, north ${short(sheet.sigmas_m[1])}, up ${short(sheet.sigmas_m[2])} m` : '';
+      parts.push(make('p', {textContent: `Longitude ${east.toFixed(6)}° E, latitude ${north.toFixed(6)}° (planetocentric), ${height.toFixed(2)} m above the ellipsoid${sigmas}.`}));
+    } else parts.push(make('p', {textContent: sheet.rays.length ? 'Nothing determines its place: it needs rays of two images.' : 'No measure of it takes part.'}));
+    if (sheet.answer) parts.push(make('pre', {textContent: sheet.answer}));
+    parts.push(this.rays(), this.testWords = make('p', {className: 'caption'}), this.setAside(), this.actions());
+    parts.push(make('h3', {textContent: 'Points that it goes along with'}), this.along = make('div', {}, make('p', {className: 'caption', textContent: sheet.answer ? 'being found …' : 'known after an adjustment'})));
+    this.body.replaceChildren(...parts);
+  }
+
+  rays() {
+    const head = make('tr');
+    for (const [name, unit] of [['chip', ''], ['image', ''], ['line', 'px'], ['sample', 'px'], ['σ', 'px'], ['residual line', 'px'], ['residual sample', 'px'],
+      ['redundancy', 'line, sample'], ['w', 'line, sample'], ['least detectable error', 'px'], ['', '']])
+      head.append(make('th', {scope: 'col'}, name, unit ? make('small', {textContent: unit}) : ''));
+    const body = make('tbody');
+    this.cells = new Map();
+    for (const ray of this.sheet.rays) body.append(this.ray(ray));
+    const table = make('table', {className: 'rays'}, make('thead', {}, head), body);
+    return make('div', {className: 'scroll', tabIndex: 0}, table);
+  }
+
+  ray(ray) {
+    const number = text => make('td', {className: 'number', textContent: text});
+    const chip = make('td');
+    if (ray.picture) {
+      const asked = new URLSearchParams({image: ray.image, line: ray.line, sample: ray.sample});
+      const image = make('img', {src: `/api/chip.png?${asked}`, width: 130, height: 130, alt: `Pixels around the measure in ${ray.image}`});
+      chip.append(make('div', {className: 'chip'}, image));
+    }
+    const tests = ['redundancy', 'w', 'detectable_px'].map(() => number('…'));
+    this.cells.set(ray.image, tests);
+    const act = make('td');
+    this.button(act, 'Move', `Move the measure in ${ray.image}`, () => this.moving(ray, act));
+    this.button(act, 'Reject', `Take the measure in ${ray.image} out`, () => this.change({kind: 'reject', image: ray.image}));
+    const [line, sample] = ray.residual_px || [null, null];
+    return make('tr', {}, chip, make('td', {textContent: `${ray.image}${ray.used ? '' : ' (not used)'}`}), number(ray.line.toFixed(2)), number(ray.sample.toFixed(2)),
+      number(ray.sigma_px.map(one => short(one)).join(', ')), number(short(line)), number(short(sample)), ...tests, act);
+  }
+
+  button(where, textContent, title, act) {
+    const one = make('button', {type: 'button', textContent, title, disabled: !this.app.scene.writable});
+    one.addEventListener('click', act);
+    where.append(one, ' ');
+    return one;
+  }
+
+  moving(ray, where) {
+    const line = make('input', {type: 'number', step: 'any', value: ray.line}), sample = make('input', {type: 'number', step: 'any', value: ray.sample});
+    const others = this.sheet.rays.filter(one => one.image !== ray.image && one.picture);
+    const form = make('form', {}, make('label', {}, 'line ', line), ' ', make('label', {}, 'sample ', sample), ' ', make('button', {type: 'submit', textContent: 'Store'}));
+    if (ray.picture && others.length) {
+      const refine = make('button', {type: 'button', textContent: `Refine against ${others[0].image}`});
+      refine.addEventListener('click', async () => {
+        try {
+          const found = await this.app.request('/api/refine', {
+            reference: {image: others[0].image, line: others[0].line, sample: others[0].sample}, image: ray.image, line: Number(line.value), sample: Number(sample.value),
+          });
+          [line.value, sample.value] = [found.line, found.sample];
+          this.app.say(found.sentence);
+        } catch (error) {
+          this.app.say(error.message, 'error');
+        }
+      });
+      form.append(' ', refine);
+    }
+    form.addEventListener('submit', event => {
+      event.preventDefault();
+      this.change({kind: 'move', image: ray.image, line: Number(line.value), sample: Number(sample.value)});
+    });
+    where.replaceChildren(form);
+    line.focus();
+  }
+
+  setAside() {
+    const aside = this.sheet.set_aside;
+    if (!aside.length) return '';
+    const list = make('ul');
+    for (const one of aside) {
+      const item = make('li', {}, `${one.image}: line ${one.line.toFixed(2)}, sample ${one.sample.toFixed(2)} `);
+      this.button(item, 'Accept', `Take the measure in ${one.image} in again`, () => this.change({kind: 'accept', image: one.image}));
+      list.append(item);
+    }
+    return make('div', {}, make('h3', {textContent: 'Measures rejected by hand'}), list);
+  }
+
+  actions() {
+    const box = make('div', {className: 'tools'}), {sheet} = this;
+    if (sheet.kind === 'free') this.button(box, 'Hold …', 'Hold it at a known place, as ground control', () => this.holding(box));
+    else this.button(box, 'Release', 'Hold it no longer', () => this.change({kind: 'release'}));
+    if (!sheet.ranges) this.button(box, 'Take it out', 'Take the point out with all of its measures', () => this.change({kind: 'remove'}));
+    const look = make('button', {type: 'button', textContent: 'See it in the images'});
+    look.addEventListener('click', () => this.app.show('images').then(() => this.app.emit('selected', sheet.name)));
+    box.append(look);
+    if (this.app.scene.kind !== 'project') box.append(make('span', {className: 'caption', textContent: 'Only a project can be changed.'}));
+    else if (this.app.scene.lock) {
+      const take = make('button', {type: 'button', textContent: 'Take over'});
+      take.addEventListener('click', async () => {
+        await this.app.change({kind: 'take over'}).catch(error => this.app.say(error.message, 'error'));
+      });
+      box.append(make('span', {className: 'caption', textContent: this.app.scene.lock}), take);
+    }
+    return box;
+  }
+
+  holding(box) {
+    const place = this.sheet.place || {longitude_deg: '', latitude_deg: '', height_m: ''};
+    const field = (key, words, value) => {
+      const input = make('input', {type: 'number', step: 'any', value, required: true});
+      input.dataset.key = key;
+      return make('label', {}, `${words} `, input);
+    };
+    const form = make('form', {className: 'tools'},
+      field('longitude_deg', 'longitude (deg E)', place.longitude_deg), field('latitude_deg', 'latitude (deg, planetographic)', place.latitude_deg),
+      field('height_m', 'height above the ellipsoid (m)', place.height_m), field('sigma_east_m', 'σ east (m)', 10), field('sigma_north_m', 'σ north (m)', 10),
+      field('sigma_up_m', 'σ up (m)', 10), make('button', {type: 'submit', textContent: 'Hold it there'}));
+    form.addEventListener('submit', event => {
+      event.preventDefault();
+      this.change({kind: 'hold', ...Object.fromEntries([...form.querySelectorAll('input')].map(one => [one.dataset.key, Number(one.value)]))});
+    });
+    box.after(form);
+    form.querySelector('input').focus();
+  }
+
+  async change(body) {
+    try {
+      await this.app.change({point: this.sheet.name, ...body});
+    } catch (error) {
+      this.app.say(error.message, 'error');
+    }
+  }
+
+  showTests({critical, alpha, rays}) {
+    for (const [image, cells] of this.cells)
+      ['redundancy', 'w', 'detectable_px'].forEach((key, k) => {
+        cells[k].textContent = rays[image] ? rays[image][key].map(one => short(one)).join(', ') : '–';
+        if (key === 'w' && rays[image]?.w.some(one => Math.abs(one) > critical)) cells[k].classList.add('alarm');
+      });
+    this.testWords.textContent = `A measure is suspected where |w| exceeds ${short(critical)} (a false alarm in ${short(1 / alpha, 4)}); the least detectable error is one that would be found with a probability of 80 %.`;
+  }
+
+  showCorrelations({axes, rows, distance_m: away, looked_at: count}) {
+    if (!rows.length) return this.along.replaceChildren(make('p', {className: 'caption', textContent: 'No other point with a place.'}));
+    const head = make('tr', {}, ...['point', 'distance (m)', ...axes].map(textContent => make('th', {scope: 'col', textContent})));
+    const body = make('tbody');
+    for (const {name, correlation} of rows) {
+      const link = make('button', {type: 'button', textContent: name});
+      link.addEventListener('click', () => this.app.select(name));
+      body.append(make('tr', {}, make('td', {}, link), make('td', {className: 'number', textContent: short(away[name])}), ...correlation.map(one => make('td', {className: 'number', textContent: one.toFixed(3)}))));
+    }
+    return this.along.replaceChildren(make('div', {className: 'scroll', tabIndex: 0}, make('table', {}, make('thead', {}, head), body)),
+      make('p', {className: 'caption', textContent: `Of ${count} points that its images show, those whose coordinates are most correlated with its own: 1 means that they are wrong together.`}));
+  }
+}
+
+export function panel(app, element) {
+  element.view = new Sheet(app, element);
+  return element.view;
+}

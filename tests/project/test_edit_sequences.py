@@ -1,0 +1,500 @@
+"""Any changes of points end at batch of the changed network, undoing gives back the same, kills lose nothing.
+
+The network that is expected is kept by the test itself, point by point, and laid out anew each time.
+"""
+
+import os
+import signal
+import sqlite3
+import time
+import warnings
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from shutil import copytree
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from increments import NOISE, apart, distances, fan, network_of, places_of, slope, state_of
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.case.schema import OrientationInput
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.incremental.incremental import IncrementalAdjustment
+from mgsgraph.network import Network, PointClass, Surface
+from mgsgraph.network.observations import observed
+from mgsgraph.network.parts import KnownImage
+from mgsgraph.project import edits
+from mgsgraph.project.addition import unknown_alone
+from mgsgraph.project.changes import remove, solve
+from mgsgraph.project.journal import Measure, PointState, all_set_aside, last_state
+from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.settings import MeasuresInput, ProjectSettings
+from mgsgraph.project.status import status
+from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.units import MRAD
+
+IMAGES = 4
+SETTINGS = ProjectSettings(
+    OrientationInput(position_sigma_m=NOISE.position, angle_sigma_mrad=NOISE.angle / MRAD, trend=NOISE.trend),
+    measures=MeasuresInput(NOISE.tie, 1.0, NOISE.shot_image),
+)
+
+
+@dataclass
+class Tie:
+    """A tie point as the test keeps it: line, sample and sigma by image."""
+
+    measures: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    aside: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    place: Any = None
+    sigmas: tuple[float, float, float] | None = None
+
+
+Ties = dict[str, Tie]
+
+
+@cache
+def _ties() -> Ties:
+    ties = fan(IMAGES).ties
+    found = {name: Tie() for name in ties.ids}
+    for point, image, place, sigma in zip(
+        ties.measure_point.tolist(), ties.measure_image, ties.measures.tolist(), ties.measure_sigmas, strict=True
+    ):
+        size = NOISE.tie if np.isnan(sigma[0]) else float(sigma[0])
+        found[ties.ids[point]].measures[image] = (*place, size)
+    return found
+
+
+def expected_network(ties: Ties) -> Network:
+    """All of it as one network, made without any edit."""
+    rows = [(k, image, *one) for k, tie in enumerate(ties.values()) for image, one in tie.measures.items()]
+    held = [tie.place is not None for tie in ties.values()]
+    kinds = [
+        PointKind.FREE if tie.place is None else PointKind.CONSTRAINED if any(tie.sigmas or ()) else PointKind.FIXED
+        for tie in ties.values()
+    ]
+    places = np.array([tie.place if there else [np.nan] * 3 for tie, there in zip(ties.values(), held, strict=True)])
+    covariances = np.zeros((len(ties), 3, 3))
+    for k, tie in enumerate(ties.values()):
+        if kinds[k] == PointKind.CONSTRAINED:
+            axes = east_north_up(places[k][None])[0]
+            covariances[k] = axes.T @ np.diag(np.square(tie.sigmas)) @ axes
+    sigmas = np.array([[row[4]] * 2 for row in rows])
+    all_ties = TiePoints(
+        "expected", tuple(ties), np.array(kinds), places, covariances, np.array([row[0] for row in rows]),
+        tuple(row[1] for row in rows), np.array([row[2:4] for row in rows]), sigmas,
+    )  # fmt: skip
+    made = fan(IMAGES)
+    images = {image.name: KnownImage(image, NOISE.prior) for image in made.images}
+    network = observed(images, [all_ties, *made.lasers], NOISE.tie, NOISE.shot_image)
+    assert network is not None
+    return network
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A solved project; to be copied."""
+    folder = tmp_path_factory.mktemp("edits") / "project"
+    with Project.create(folder, "edited", SETTINGS) as project:
+        solution = adjust_network(expected_network(_ties()), SETTINGS.solver.settings)
+        IncrementalAdjustment(SETTINGS.solver.settings, project.store).adopt(solution)
+        project.record("solve", f"{IMAGES} images", {})
+        project.record_batch(solution)
+    return folder
+
+
+@pytest.fixture
+def folder(solved: Path, tmp_path: Path) -> Path:
+    return Path(copytree(solved, tmp_path / "project"))
+
+
+def adjusted(project: Project) -> IncrementalAdjustment:
+    return IncrementalAdjustment(SETTINGS.solver.settings, project.store)
+
+
+def a_tie(least: int = 2) -> tuple[str, list[str]]:
+    """A tie point and the images that it is measured in."""
+    name = next(name for name, tie in _ties().items() if len(tie.measures) >= least)
+    return name, list(_ties()[name].measures)
+
+
+def sorted_state(state: PointState | None) -> PointState | None:
+    """With measures in the order of their images."""
+    if state is None:
+        return None
+    return msgspec.structs.replace(state, measures=tuple(sorted(state.measures, key=lambda one: one.image)))
+
+
+# --- random edits
+
+
+class Editor:
+    """Random edits of a project and of what the test expects of it."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng, self.ties = np.random.default_rng(seed), deepcopy(_ties())
+        self.before, self.made = list[tuple[str, Tie | None]](), 0
+
+    def step(self, project: Project) -> str:
+        """One edit that may be made; its name."""
+        kind = str(self.rng.choice(["new_point", "measure", "move", "reject", "accept", "hold", "release", "remove",
+                                    "undo"]))  # fmt: skip
+        done: Callable[[Project], str | None] = getattr(self, kind)
+        found = done(project)
+        return self.step(project) if found is None else found
+
+    def _chosen(self, good: Callable[[Tie], bool]) -> str | None:
+        names = [name for name, tie in self.ties.items() if good(tie)]
+        return None if not names else str(self.rng.choice(names))
+
+    def _note(self, name: str) -> None:
+        self.before.append((name, deepcopy(self.ties.get(name))))
+
+    def new_point(self, project: Project) -> str | None:
+        model = self.ties[str(self._chosen(lambda tie: len(tie.measures) > 1))]
+        self.made += 1
+        name = f"HAND{self.made}"
+        self._note(name)
+        measures = {i: (one[0], min(one[1] + 0.3, 400.0), 0.7) for i, one in model.measures.items()}
+        edits.measure(project, name, [Measure(i, *one, one[2]) for i, one in measures.items()])
+        self.ties[name] = Tie(measures)
+        return f"new {name}"
+
+    def measure(self, project: Project) -> str | None:
+        """A measure that was rejected is measured anew, elsewhere and with another sigma."""
+        name = self._chosen(lambda tie: bool(tie.aside))
+        if name is None:
+            return None
+        self._note(name)
+        image, (line, sample, _) = self.ties[name].aside.popitem()
+        self.ties[name].measures[image] = line, sample + 0.25, 0.6
+        edits.measure(project, name, [Measure(image, line, sample + 0.25, 0.6, 0.6)])
+        return f"measure {name} {image}"
+
+    def move(self, project: Project) -> str | None:
+        name = str(self._chosen(lambda tie: bool(tie.measures)))
+        image = str(self.rng.choice(list(self.ties[name].measures)))
+        line, sample, sigma = self.ties[name].measures[image]
+        line, sample = (float(v) for v in np.array([line, sample]) + self.rng.normal(size=2) * 0.3)
+        if min(line, sample) < 0.0:
+            return None
+        self._note(name)
+        edits.move(project, name, image, line, sample)
+        self.ties[name].measures[image] = (line, sample, sigma)
+        return f"move {name} {image}"
+
+    def reject(self, project: Project) -> str | None:
+        name = self._chosen(lambda tie: len(tie.measures) > 1)
+        if name is None:
+            return None
+        self._note(name)
+        image = str(self.rng.choice(list(self.ties[name].measures)))
+        edits.reject(project, name, image)
+        self.ties[name].aside[image] = self.ties[name].measures.pop(image)
+        return f"reject {name} {image}"
+
+    def accept(self, project: Project) -> str | None:
+        name = self._chosen(lambda tie: bool(tie.aside))
+        if name is None:
+            return None
+        self._note(name)
+        image = str(self.rng.choice(list(self.ties[name].aside)))
+        edits.accept(project, name, image)
+        self.ties[name].measures[image] = self.ties[name].aside.pop(image)
+        return f"accept {name} {image}"
+
+    def hold(self, project: Project) -> str | None:
+        name = str(self._chosen(lambda tie: bool(tie.measures)))
+        made = fan(IMAGES)
+        names = list(made.ties.ids)
+        if name not in names:
+            return None
+        place = np.asarray(made.true_ties[names.index(name)])
+        sigmas = (2.0, 3.0, 4.0) if self.rng.random() < 0.7 else (0.0, 0.0, 0.0)
+        self._note(name)
+        edits.hold(project, name, place, np.array(sigmas))
+        self.ties[name].place, self.ties[name].sigmas = place, sigmas
+        return f"hold {name} {sigmas}"
+
+    def release(self, project: Project) -> str | None:
+        name = self._chosen(lambda tie: tie.place is not None)
+        if name is None:
+            return None
+        self._note(name)
+        edits.release(project, name)
+        self.ties[name].place = self.ties[name].sigmas = None
+        return f"release {name}"
+
+    def remove(self, project: Project) -> str | None:
+        name = str(self._chosen(lambda tie: True))
+        self._note(name)
+        edits.remove_point(project, name)
+        del self.ties[name]
+        return f"remove {name}"
+
+    def undo(self, project: Project) -> str | None:
+        if not self.before:
+            return None
+        name, was = self.before.pop()
+        edits.undo(project)
+        if was is None:
+            del self.ties[name]
+        else:
+            self.ties[name] = was
+        return f"undo {name}"
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**31), st.integers(3, 9))
+def test_edits_end_at_batch_of_the_edited_network(
+    solved: Path, tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
+) -> None:
+    folder = Path(copytree(solved, tmp_path_factory.mktemp("one") / "project"))
+    editor = Editor(seed)
+    done = list[str]()
+    for _ in range(count):
+        with open_project(folder, write=True) as project:
+            done.append(editor.step(project))
+    batch = adjust_network(expected_network(editor.ties), SETTINGS.solver.settings)
+    with open_project(folder, write=True) as project:
+        found = distances(adjusted(project), batch)
+        assert found.within(), f"{done}: {found}"
+        solution = solve(project, figures=False).solution
+        assert solution.cost_final == pytest.approx(batch.cost_final, rel=1e-9)
+        assert solution.network.rays.point.size == sum(len(tie.measures) for tie in editor.ties.values()) + int(
+            np.count_nonzero(batch.network.points.classes[batch.network.rays.point] == PointClass.LASER)
+        )
+        for name, tie in editor.ties.items():
+            record = edits.point_state(project, name)
+            assert record is not None
+            for measures, mine in ((record.measures, tie.measures), (record.set_aside, tie.aside)):
+                assert {m.image: (m.line, m.sample, m.sigma_line) for m in measures} == mine
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 2**31))
+def test_undo_gives_back_the_same_numbers(
+    solved: Path, tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
+    folder = Path(copytree(solved, tmp_path_factory.mktemp("one") / "project"))
+    editor = Editor(seed)
+    with open_project(folder) as project:
+        before = state_of(adjusted(project)), places_of(adjusted(project))
+        records = {name: edits.point_state(project, name) for name in editor.ties}
+    with open_project(folder, write=True) as project:
+        for _ in range(4):
+            while editor.step(project).startswith("undo"):
+                pass
+        changed = len(editor.before)
+    assert changed
+    with open_project(folder, write=True) as project:
+        for _ in range(changed):
+            edits.undo(project)
+        with pytest.raises(InputError, match="undo"):
+            edits.undo(project)
+        for name, was in records.items():
+            assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
+        assert all_set_aside(project) == {}
+        assert apart(adjusted(project), before) < 0.01
+        assert sum(one.summary.get("kind") == "undo" for one in project.changes()) >= changed
+
+
+def test_one_edit_may_be_undone_by_its_number_while_others_stay(folder: Path) -> None:
+    name, other = list(_ties())[:2]
+    image = next(iter(_ties()[name].measures))
+    with open_project(folder, write=True) as project:
+        was = edits.point_state(project, name)
+        edits.reject(project, name, image)
+        number = project.changes(1)[0].number
+        edits.remove_point(project, other)
+        edits.undo(project, number)
+        assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
+        assert edits.point_state(project, other) is None
+        with pytest.raises(InputError, match=f"was undone by change {number + 2}"):
+            edits.undo(project, number)
+        edits.undo(project)
+        assert edits.point_state(project, other) is not None
+
+
+def test_an_edit_of_what_has_been_changed_since_is_not_undone(folder: Path) -> None:
+    name = next(name for name, tie in _ties().items() if len(tie.measures) > 2)
+    first, second, *_ = _ties()[name].measures
+    with open_project(folder, write=True) as project:
+        edits.reject(project, name, first)
+        remove(project, [second])
+        with pytest.raises(InputError, match=r"(changed|removed) since"):
+            edits.undo(project)
+    with open_project(folder, write=True) as project:
+        remove(project, [first])
+        assert all_set_aside(project) == {}  # gone with its image
+
+
+def test_status_counts_changes_of_points(folder: Path) -> None:
+    name, (image, *_) = a_tie()
+    with open_project(folder, write=True) as project:
+        edits.reject(project, name, image)
+        assert "measures set aside by hand: 1" in status(project)
+        edits.undo(project)
+        text = status(project)
+    assert "measures set aside by hand: none" in text
+    assert "2 changes since the last closing check" in text
+
+
+def test_a_measure_set_aside_is_not_added_again_by_the_file_it_came_from(folder: Path) -> None:
+    name, (image, *_) = a_tie()
+    with open_project(folder, write=True) as project:
+        edits.reject(project, name, image)
+        again = network_of(fan(IMAGES), range(IMAGES))
+        assert unknown_alone(again, project.store, all_set_aside(project)) is None
+        assert unknown_alone(again, project.store) is not None
+
+
+def test_a_blunder_of_batch_is_accepted_until_batch_judges_anew(folder: Path) -> None:
+    name, (image, *_) = a_tie()
+    with open_project(folder, write=True) as project:
+        members = project.store.bundles_of([name])[name]
+        bundle = project.store.bundle(members)
+        rays, (k,) = bundle.network.rays, bundle.network.points.ids.find([name])
+        j = [one.name for one in bundle.network.images].index(image)
+        marked = bundle.network.with_rejected((rays.point == k) & (rays.image == j), None)
+        project.store.replace([members], {members: replace(bundle, network=marked)})
+        state = edits.point_state(project, name)
+        assert state is not None
+        assert [one.image for one in state.measures if one.rejected] == [image]
+        edits.accept(project, name, image)
+        state = edits.point_state(project, name)
+        assert state is not None
+        assert not any(one.rejected for one in state.measures)
+
+
+def test_every_measure_may_be_rejected_and_accepted_again(folder: Path) -> None:
+    name, images = a_tie()
+    with open_project(folder, write=True) as project:
+        place = np.asarray(fan(IMAGES).true_ties[list(fan(IMAGES).ties.ids).index(name)])
+        edits.hold(project, name, place, np.full(3, 2.0))
+        for image in images:
+            edits.reject(project, name, image)
+        assert project.store.bundles_of([name]) == {}
+        edits.accept(project, name, images[0])
+        state = edits.point_state(project, name)
+        assert state is not None
+        assert state.class_ == PointClass.CONTROL
+        assert state.place == tuple(place.tolist())
+        assert [one.image for one in state.measures] == images[:1]
+
+
+# --- on a terrain model
+
+
+def on_terrain_model(tmp_path: Path) -> Path:
+    """A solved project whose ties lie on a terrain model."""
+    folder, ties = tmp_path / "terrain", expected_network(_ties())
+    sigmas = np.where(ties.points.classes == PointClass.TIE, 20.0, np.inf)
+    network = replace(ties, surface=Surface(slope(ties), sigmas, 50.0))
+    with Project.create(folder, "terrain", SETTINGS) as project:
+        adjusted(project).adopt(adjust_network(network, replace(SETTINGS.solver.settings, starts=0)))
+        project.record("solve", "images", {})
+    return folder
+
+
+def test_points_on_a_terrain_model_stay_on_it(tmp_path: Path) -> None:
+    folder, (name, _) = on_terrain_model(tmp_path), a_tie()
+    with open_project(folder, write=True) as project:
+        was = edits.point_state(project, name)
+        assert was is not None
+        assert was.surface_sigma == 20.0
+        edits.measure(project, "NEW", [replace_image(one) for one in was.measures])
+        new = edits.point_state(project, "NEW")
+        assert new is not None
+        assert new.surface_sigma is not None
+        place = np.asarray(fan(IMAGES).true_ties[list(fan(IMAGES).ties.ids).index(name)])
+        edits.hold(project, name, place, np.full(3, 2.0))
+        held = edits.point_state(project, name)
+        assert held is not None
+        assert (held.class_, held.surface_sigma) == (PointClass.CONTROL, None)
+        edits.release(project, name)
+        free = edits.point_state(project, name)
+        assert free is not None
+        assert free.surface_sigma == new.surface_sigma  # of the model's own control there
+        for _ in range(2):
+            edits.undo(project)
+        edits.remove_point(project, name)
+        assert edits.point_state(project, name) is None
+        edits.undo(project)
+        assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
+        batch = adjust_network(project.store.network(), replace(SETTINGS.solver.settings, starts=0))
+        assert distances(adjusted(project), batch).within()
+
+
+def replace_image(one: Measure) -> Measure:
+    """A little beside."""
+    return msgspec.structs.replace(one, sample=one.sample + 0.5)
+
+
+# --- kills
+
+
+def edit_for_ever(folder: Path, name: str, image: str, place: tuple[float, float]) -> None:
+    """What the process does that will be killed: one edit after the other."""
+    number = 0
+    while True:
+        with open_project(folder, write=True) as project:
+            number = project.changes(1)[0].number
+            if number % 5 == 4:
+                edits.undo(project)
+            else:
+                edits.move(project, name, image, place[0], place[1] + 0.001 * number)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a process of its own")
+def test_killed_in_the_middle_of_an_edit_nothing_is_lost(folder: Path) -> None:
+    name = next(name for name, tie in _ties().items() if len(tie.measures) > 1)
+    image, (line, sample, _) = next(iter(_ties()[name].measures.items()))
+    with open_project(folder, write=True) as project:
+        began = time.perf_counter()
+        edits.move(project, name, image, line, sample + 0.5)
+        took = time.perf_counter() - began
+    rng, seen = np.random.default_rng(), set[int]()
+    for _ in range(8):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of threads that might hold a lock
+            child = os.fork()
+        if child == 0:
+            try:
+                edit_for_ever(folder, name, image, (line, sample))
+            finally:
+                os._exit(1)
+        time.sleep(float(rng.uniform(0.3, 4.0)) * took)
+        os.kill(child, signal.SIGKILL)
+        _, ended = os.waitpid(child, 0)
+        assert os.WIFSIGNALED(ended), "it should have gone on until it was killed"
+        with open_project(folder, thorough=True) as project:
+            assert sorted_state(edits.point_state(project, name)) == sorted_state(last_state(project, name))
+            solution = project.last_solution()
+            assert solution is not None
+            assert solution.change == project.changes(1)[0].number
+            seen.add(solution.change)
+            found = distances(adjusted(project), adjust_network(project.store.network(), SETTINGS.solver.settings))
+            assert found.within(), found
+    assert len(seen) > 1
+
+
+def test_a_damaged_journal_is_named(folder: Path) -> None:
+    name = next(iter(_ties()))
+    with open_project(folder, write=True) as project:
+        edits.remove_point(project, name)
+    plain = sqlite3.connect(folder / "project.sqlite")
+    plain.execute("UPDATE edit SET before = '{\"kind\": 1}'")
+    plain.execute("PRAGMA user_version = 0")
+    plain.commit()
+    plain.close()
+    with pytest.raises(InputError, match=r"project\.sqlite is damaged"), open_project(folder, write=True) as project:
+        edits.undo(project)
