@@ -101,9 +101,11 @@ def put_in_place(new: Path, target: Path) -> None:
 def resolved(path: str | Path, remedy: str) -> Path:
     """The absolute path that links lead to; InputError where they lead to each other."""
     try:
-        return Path(path).resolve(strict=False)
-    except (RuntimeError, OSError):  # before Python 3.13, and since
-        raise InputError(str(path), "a link that leads to itself", remedy=remedy) from None
+        return Path(os.path.realpath(path, strict=True))
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise InputError(str(path), "a link that leads to itself", remedy=remedy) from None
+    return Path(os.path.realpath(path))  # of what is not there yet
 
 
 # --- what kills have left

@@ -2,6 +2,7 @@
 or number, and help is a page.
 """
 
+import ast
 import importlib
 import inspect
 import pydoc
@@ -24,6 +25,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.notebook import Record
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "api.md"
+PACKAGE = Path(mgsgraph.__file__).parent
 NAMED = {"image", "images", "point", "points", "pass", "of_pass", "strip", "shared", "profile", "shift"}
 """Parameters by which one of the network's things is asked for."""
 
@@ -86,12 +88,20 @@ def test_every_record_shows_itself(kind: type) -> None:
     assert not hasattr(written, "__wrapped__"), "@dataclass's, which prints whole arrays"
 
 
-@pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__qualname__)
-def test_what_is_said_in_words_is_a_property(kind: type) -> None:
-    for name in ("sentence", "sentences", "words", "statement", "verdict"):
-        there = inspect.getattr_static(kind, name, None)
-        assert not inspect.isfunction(there), f"{kind.__qualname__}.{name}()"
-    assert not {"words", "statement"} & set(vars(kind)), "a sentence is `sentence`"
+def test_what_is_said_in_words_is_a_property_of_a_record() -> None:
+    said, wrong = list[str](), list[str]()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for one in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(one, ast.ClassDef):
+                continue
+            bases = {ast.unparse(base) for base in one.bases}
+            for part in one.body:
+                if isinstance(part, ast.FunctionDef) and part.name in ("sentence", "sentences", "words", "statement"):
+                    plain = "property" not in map(ast.unparse, part.decorator_list) and len(part.args.args) == 1
+                    whole = part.name in ("sentence", "sentences") and not bases & {"Record", "NamedTuple"}
+                    (wrong if plain or whole or part.name == "statement" else said).append(f"{one.name}.{part.name}")
+    assert not wrong
+    assert {"Closing.sentence", "Components.sentences", "Difference.sentence"} <= set(said)
 
 
 def test_records_of_a_solution_are_brief_and_told_with_their_units(solution: Solution) -> None:

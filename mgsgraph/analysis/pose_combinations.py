@@ -8,13 +8,14 @@ from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.notebook import Record
 
 INSEPARABLE = 0.95
 """Correlation beyond which two things are not separable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Combination:
+class Combination(Record):
     """What the measures determine of a position and a rotation that they can't tell apart."""
 
     of_pass: str

@@ -35,6 +35,7 @@ from mgsgraph.analysis.strength_likelihood import Evidence, Member
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network import Network, Process, ProcessPrior
+from mgsgraph.notebook import Record
 
 _MOST = 600
 """Nodes of a pass: dense matrices of its components."""
@@ -48,7 +49,7 @@ _AXES = ("X", "Y", "Z", "x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
-class Strength:
+class Strength(Record):
     """Of one process, common to passes, as found."""
 
     passes: tuple[str, ...]
@@ -100,7 +101,7 @@ class Strength:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EstimatedStrengths:
+class EstimatedStrengths(Record):
     """Strengths, and the adjustment with them."""
 
     network: Network

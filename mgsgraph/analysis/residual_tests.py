@@ -20,6 +20,7 @@ from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability
+from mgsgraph.notebook import Record
 from mgsgraph.wording import root_mean_square
 
 ALPHA = 0.05
@@ -37,7 +38,7 @@ _MARKS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class ChiSquareTest:
+class ChiSquareTest(Record):
     """The global test: weighted squares of all residuals against their degrees of freedom."""
 
     squares: float
@@ -111,7 +112,7 @@ class QuantilePlot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ResidualStatistics:
+class ResidualStatistics(Record):
     """Normalised residuals of one group."""
 
     name: str

@@ -18,6 +18,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedKind, SharedUnknown
+from mgsgraph.notebook import Record
 from mgsgraph.units import MRAD
 
 LIMIT = 0.95
@@ -48,7 +49,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NotToldApart:
+class NotToldApart(Record):
     """Quantities that correlate by more than the limit, two by two or one with the others together, and the mixture of
     them that is known best.
     """

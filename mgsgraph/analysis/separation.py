@@ -21,6 +21,7 @@ from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
+from mgsgraph.notebook import Record
 
 INSEPARABLE = 0.95
 """Correlation from which two unknowns count as not separable."""
@@ -46,7 +47,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Separation:
+class Separation(Record):
     """What tells one component of a shared unknown apart."""
 
     name: str
@@ -82,7 +83,7 @@ class Separation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mixture:
+class Mixture(Record):
     """A combination of shared unknowns that the measures determine."""
 
     names: tuple[str, ...]

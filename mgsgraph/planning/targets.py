@@ -14,6 +14,7 @@ from mgsgraph.incremental.shared import ground_motion
 from mgsgraph.network import PointClass
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.parts import KnownImage
+from mgsgraph.notebook import Record
 from mgsgraph.planning.state import CurrentState, NetworkState
 from mgsgraph.planning.update import Update
 from mgsgraph.ties import PointKind
@@ -24,7 +25,7 @@ WORDS = ("ties", "all")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Targets:
+class Targets(Record):
     """Points and images whose sigmas count."""
 
     points: tuple[str, ...]

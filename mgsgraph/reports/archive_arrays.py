@@ -209,12 +209,12 @@ def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
         if value is None and type(None) in options:
             return None
         options = tuple(option for option in options if option is not type(None))
-        if any(get_origin(option) is np.ndarray for option in options):
+        if any(_element(option) for option in options):
             return _array(value, options, where, arrays)
         if len(options) > 1:  # records, of which the value says which it is
             return _record(value, {kind.__name__: kind for kind in options}[value["kind"]], where, arrays)
         return from_arrays(value, options[0], where, arrays)
-    if origin is np.ndarray:
+    if _element(kind):
         return _array(value, (kind,), where, arrays)
     if origin is tuple:
         if isinstance(value, dict):
@@ -229,9 +229,16 @@ def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
     return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
 
 
+def _element(kind: Any) -> Any:
+    """Type of the numbers of an array's type; None of any other type."""
+    if get_origin(kind) is np.ndarray:
+        return get_args(get_args(kind)[1])[0]
+    return get_args(kind)[0] if get_origin(kind) is NDArray else None  # from NumPy 2.5 on it is a name of its own
+
+
 def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Arrays) -> np.ndarray:
     """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
-    array, scalars = arrays[value["array"]], tuple(get_args(get_args(kind)[1])[0] for kind in kinds)
+    array, scalars = arrays[value["array"]], tuple(map(_element, kinds))
     if not issubclass(array.dtype.type, scalars):
         raise InputError(where, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _ANEW)
     return array

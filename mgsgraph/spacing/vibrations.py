@@ -14,6 +14,7 @@ import numpy as np
 
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.notebook import Record
 from mgsgraph.spacing.residual_series import Residuals, Series, residual_series
 from mgsgraph.spacing.residual_spectrum import SeriesSpectrum, Wave, WaveFits, level_of_test
 from mgsgraph.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
@@ -33,7 +34,7 @@ a trace of it: of an amplitude that isn't quite constant, or of two images' vibr
 
 
 @dataclass(frozen=True, slots=True)
-class Vibration:
+class Vibration(Record):
     """A vibration that residuals show."""
 
     image: str
@@ -94,7 +95,7 @@ class ImageSpectrum:
 
 
 @dataclass(frozen=True, slots=True)
-class ResidualVibrations:
+class ResidualVibrations(Record):
     """All that residuals show."""
 
     spectra: tuple[ImageSpectrum, ...]

@@ -8,6 +8,7 @@ import pytest
 import rasterio
 from full_disk import files_of_at_most
 from networks import network, pair
+from rasterio.crs import CRS
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -29,7 +30,7 @@ GRID = SigmaGrid(
 def test_each_cell_is_found_by_its_coordinates(tmp_path: Path) -> None:
     write_sigma_raster(GRID, MARS, tmp_path / "sigmas.tif")
     with rasterio.open(tmp_path / "sigmas.tif") as file:
-        assert file.crs.to_string() == "IAU_2015:49900"
+        assert file.crs == CRS.from_user_input("IAU_2015:49900")
         assert file.descriptions == BANDS
         assert set(file.units) == {"m"}
         assert file.tags()["images"] == "A, B"
