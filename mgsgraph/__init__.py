@@ -1,13 +1,82 @@
-"""Factor-graph bundle adjustment of planetary pushbroom images and laser altimetry.
+"""Bundle adjustment of planetary pushbroom images and laser altimetry, as a factor graph.
 
->>> import mgsgraph
->>> solution = mgsgraph.adjust(mgsgraph.read_case("case.toml"))  # doctest: +SKIP
+A case file names the images, their orientation and what was observed; the adjustment refines orientation and ground
+points together, with sigmas; the solution answers questions and is written, mapped and exported:
+
+    import mgsgraph
+
+    case = mgsgraph.read_case("case.toml")
+    solution = mgsgraph.adjust(case)
+    print(solution)                                # cost, sigma0, degrees of freedom
+    solution.places, solution.sigmas               # (n, 3) of the ground points, m
+    posterior = mgsgraph.Posterior.of(solution)
+    print(posterior.difference("T17", "T42"))      # is the height difference real?
+    mgsgraph.write_results(solution, "RESULT")     # tables, figures, archive
+
+Images, points, passes and unknowns are asked for by their names, or by their numbers in the network. Every record shows
+itself: `print(record)`, and in a notebook a table of its fields with their units.
+
+Data from the archives
+    fetch_images            images, kernels, laser shots and terrain by product ids, with a case file
+    Archives                where the archives are
+
+Cases and their adjustment
+    read_case               a case file and all that it names
+    Case                    what was read: a network, settings
+    adjust                  adjusts a case
+    adjust_network          adjusts a network, on a cluster, too
+    Adjustment              the same as a class: Adjustment.batch(network)
+    SolverSettings          form, loss, rejection of blunders, tolerances
+
+The solution and its covariance
+    Solution                orientation, points, residuals, covariances
+    orientation_profile     exterior orientation of an image along its lines: before, after, sigmas
+    Posterior               covariance of any point, pose, pair, projection or new intersection
+    Pixel                   an image point for Posterior.intersection
+
+Image by image
+    IncrementalAdjustment   images and measures added and removed (iSAM2)
+    Impact                  what a change has moved
+
+What goes in
+    Network                 images, points, rays, ranges with their sigmas
+    KnownImage              an image with what is known of it beforehand
+    OrientationPrior        a-priori sigmas of its orientation
+    TiePoints               tie and control points with their measures
+    LaserProfile            shots of an altimeter with their ranges
+
+Tie points from the images
+    read_scene              the images' pixels and geometry
+    MatchSettings           how to match
+    match_into              matches them; writes a control network
+
+Products
+    write_results           tables, figures, archive of a solution
+    read_solution           a solution from its folder
+    write_report            one page to look at and hand on
+    register_by_relief      laser, terrain model and images onto each other by relief
+    ReliefSettings          how far to search for that
+    write_coregistration    writes it
+    make_dem                terrain model with sigmas, ortho image, check by laser shots
+    DemSettings             grid and matching of that
+    export_solution         SPICE, CSM, ISIS, ASP, GIS
+    convert                 control networks from one format to another
+    ExchangeSetting         how
+
+Errors
+    InputError              bad input, in one line: where, what was found, what was expected, what to do
+    MgsgraphError           all errors that the program raises
+
+Units are SI: m, rad, s TDB past J2000; places are body-fixed, matrices turn body-fixed components to the camera's,
+pixels begin at the image's edge: the first one's centre is (0.5, 0.5). Residuals are measured minus predicted. Sigmas
+are for sigma0 = 1, as the a-priori sigmas imply. All of it with examples: docs/api.md; the commands: `mgsgraph --help`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from mgsgraph.adjustment.adjust import Adjustment as Adjustment
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
@@ -86,6 +155,8 @@ __all__ = sorted(_HOME)
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use: `mgsgraph --help` must not wait for numba and GTSAM."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("mgsgraph")
     if name not in _HOME:
         raise AttributeError(f"module 'mgsgraph' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(import_module(_HOME[name]), name)

@@ -8,8 +8,9 @@ load pandas, where it is installed, for a sixth of a second.
 """
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from operator import index
 from typing import Any, Union, overload
@@ -274,6 +275,36 @@ class RepeatedNames(Sequence[str]):
     def tolist(self) -> list[str]:
         """(k,) Python texts."""
         return list(self)
+
+
+def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], what: str) -> int:
+    """The number of one of several, asked for by its name or by its number, 0 .. n - 1.
+
+    Parameters
+    ----------
+    asked : str or int
+    numbers : mapping
+        Number of each name.
+    what : str
+        What they are, for messages: image, point.
+
+    Raises
+    ------
+    InputError
+        Where there is none of that name, with the names that come nearest, or of that number.
+    """
+    if isinstance(asked, str):
+        if asked in numbers:
+            return numbers[asked]
+        near, expected = get_close_matches(asked, numbers, n=3), "one of their names"
+    else:
+        if 0 <= index(asked) < len(numbers):
+            return index(asked)
+        near, expected = list[str](), f"a number from 0 to {len(numbers) - 1}, or a name"
+    if not numbers:
+        raise InputError(f"{what} {asked}", f"there is no {what}")
+    names = near or list(itertools.islice(numbers, 3))
+    raise InputError(f"{what} {asked}", f"no such {what} among {len(numbers)}", f"{expected}, e.g. {', '.join(names)}")
 
 
 def _encoded(names: Sequence[str], source: str) -> Names:

@@ -19,6 +19,7 @@ from mgsgraph.geometry.records import (
     require_names,
 )
 from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.notebook import Record
 
 
 class PointKind(IntEnum):
@@ -33,7 +34,7 @@ class PointKind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TiePoints:
+class TiePoints(Record):
     """Ground points and their measures in images, struct of arrays."""
 
     source: str

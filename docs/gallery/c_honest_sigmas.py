@@ -17,7 +17,7 @@ images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.i
 stated = replace(pair.ties, measure_sigmas=2.0 * pair.ties.measure_sigmas)
 network = observed(images, [stated, pair.laser], shot_sigma=pair.settings.noise.shot_image)
 solution = Adjustment.batch(network)
-print(components_of(solution).words())
+print(components_of(solution))
 
 # %%
 # The same in one picture for each group: normalised residuals against the law that they should follow. Where sigmas are

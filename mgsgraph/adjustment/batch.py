@@ -17,6 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import Unsolvable
 from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
+from mgsgraph.notebook import Record
 
 State = TypeVar("State")
 Step = TypeVar("Step")
@@ -47,7 +48,7 @@ _STUCK = f"Stopped: no step lowers the cost although the linear model promises i
 
 
 @dataclass(frozen=True, slots=True)
-class Iteration:
+class Iteration(Record):
     """One step that was tried."""
 
     number: int

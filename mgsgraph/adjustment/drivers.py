@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.notebook import Record
 
 LISTED = 100
 """Images, and points, that are listed of each quantity."""
@@ -49,7 +50,7 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contributions:
+class Contributions(Record):
     """Parts of images, or of points, in one quantity."""
 
     quantity: Quantity
@@ -74,7 +75,7 @@ class Contributions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drivers:
+class Drivers(Record):
     """Which images and points drive an adjustment."""
 
     contributions: tuple[Contributions, ...]

@@ -20,6 +20,7 @@ from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.notebook import Record
 
 DRAWS = 32
 """States drawn: the ratio then has a sigma of 0.02 where it is near one."""
@@ -30,7 +31,7 @@ MOST_POINTS, MOST_UNKNOWNS = 5_000, 1_000
 
 
 @dataclass(frozen=True, slots=True)
-class Linearity:
+class Linearity(Record):
     """What draws from the ellipsoid say of it."""
 
     ratio: float

@@ -25,6 +25,7 @@ from mgsgraph.adjustment.square_root import SquareRoot, begins, eliminate
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.notebook import Record
 
 _PIECE = 1 << 18
 """Numbers copied at a time, which bounds the index arrays."""
@@ -87,7 +88,7 @@ def carried(covariance: Array, columns: Index, sigmas: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class JointCovariance:
+class JointCovariance(Record):
     """Joint covariance of the shared unknowns, for sigma0 = 1: the blocks that matter, and any other on demand."""
 
     square_root: SquareRoot

@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Angles as Angles
+from mgsgraph.notebook import Record
 
 Form = Literal["bundle", "explicit"]
 Line = Literal["predicted", "measured"]
@@ -22,7 +23,7 @@ LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.68
 
 
 @dataclass(frozen=True, slots=True)
-class SolverSettings:
+class SolverSettings(Record):
     """Choices of one adjustment."""
 
     form: Form = "bundle"

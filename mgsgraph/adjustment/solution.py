@@ -22,14 +22,14 @@ from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import Design, adjusted_image, correction_parts, design, whole_correction
-from mgsgraph.notebook import card
+from mgsgraph.notebook import Record, card
 
 _TOGETHER = 1024
 """Images whose orientation is put together at a time: 31 lines of each take some 60 MB."""
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(Record):
     """Adjusted orientation, ground points, residuals and covariances of one network."""
 
     name: str
@@ -153,19 +153,22 @@ class Solution:
         own = [one.ravel() for one in self.coefficients]
         return (*own, *self.shift_values, *self.shared, *(one for strip in strips for one in strip if one.size))
 
-    def image(self, image: int) -> PushbroomImage:
+    # images, points, shifts and shared unknowns are asked for by their names or their numbers in the network
+
+    def image(self, image: str | int) -> PushbroomImage:
         """One image with its adjusted interior orientation; its trajectory is the nominal one (`correction`)."""
-        return adjusted_image(self.network, image, self.values)
+        return adjusted_image(self.network, self.network.image_number(image), self.values)
 
-    def correction(self, image: int) -> OrientationCorrection:
+    def correction(self, image: str | int) -> OrientationCorrection:
         """Whole orientation correction of one image: its own, and what shared unknowns do to it."""
-        return whole_correction(self.network, image, self.values, self.settings.angles)
+        return whole_correction(self.network, self.network.image_number(image), self.values, self.settings.angles)
 
-    def correction_covariance(self, *images: int) -> Array:
+    def correction_covariance(self, *images: str | int) -> Array:
         """Joint covariance (d, d) of the coefficients of images' whole corrections, as `correction` has them, row after
         row, for sigma0 = 1.
         """
-        parts = [correction_parts(self.network, image, self.settings.angles) for image in images]
+        numbers = [self.network.image_number(image) for image in images]
+        parts = [correction_parts(self.network, image, self.settings.angles) for image in numbers]
         variables = sorted({variable for part in parts for variable in part})
         width, rows = self.joint_covariance.square_root.width, [next(iter(part.values())).shape[0] for part in parts]
         joint = np.block([
@@ -173,28 +176,29 @@ class Solution:
         ])  # fmt: skip
         return np.asarray(joint @ self.joint_covariance.of(variables) @ joint.T)
 
-    def image_covariance(self, image: int) -> Array:
+    def image_covariance(self, image: str | int) -> Array:
         """Covariance (6 (degree + 1), 6 (degree + 1)) of one image's own coefficients, m and rad; zero when held."""
-        return self.joint_covariance.block(image, image)
+        number = self.network.image_number(image)
+        return self.joint_covariance.block(number, number)
 
-    def shared_variable(self, shared: int) -> int:
+    def shared_variable(self, shared: str | int) -> int:
         """Variable of a shared unknown in the joint covariance."""
-        return self.network.first_shared + shared
+        return self.network.first_shared + self.network.shared_number(shared)
 
-    def shared_covariance(self, shared: int) -> Array:
+    def shared_covariance(self, shared: str | int) -> Array:
         """Covariance (width, width) of one shared unknown, in its unit squared, for sigma0 = 1."""
         return self.joint_covariance.block(self.shared_variable(shared), self.shared_variable(shared))
 
-    def shift_covariance(self, profile: int) -> Array:
+    def shift_covariance(self, profile: str | int) -> Array:
         """Covariance (2, 2) in m^2 of one horizontal shift, for sigma0 = 1; zero of a terrain model that has none."""
-        terms = self.network.shift_terms[profile]
+        terms = self.network.shift_terms[self.network.shift_number(profile)]
         if terms[:1] and terms[0].name != "east shift":
             return np.zeros((2, 2))
         return self.shift_spread(profile)[:2, :2]
 
-    def shift_spread(self, profile: int) -> Array:
+    def shift_spread(self, profile: str | int) -> Array:
         """Covariance (w, w) in m and rad of all unknowns of one shift (`Network.shift_terms`), for sigma0 = 1."""
-        variable = len(self.coefficients) + profile
+        variable = len(self.coefficients) + self.network.shift_number(profile)
         return self.joint_covariance.block(variable, variable)
 
     @property
@@ -229,7 +233,7 @@ class Solution:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OrientationProfile:
+class OrientationProfile(Record):
     """Exterior orientation of images at some of their lines, before and after, with sigmas; image after image."""
 
     lines: Array
@@ -260,13 +264,13 @@ class OrientationProfile:
         return in_turn(self.angles_after - self.angles_before)
 
 
-def orientation_profile(solution: Solution, image: int, places: int = 31) -> OrientationProfile:
+def orientation_profile(solution: Solution, image: str | int, places: int = 31) -> OrientationProfile:
     """Exterior orientation of one image at evenly spaced lines from its first to its last (the papers' 31 samples)."""
     return orientation_profiles(solution, [image], places)
 
 
 def orientation_profiles(
-    solution: Solution, images: Sequence[int] | None = None, places: int = 31
+    solution: Solution, images: Sequence[str | int] | None = None, places: int = 31
 ) -> OrientationProfile:
     """Exterior orientation of images at evenly spaced lines from the first to the last of each.
 
@@ -276,8 +280,8 @@ def orientation_profiles(
     Parameters
     ----------
     solution : Solution
-    images : sequence of int, optional
-        Which; all of them when absent.
+    images : sequence of str or int, optional
+        Which, by name or number; all of them when absent.
     places : int
         Lines of each image (the papers' 31 samples).
 
@@ -286,7 +290,8 @@ def orientation_profiles(
     OrientationProfile
         One image after another, `places` rows of each.
     """
-    chosen = range(len(solution.network.images)) if images is None else images
+    network = solution.network
+    chosen = range(len(network.images)) if images is None else [network.image_number(image) for image in images]
     blocks = [_profiles(solution, chosen[k : k + _TOGETHER], places) for k in range(0, len(chosen), _TOGETHER)]
     if len(blocks) == 1:
         return blocks[0]

@@ -38,6 +38,7 @@ from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, OUT
 from mgsgraph.kernel.sweep import SYSTEM
 from mgsgraph.network import TERRAIN, Network
+from mgsgraph.notebook import Record
 from mgsgraph.ties import PointKind
 
 STARTS = 16
@@ -62,7 +63,7 @@ _ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Minimum:
+class Minimum(Record):
     """One place at which the terrain model fits."""
 
     weight: float
@@ -78,7 +79,7 @@ class Minimum:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Minima:
+class Minima(Record):
     """What starts over a terrain model's shift have found."""
 
     starts: int

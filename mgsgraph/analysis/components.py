@@ -2,7 +2,7 @@
 one can be of it.
 
 components = mgsgraph.analysis.components.components_of(solution)
-print(components.words())
+print(components)
 found = iterated_components(network, settings)  # scaled and adjusted again, until all factors are one
 
 A pass solves Helmert's equations S s = q (see `helmert`) for the variance factors s. They are unbiased, and repeated
@@ -28,6 +28,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
+from mgsgraph.notebook import Record
 
 LEAST = 1.0
 """Redundancy, and degrees of freedom of the estimate, below which a group can't be judged."""
@@ -66,7 +67,7 @@ class Judgement(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Component:
+class Component(Record):
     """What the residuals say of the sigmas of one group."""
 
     name: str
@@ -124,7 +125,8 @@ class Component:
         low, high = self.interval()
         return low <= 1.0 <= high
 
-    def verdict(self) -> str:
+    @property
+    def sentence(self) -> str:
         """Verdict on the sigmas of the group, in one sentence."""
         return f"{self.name}: {_VERDICTS[self.judgement](self)}"
 
@@ -188,7 +190,7 @@ def _with_sigma(value: float, sigma: float) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Components:
+class Components(Record):
     """Variance components of all groups."""
 
     groups: tuple[Component, ...]
@@ -216,17 +218,18 @@ class Components:
         found = np.array([one.factor for one in self.groups])
         return np.where(np.isfinite(found), found, 1.0)
 
-    def words(self) -> str:
-        """A sentence for each group, and one on how it was done."""
+    @property
+    def sentences(self) -> list[str]:
+        """One for each group, and one on how it was done."""
         how = "exact" if self.exact else "one term estimated with random signs, for there are many unknowns"
-        lines = [*(one.verdict() for one in self.groups), f"Helmert's matrix: {how}."]
+        lines = [*(one.sentence for one in self.groups), f"Helmert's matrix: {how}."]
         if self.rough:
             lines.append("A first look: some factors are so far from 1 that only repeating it makes all of them right.")
-        return "\n".join(lines)
+        return lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class IteratedComponents:
+class IteratedComponents(Record):
     """A network whose sigmas agree with its residuals."""
 
     network: Network
@@ -240,11 +243,12 @@ class IteratedComponents:
     history: Array
     """(passes, g) factors in total with which each pass was adjusted."""
 
-    def words(self) -> str:
+    @property
+    def sentences(self) -> list[str]:
         """Verdicts of all groups, and whether the factors converged."""
         passes = len(self.history)
         end = f"Came to rest after {passes} passes." if self.converged else f"NOT at rest after {passes} passes."
-        return f"{self.components.words()}\n{end}"
+        return [*self.components.sentences, end]
 
 
 def components_of(solution: Solution | Linearised, grouping: Grouping | None = None) -> Components:

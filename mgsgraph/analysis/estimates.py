@@ -16,12 +16,12 @@ from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.notebook import card
+from mgsgraph.notebook import Record, card
 from mgsgraph.units import DEG, MRAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Quantity:
+class Quantity(Record):
     """m numbers that follow from the unknowns."""
 
     names: tuple[str, ...]
@@ -85,7 +85,7 @@ def _roots(covariance: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class Estimate(Record):
     """m numbers with their joint covariance, for sigma0 = 1."""
 
     names: tuple[str, ...]
@@ -121,7 +121,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ErrorEllipsoid:
+class ErrorEllipsoid(Record):
     """Surface within which the truth lies with a probability, in the local frame east, north, up."""
 
     probability: float
@@ -159,7 +159,7 @@ def error_ellipsoid(covariance: Array, probability: float) -> ErrorEllipsoid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PositionEstimate:
+class PositionEstimate(Record):
     """Position of a ground point."""
 
     name: str
@@ -204,7 +204,7 @@ class PositionEstimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Difference:
+class Difference(Record):
     """From one point to another; what the two share cancels."""
 
     first: str
@@ -289,7 +289,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseEstimate:
+class PoseEstimate(Record):
     """Exterior orientation of an image at a line."""
 
     image: str
@@ -334,7 +334,7 @@ class PoseEstimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PixelEstimate:
+class PixelEstimate(Record):
     """Where a ground point falls in an image."""
 
     point: str

@@ -122,8 +122,9 @@ class StripCorrections:
     """(n, 6) m and rad, standard deviations of `values`, for sigma0 = 1."""
 
 
-def strip_corrections(solution: Solution, strip: int, times: Array) -> StripCorrections:
+def strip_corrections(solution: Solution, strip: str | int, times: Array) -> StripCorrections:
     """Corrections of a strip at times (n,) in s TDB past J2000, by the four nodes nearest to each."""
+    strip = solution.network.pass_number(strip)
     nodes = solution.network.passes[strip].nodes
     first, basis, _ = nodes.at(times - nodes.epoch, nodes.epoch)
     values = np.einsum("nk,nkc->nc", basis, solution.nodes[strip][first[:, None] + np.arange(SUPPORT)])
@@ -179,9 +180,9 @@ def strip_reports(solution: Solution) -> list[StripReport]:
     return [_report(solution, k) for k in range(len(solution.network.passes))]
 
 
-def node_times(solution: Solution, strip: int) -> Array:
+def node_times(solution: Solution, strip: str | int) -> Array:
     """(k,) s TDB past J2000 of the nodes within a strip: all but the outer two of a spline."""
-    nodes = solution.network.passes[strip].nodes
+    nodes = solution.network.passes[solution.network.pass_number(strip)].nodes
     return nodes.inner + nodes.epoch
 
 

@@ -24,6 +24,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import OUT, Rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.notebook import Record
 from mgsgraph.wording import listed
 
 LEVELS = (0.68, 0.95, 0.99)
@@ -39,7 +40,7 @@ _LAYOUTS = 10
 
 
 @dataclass(frozen=True, slots=True)
-class LikelihoodRatio:
+class LikelihoodRatio(Record):
     """Given values of some unknowns against the best ones."""
 
     squares: float
@@ -51,7 +52,7 @@ class LikelihoodRatio:
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class Profile(Record):
     """One unknown, in the terms of the flight, by its likelihood."""
 
     owner: str
@@ -81,7 +82,7 @@ def linearity_of(at: Linearised) -> Linearity | None:
     return linearity(graph, found, at.of_estimator().joint.square_root)
 
 
-class Likelihood:
+class Likelihood(Record):
     """The likelihood about a solution.
 
     Parameters
@@ -107,6 +108,9 @@ class Likelihood:
         self._at, self._frames, self._joint = at, Frames(at.layout), at.joint
         self._begin = BundleGraph(at.layout, at.rows).reduction(at.orientation, SYSTEM, at.points)
         self._lowest = BundleGraph(at.layout, at.rows).cost(self._begin)
+
+    def __repr__(self) -> str:
+        return f"Likelihood({self._at.network!r})"
 
     def ratio(self, values: Mapping[str, Array]) -> LikelihoodRatio:
         """Of values of images' coefficients (degree + 1, 6), shifts (w,) and shared unknowns (w,), by their names; all

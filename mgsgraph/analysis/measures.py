@@ -18,6 +18,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PolynomialPrior
+from mgsgraph.notebook import Record
 
 Small = NDArray[np.int8]
 Indices = NDArray[np.int32]
@@ -26,7 +27,7 @@ _WIDEST = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Levels:
+class Levels(Record):
     """Sizes of the tests, by Baarda's B-method.
 
     The non-centrality at which a test of one dimension with size alpha has the stated power is kept for tests of every
@@ -101,7 +102,7 @@ class MeasureKind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScalarMeasures:
+class ScalarMeasures(Record):
     """m scalar measures: what each is and how far it can be trusted."""
 
     kind: Small

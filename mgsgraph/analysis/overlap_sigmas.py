@@ -16,6 +16,7 @@ from mgsgraph.geometry.body import east_north_up, from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import ImageRays
+from mgsgraph.notebook import Record
 from mgsgraph.units import DEG
 from mgsgraph.wording import some
 
@@ -29,7 +30,7 @@ _POLAR = 85.0 * DEG
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SigmaGrid:
+class SigmaGrid(Record):
     """Sigmas of newly intersected points by cells, rows from north to south, columns from west to east."""
 
     images: tuple[str, ...]
@@ -48,7 +49,7 @@ class SigmaGrid:
     """(rows, columns) number of images that see each cell."""
 
     @property
-    def statement(self) -> str:
+    def sentence(self) -> str:
         """What it says, in a sentence."""
         inside = np.isfinite(self.values[0])
         middle = [float(np.median(band[inside])) for band in self.values[:3]]
@@ -80,7 +81,7 @@ def sigma_grid(
         Where no two of them see the same ground, or there would be too many cells.
     """
     names = tuple(images) or tuple(image.name for image in posterior.network.images)
-    numbers = [posterior.image_number(name) for name in names]
+    numbers = [posterior.network.image_number(name) for name in names]
     if len(numbers) < 2 or len(set(names)) < len(names):
         raise InputError("sigma raster", f"images {', '.join(names)}", "two or more different images")
     height = _ground_height(posterior)

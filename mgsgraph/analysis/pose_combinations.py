@@ -32,7 +32,8 @@ class Combination:
     alone: float
     """m, of the position alone."""
 
-    def words(self) -> str:
+    @property
+    def sentence(self) -> str:
         """The pair, and the combination that is determined, as one line of a report."""
         return (
             f"pass {self.of_pass}: {self.position} and {self.rotation} are not separable (correlation "

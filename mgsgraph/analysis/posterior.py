@@ -6,9 +6,8 @@ posterior.difference("T17", "T42")
 posterior.pose("M07/02345", line=512.0)
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +37,7 @@ from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
+from mgsgraph.notebook import Record
 
 _AXES = COMPONENTS[:3]
 _CONTRADICTION = 10.0
@@ -46,7 +46,7 @@ _POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 
 @dataclass(frozen=True, slots=True)
-class Pixel:
+class Pixel(Record):
     """An image point, measured or to be measured."""
 
     image: str
@@ -59,7 +59,7 @@ class Pixel:
     """px, of line and sample."""
 
 
-class Posterior:
+class Posterior(Record):
     """Estimates and covariances of an adjustment, computed when asked for.
 
     All covariances are for sigma0 = 1, as the a-priori sigmas imply.
@@ -74,6 +74,9 @@ class Posterior:
         self.linearised = linearised
         self.network = linearised.network
 
+    def __repr__(self) -> str:
+        return f"Posterior({self.network!r})"
+
     @classmethod
     def of(cls, solution: Solution) -> "Posterior":
         """The posterior of a solution."""
@@ -81,37 +84,41 @@ class Posterior:
 
     # --- answers
 
-    def point(self, name: str) -> PositionEstimate:
+    # points and images are asked for by their names or their numbers in the network; InputError where there is none
+
+    def point(self, name: str | int) -> PositionEstimate:
         """Place and covariance of an adjusted ground point."""
         quantity = self.of_point(name)
-        return PositionEstimate(name, quantity.values, self.covariance([quantity]))
+        return PositionEstimate(self._point_name(name), quantity.values, self.covariance([quantity]))
 
-    def difference(self, first: str, second: str) -> Difference:
+    def difference(self, first: str | int, second: str | int) -> Difference:
         """From the first point to the second: vector, height difference and distance, with what they share left out."""
+        first, second = self._point_name(first), self._point_name(second)
         if first == second:
             raise InputError(f"points {first}, {second}", "the same point twice", "two points")
         both = [self.of_point(first), self.of_point(second)]
         return Difference(first, second, both[0].values, both[1].values, self.covariance(both))
 
-    def pose(self, image: str, line: float) -> PoseEstimate:
+    def pose(self, image: str | int, line: float) -> PoseEstimate:
         """Exterior orientation of an image at a line."""
         return self.poses(image, np.array([line]))[0]
 
-    def poses(self, image: str, lines: Array) -> list[PoseEstimate]:
+    def poses(self, image: str | int, lines: Array) -> list[PoseEstimate]:
         """Exterior orientation of an image at several lines (n,)."""
-        j = self.image_number(image)
+        j = self.network.image_number(image)
         picture, correction = self.network.images[j], self.correction(j)
         pose = picture.pose(lines, correction)
         found = [covariance(one, self.linearised.joint) for one in self._of_poses(j, lines)]
         return [
-            PoseEstimate(image, float(line), pose.position[k], pose.velocity[k], pose.matrix[k], found[k])
+            PoseEstimate(picture.name, float(line), pose.position[k], pose.velocity[k], pose.matrix[k], found[k])
             for k, line in enumerate(lines)
         ]
 
-    def projection(self, point: str, image: str) -> PixelEstimate:
+    def projection(self, point: str | int, image: str | int) -> PixelEstimate:
         """Where an adjusted point falls in an image, measured there or not: line and sample with their covariance."""
         quantity = self.of_projection(point, image)
-        return PixelEstimate(point, image, quantity.values, self.covariance([quantity]))
+        names = self._point_name(point), self.network.images[self.network.image_number(image)].name
+        return PixelEstimate(*names, quantity.values, self.covariance([quantity]))
 
     def intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> PositionEstimate:
         """Ground place of new measures, with their own noise and that of the orientation; two rays or more."""
@@ -131,9 +138,10 @@ class Posterior:
 
     # --- quantities
 
-    def of_point(self, name: str) -> Quantity:
+    def of_point(self, name: str | int) -> Quantity:
         """X, Y, Z of an adjusted ground point."""
-        i = _number(self._numbers[0], name, "point")
+        i = self.network.point_number(name)
+        name = self.network.points.ids[i]
         place = self.linearised.layout_index(i)
         names = tuple(f"{axis} of point {name}" for axis in _AXES)
         values = self.linearised.points[place]
@@ -141,13 +149,14 @@ class Posterior:
             return Quantity(names, ("m",) * 3, values, {}, {})
         return self._of_point(names, values, self.linearised.rows_of(i), ("point", i))
 
-    def of_pose(self, image: str, line: float) -> Quantity:
+    def of_pose(self, image: str | int, line: float) -> Quantity:
         """Position along the body-fixed axes (m), and rotation about the camera's axes (rad), of an image at a line."""
-        return self._of_poses(self.image_number(image), np.array([line]))[0]
+        return self._of_poses(self.network.image_number(image), np.array([line]))[0]
 
-    def of_projection(self, point: str, image: str) -> Quantity:
+    def of_projection(self, point: str | int, image: str | int) -> Quantity:
         """Line and sample of an adjusted point in an image."""
-        j, ground = self.image_number(image), self.of_point(point)
+        j, ground = self.network.image_number(image), self.of_point(point)
+        point, image = self._point_name(point), self.network.images[j].name
         place, _ = self.image(j).ground_to_image(ground.values[None], self.correction(j))
         if not np.all(np.isfinite(place)):
             raise InputError(f"point {point}", f"image {image} does not see it", "a point in the image's field of view")
@@ -191,13 +200,17 @@ class Posterior:
 
     # --- what they are made of
 
-    def image(self, image: int) -> PushbroomImage:
+    def image(self, image: str | int) -> PushbroomImage:
         """One image with its adjusted focal length; its trajectory is the nominal one (`correction`)."""
-        return adjusted_image(self.network, image, self.linearised.values)
+        return adjusted_image(self.network, self.network.image_number(image), self.linearised.values)
 
-    def correction(self, image: int) -> OrientationCorrection:
+    def correction(self, image: str | int) -> OrientationCorrection:
         """Whole orientation correction of an image: its own, and what shared unknowns do to it."""
-        return whole_correction(self.network, image, self.linearised.values, self.linearised.settings.angles)
+        angles = self.linearised.settings.angles
+        return whole_correction(self.network, self.network.image_number(image), self.linearised.values, angles)
+
+    def _point_name(self, point: str | int) -> str:
+        return self.network.points.ids[self.network.point_number(point)]
 
     def _require_inside(self, image: int, line: float, sample: float, where: str) -> None:
         """Raise InputError unless a place lies in an image: beyond its edges orientation is known to nobody."""
@@ -210,7 +223,7 @@ class Posterior:
 
     def _crossing(self, pixels: Sequence[Pixel], name: str) -> tuple[PointRows, Array]:
         """Rows of new measures of one place, and where their rays meet (3,) m."""
-        images = np.array([self.image_number(pixel.image) for pixel in pixels], dtype=np.int64)
+        images = np.array([self.network.image_number(pixel.image) for pixel in pixels], dtype=np.int64)
         if images.size < 2:
             raise InputError(name, f"{images.size} measures", "two or more, of images that look from different sides")
         places = np.array([[pixel.line, pixel.sample] for pixel in pixels])
@@ -280,24 +293,3 @@ class Posterior:
         target, orientation = layout.blocks.target, self.linearised.orientation
         found = reduce(layout.rows, layout.groups, target, layout.model, orientation, COSTS)
         return found.points, (found.states == GOOD) & (layout.rows.kind != OUT)
-
-    @cached_property
-    def _numbers(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Numbers of points and of images by their names."""
-        images = {image.name: j for j, image in enumerate(self.network.images)}
-        return {name: i for i, name in enumerate(self.network.points.ids)}, images
-
-    def image_number(self, name: str) -> int:
-        """Number of an image in the network by its name; InputError where there is none."""
-        return _number(self._numbers[1], name, "image")
-
-
-def _number(numbers: Mapping[str, int], name: str, what: str) -> int:
-    """The number that a name has; InputError, with the names that come nearest, where there is none."""
-    if name not in numbers:
-        near = get_close_matches(name, numbers, n=3)
-        raise InputError(
-            f"{what} {name}", f"not in the solution, which has {len(numbers)} {what}s",
-            f"one of them, e.g. {', '.join(near or list(numbers)[:3])}",
-        )  # fmt: skip
-    return numbers[name]

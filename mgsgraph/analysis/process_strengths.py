@@ -1,7 +1,7 @@
 """Strengths of the processes of passes, estimated from the measures by restricted maximum likelihood.
 
 found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts again, until nothing changes
-print(found.words())
+print(found)
 
 Processes of the same part (position, attitude), kind and frequency have one strength, common to all passes: a pair of
 images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood
@@ -84,7 +84,8 @@ class Strength:
         of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
         return f"{self.part}{axes}, {kind}, {of}"
 
-    def words(self) -> str:
+    @property
+    def sentence(self) -> str:
         """The strength with its standard deviation, or why there is none, as one line of a report."""
         unit = "m" if self.part == "position" else "rad"
         unit += "/s^1.5" if self.kind == "integrated-wiener" else ""
@@ -133,18 +134,19 @@ class EstimatedStrengths:
         scale = np.sqrt(np.maximum(np.diagonal(self.covariance), 1e-300))
         return np.asarray(self.covariance / scale[:, None] / scale)
 
-    def words(self) -> str:
-        """A sentence for each strength, for pairs that can't be told apart, and for how it ended."""
-        lines = [one.words() for one in self.strengths]
+    @property
+    def sentences(self) -> list[str]:
+        """One for each strength, for pairs that can't be told apart, and for how it ended."""
+        lines = [one.sentence for one in self.strengths]
         if self.rays_error:
             lines.append(f"sigmas of tie rays: times {self.rays:.4g} +- {self.rays_error:.2g}")
         entangled = np.argwhere(np.triu(np.abs(self.correlation) > INSEPARABLE, 1)).tolist()
         for i, k in entangled:
             names = f"{self.strengths[i].name} and {self.strengths[k].name}"
             lines.append(f"{names}: not separable (correlation {self.correlation[i, k]:.3f} of their strengths)")
-        lines += [one.words() for one in self.combinations]
+        lines += [one.sentence for one in self.combinations]
         end = "at rest" if self.converged else "NOT at rest"
-        return "\n".join([*lines, f"Strengths {end} after {self.rounds} adjustments."])
+        return [*lines, f"Strengths {end} after {self.rounds} adjustments."]
 
 
 def estimated_strengths(

@@ -17,6 +17,7 @@ from mgsgraph.geometry.records import Mask
 from mgsgraph.kernel.rows import GROUND, OUT, STEREO, SURFACE
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
+from mgsgraph.notebook import Record
 from mgsgraph.ties import PointKind
 
 ObservationKey = tuple[MeasureKind, int]
@@ -24,7 +25,7 @@ ObservationKey = tuple[MeasureKind, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Removal:
+class Removal(Record):
     """Observations rejected together: one, and those that can't be separated from it."""
 
     observations: tuple[ObservationKey, ...]
@@ -44,7 +45,7 @@ class Removal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taken:
+class Taken(Record):
     """Marks of rejected observations, in network order."""
 
     rays: Mask

@@ -34,6 +34,7 @@ from mgsgraph.analysis.measures import (
 from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR
+from mgsgraph.notebook import Record
 
 _RAYS = 1 << 18
 """Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""
@@ -54,7 +55,7 @@ class _Roots(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reliability:
+class Reliability(Record):
     """Reliability of an adjustment: `measures`, in the order of kinds, and within these of the network's rows."""
 
     at: Linearised

@@ -63,7 +63,8 @@ class ChiSquareTest:
         """Whether the two-sided test finds nothing."""
         return self.two_sided >= self.alpha
 
-    def words(self) -> str:
+    @property
+    def sentence(self) -> str:
         """The result in one sentence."""
         low, high = self.bounds
         found, advice = "passed", ""
@@ -193,7 +194,8 @@ class ResidualStatistics:
         low, high = (beta.ppf(side, worth * share + 0.5, worth * (1.0 - share) + 0.5) for side in (0.025, 0.975))
         return QuantilePlot(ndtri(share), self.values[ranks], ndtri(low), ndtri(high))
 
-    def words(self) -> str:
+    @property
+    def sentence(self) -> str:
         """The result in one sentence."""
         if not self.values.size:
             return f"{self.name}: no residual that anything controls"

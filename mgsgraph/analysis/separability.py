@@ -75,7 +75,7 @@ class NotToldApart:
         return " ".join([first.name, *terms])
 
     @property
-    def words(self) -> str:
+    def sentence(self) -> str:
         """A sentence with figures and units."""
         names = [f"{one.name} (sigma {one.sigma:.3g} {one.unit})" for one in self.quantities]
         listed = f"{', '.join(names[:-1])} and {names[-1]}"

@@ -70,7 +70,7 @@ class Separation:
         return Verdict.NOT_FROM_OTHERS if self.together >= INSEPARABLE else Verdict.SEPARABLE
 
     @property
-    def words(self) -> str:
+    def sentence(self) -> str:
         """The verdict, with its figures."""
         most = f"most like {self.other}, r = {self.correlation:+.2f}" if self.other else "nothing else is unknown"
         return {

@@ -33,6 +33,7 @@ from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
+from mgsgraph.notebook import Record
 
 _MOST_CANDIDATES = 2000
 """Points that are compared at a time."""
@@ -46,7 +47,7 @@ Progress = Callable[[Removal], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Snooping:
+class Snooping(Record):
     """What data snooping took out, and what is left."""
 
     solution: Solution

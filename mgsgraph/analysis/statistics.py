@@ -112,12 +112,12 @@ class OrientationStatistics:
     """(9,) m and rad, mean standard deviation of the adjusted orientation, for sigma0 = 1."""
 
 
-def orientation_statistics(solution: Solution, image: int) -> OrientationStatistics:
+def orientation_statistics(solution: Solution, image: str | int) -> OrientationStatistics:
     """Corrections of one image over the papers' 31 places; those of all images are found at once, the first time."""
     found = _ORIENTED.get(solution)
     if found is None:
         found = _ORIENTED[solution] = _orientation_statistics(solution)
-    return found[image]
+    return found[solution.network.image_number(image)]
 
 
 def _orientation_statistics(solution: Solution) -> list[OrientationStatistics]:

@@ -26,6 +26,7 @@ from mgsgraph.analysis.systematic import EffectKind, Hypothesis, families
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
+from mgsgraph.notebook import Record
 from mgsgraph.units import MRAD
 
 LEVEL = 0.01
@@ -47,7 +48,7 @@ _FINE = 9
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class Effect(Record):
     """An effect that residuals show and the adjustment has no unknown for."""
 
     kind: EffectKind
@@ -76,7 +77,7 @@ class Effect:
     """Where else an effect of this kind would explain the residuals as well, with its period there."""
 
     @property
-    def words(self) -> str:
+    def sentence(self) -> str:
         """The finding in one sentence, with the term to add."""
         size = f"{self.amplitude:.2g} {self.unit}".strip()
         how = {
@@ -97,7 +98,7 @@ class Effect:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pattern:
+class Pattern(Record):
     """How the residuals go with an effect: for a picture."""
 
     effect: Effect
@@ -111,7 +112,7 @@ class Pattern:
 
 
 @dataclass(frozen=True, slots=True)
-class Unexplained:
+class Unexplained(Record):
     """What the tests of the residuals found."""
 
     level: float
@@ -125,11 +126,12 @@ class Unexplained:
     patterns: tuple[Pattern, ...] = ()
     """Of each named effect."""
 
-    def words(self) -> str:
-        """What was found, a line for each effect."""
+    @property
+    def sentences(self) -> list[str]:
+        """What was found, one for each effect."""
         if not self.effects:
-            return f"{self.tests} tests of the residuals by time, sample, slope, height and neighbours find nothing."
-        return "\n".join(one.words for one in self.effects)
+            return [f"{self.tests} tests of the residuals by time, sample, slope, height and neighbours find nothing."]
+        return [one.sentence for one in self.effects]
 
 
 def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:

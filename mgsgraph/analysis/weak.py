@@ -29,6 +29,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.notebook import Record
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -53,7 +54,7 @@ class _EqualDirections(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WeakDirection:
+class WeakDirection(Record):
     """A direction of the shared unknowns of which little was learnt."""
 
     ratio: float
@@ -64,15 +65,12 @@ class WeakDirection:
     """Of that: m or rad."""
     parts: tuple[Part, ...]
     """Largest share first; shares below 1 % are left out."""
-    words: str
+    sentence: str
     """What it is, and how weak."""
     equals: int
     """Directions, it among them, that are as weak to 1 %; at least as many where not all were found."""
     direction: Array
     """(columns,) unit vector, in units of the a-priori sigmas (`Layout.scales`)."""
-
-    def __str__(self) -> str:
-        return self.words
 
 
 def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, ...]:
@@ -229,7 +227,7 @@ def _described(frames: Frames, direction: Array, ratio: float, equals: int) -> W
         sigma=abs(main.amount) * ratio,
         unit=main.axis.unit,
         parts=parts,
-        words=f"{in_words(frames, parts, ratio)}, {ratio:.2f} of {before}",
+        sentence=f"{in_words(frames, parts, ratio)}, {ratio:.2f} of {before}",
         equals=equals,
         direction=direction,
     )

@@ -36,6 +36,7 @@ from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
+from mgsgraph.notebook import Record
 from mgsgraph.registration.carriers import Members
 from mgsgraph.ties import TiePoints
 
@@ -50,7 +51,7 @@ _FAR_APART = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
+class Case(Record):
     """Everything that an adjustment starts from."""
 
     name: str

@@ -121,14 +121,14 @@ def adjust(
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         if estimating:
             found = estimated_strengths(read.network, settings, rays=False, name=read.name, progress=bar)
-            solution, words = found.solution, found.words()
+            solution, said = found.solution, found.sentences
         else:
-            solution, words = adjust_network(read.network, settings, read.name, bar, workers), ""
+            solution, said = adjust_network(read.network, settings, read.name, bar, workers), []
     solution = replace(solution, seconds=reading | dict(solution.seconds))
     written = write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution)
-    if words:
-        click.echo(words)
+    for sentence in said:
+        click.echo(sentence)
     print_form_of_tables(written, overrides.tables)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if is_result(solution) else 1)

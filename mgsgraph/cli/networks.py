@@ -130,7 +130,7 @@ def export(
         files = {image.name: Path(image.pixels or image_file(image)).name for image in images}
     results = results_of(solution)
     done = export_solution(results.folder, target, out, ExportSettings(scaled, support, files, networks, raster))
-    print_sentences(filter(None, (results.warning, done.statement, *done.notes)))
+    print_sentences(filter(None, (results.warning, done.sentence, *done.notes)))
     click.echo(f"The files are in {out}")
 
 

@@ -264,7 +264,7 @@ def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", ta
     for one in done:
         click.echo(f"{project}: change {one.change}. {one.sentence}")
         if one.impact is not None and one is not done[-1]:
-            print_sentences(one.impact.sentences())
+            print_sentences(one.impact.sentences)
     impact = done[-1].impact
     if impact is None:
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
@@ -301,7 +301,7 @@ def solve(
         solved = solve_all(opened, not no_figures, tables, bar, device)
     print_solution(solved.solution)
     if solved.closing is not None:
-        click.echo(f"- {solved.closing.sentence()}")
+        click.echo(f"- {solved.closing.sentence}")
     print_form_of_tables(solved.files, tables)
     click.echo(f"Results are in {solved.folder}")
     ctx.exit(0 if is_result(solved.solution) else 1)
@@ -321,7 +321,7 @@ def status(project: Path) -> None:
 
 def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
     """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
-    print_sentences(impact.sentences())
+    print_sentences(impact.sentences)
     click.echo("\n".join(impact.tables_text()))
     if table is not None:
         from mgsgraph.reports.impact import write_impact
@@ -329,4 +329,4 @@ def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None
         write_impact(impact, table)
         click.echo(f"All points that moved are in {table}")
     if closing is not None:
-        click.echo(f"- {closing.sentence()}")
+        click.echo(f"- {closing.sentence}")

@@ -213,7 +213,7 @@ def fetch(
             images, out, terrain=terrain, archives=archives, volumes=volumes, update=update, progress=show,
             say=passing_word,
         )
-    print_sentences(fetched.sentences())
+    print_sentences(fetched.sentences)
     click.echo(f"The case is {fetched.case}")
     if commands := fetched.commands():
         click.echo("Next:")

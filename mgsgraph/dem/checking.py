@@ -31,6 +31,7 @@ from mgsgraph.geometry.body import east_north, east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import beam_motion
+from mgsgraph.notebook import Record
 from mgsgraph.wording import root_mean_square
 
 OUTSIDE = 3.0
@@ -38,7 +39,7 @@ OUTSIDE = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CheckProfile:
+class CheckProfile(Record):
     """Shots of one file that took no part, and what is known of them."""
 
     name: str
@@ -70,7 +71,7 @@ class CheckProfile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeightChecks:
+class HeightChecks(Record):
     """Differences between a terrain model and n shots that lie on it."""
 
     profiles: tuple[str, ...]

@@ -11,6 +11,7 @@ from mgsgraph.dem.map import MapGrid
 from mgsgraph.dem.points import DensePoints
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.notebook import Record
 from mgsgraph.stages import Progress, no_progress
 
 _REACH = 1.5
@@ -24,7 +25,7 @@ _ROWS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeightGrid:
+class HeightGrid(Record):
     """A terrain model on the posts of a map; NaN where there is none."""
 
     map: MapGrid

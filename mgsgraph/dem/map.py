@@ -13,6 +13,7 @@ from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.scene import GroundChart
+from mgsgraph.notebook import Record
 from mgsgraph.units import DEG
 
 MOST_POSTS = 50_000_000
@@ -24,7 +25,7 @@ _DIGITS = 6
 
 
 @dataclass(frozen=True, slots=True)
-class MapGrid:
+class MapGrid(Record):
     """Posts of a map; rows go south, columns go east, and a post is the middle of its cell."""
 
     longitude: float

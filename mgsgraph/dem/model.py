@@ -17,6 +17,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
 from mgsgraph.matching.scene import Scene
+from mgsgraph.notebook import Record
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import KM
 from mgsgraph.wording import root_mean_square
@@ -29,7 +30,7 @@ Heights = Literal["sphere", "areoid"]
 
 
 @dataclass(frozen=True, slots=True)
-class DemSettings:
+class DemSettings(Record):
     """Choices of a terrain model."""
 
     post: float | None = None
@@ -70,7 +71,7 @@ class MatchedPair(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Dem:
+class Dem(Record):
     """A terrain model, what it was made from, and how it was checked."""
 
     name: str

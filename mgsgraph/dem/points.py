@@ -172,7 +172,7 @@ def _orientation_nodes(posterior: Posterior, scene: Scene, one: "DenseMatches") 
         (anchors, _SURE / _pixel_sizes(first, scene.ground, anchors)),
         ((pixels := second.project(points)), _UNSURE / _pixel_sizes(second, scene.ground, pixels)),
     ]
-    number, count = [posterior.image_number(picture.image.name) for picture in (first, second)], len(anchors)
+    number, count = [posterior.network.image_number(picture.image.name) for picture in (first, second)], len(anchors)
     both = [np.stack(part, axis=1).reshape(-1, 2) for part in zip(*rays, strict=True)]
     asked = ImageRays(np.repeat(np.arange(count), 2), np.tile(number, count), *both)
     found = posterior.intersections(asked)[1].reshape(lines.size, samples.size, 3, 3)

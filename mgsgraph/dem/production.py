@@ -142,6 +142,6 @@ def adjusted_scene(scene: Scene, posterior: Posterior, chosen: Sequence[str] = (
     pictures = [
         replace(there[name], image=posterior.image(j), correction=posterior.correction(j))
         for name in adjusted_names(list(there), posterior, chosen)
-        for j in [posterior.image_number(name)]
+        for j in [posterior.network.image_number(name)]
     ]
     return replace(scene, pictures=tuple(pictures))

@@ -55,8 +55,9 @@ def common_degree(solution: Solution) -> int:
     return max(degrees, default=_USUAL_DEGREE)
 
 
-def orientation_polynomials(solution: Solution, image: int, degree: int) -> OrientationPolynomials:
+def orientation_polynomials(solution: Solution, image: str | int, degree: int) -> OrientationPolynomials:
     """Polynomials of one image's orientation about its centre, the middle between its first and its last line."""
+    image = solution.network.image_number(image)
     picture, correction = solution.network.images[image], solution.correction(image)
     lines = np.linspace(0.0, float(picture.lines), PLACES)
     moments = picture.moments(lines)

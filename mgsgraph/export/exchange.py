@@ -34,6 +34,7 @@ from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.io.writing import fresh_file, require_free
 from mgsgraph.network.links import groups
+from mgsgraph.notebook import Record
 from mgsgraph.wording import many, some
 
 Paths = str | Path | Iterable[str | Path]
@@ -48,7 +49,7 @@ _ELSEWHERE = "name another file; or say --replace"
 
 
 @dataclass(frozen=True, slots=True)
-class Conversion:
+class Conversion(Record):
     """What was read, written and lost."""
 
     network: ControlNetwork

@@ -12,6 +12,7 @@ from mgsgraph.control.record import ControlNetwork
 from mgsgraph.control.ties import require_places
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
+from mgsgraph.notebook import Record
 
 _SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
 _SAID = "--target, --radii, --case"
@@ -19,7 +20,7 @@ _SAID = "--target, --radii, --case"
 
 
 @dataclass(frozen=True, slots=True)
-class ExchangeSetting:
+class ExchangeSetting(Record):
     """What files don't say of themselves."""
 
     sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)

@@ -63,7 +63,7 @@ class Exported(NamedTuple):
     """What the files keep of those that the solution was made from, and what not, in sentences."""
 
     @property
-    def statement(self) -> str:
+    def sentence(self) -> str:
         """What came of it, in a sentence; what to beware of in more."""
         beware = {
             "They are farther off than they should be.": self.largest > _FINE,

@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 from mgsgraph.errors import InputError
 from mgsgraph.io.decoding import LARGEST_TOML, toml_table
 from mgsgraph.io.files import read_text
+from mgsgraph.notebook import Record
 
 VARIABLE = "MGSGRAPH_MIRRORS"
 """Environment variable with the path of a file of mirrors."""
@@ -15,7 +16,7 @@ _SCHEMES = ("https", "http")
 
 
 @dataclass(frozen=True, slots=True)
-class Archives:
+class Archives(Record):
     """Addresses (http or https) under which the archives' own layout begins; each ends in a slash."""
 
     images: str = "https://planetarydata.jpl.nasa.gov/img/data/mgs-m-moc-na_wa-2-sdp-l0-v1.0/"

@@ -29,6 +29,7 @@ from mgsgraph.fetch.store import DownloadFolder, Progress
 from mgsgraph.fetch.volumes import volumes_of
 from mgsgraph.io.files import read_bytes
 from mgsgraph.io.writing import claimed, write_file
+from mgsgraph.notebook import Record
 from mgsgraph.wording import many
 
 _REMEDY = "choose another --out"
@@ -37,7 +38,7 @@ _PROJECT = "project"
 
 
 @dataclass(frozen=True, slots=True)
-class Fetched:
+class Fetched(Record):
     """A folder that holds all that its images need."""
 
     folder: Path
@@ -55,6 +56,7 @@ class Fetched:
         """The case file."""
         return self.folder / CASE
 
+    @property
     def sentences(self) -> list[str]:
         """What there is now, one line each."""
         said = [

@@ -81,9 +81,9 @@ def _caption(plan: Plan, shown: int) -> str:
     worthless = len(plan.ranking) - useful
     omitted += f"; {worthless} worthless ones are not drawn" if worthless else ""
     if not plan.chosen:
-        return f"None of the candidates lowers the {what} sigma of the targets ({plan.targets.words()}){omitted}."
+        return f"None of the candidates lowers the {what} sigma of the targets ({plan.targets.words}){omitted}."
     return (
-        f"The {what} sigma (root of the covariance's trace) of the targets ({short(plan.targets.words(), 60)}) falls "
+        f"The {what} sigma (root of the covariance's trace) of the targets ({short(plan.targets.words, 60)}) falls "
         f"from {number(plan.now.total)} to {number(plan.after.total)} m with "
         f"{len(plan.chosen)} of the candidates, by {number(100.0 * plan.drop)}%; together they gain "
         f"{number(plan.bits)} bits on the unknowns that exist already{omitted}."

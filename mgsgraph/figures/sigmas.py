@@ -56,7 +56,7 @@ def raster_sheet(grid: SigmaGrid, name: str) -> Sheet:
     _, rows, columns = grid.values.shape
     ratio = rows / columns  # cells are square on the ground
     height = float(np.clip(2.4 * ratio, 1.6, 6.0)) + 1.2
-    statement = grid.statement[0].upper() + grid.statement[1:]
+    statement = grid.sentence[0].upper() + grid.sentence[1:]
     sheet = new_sheet(name, 9.4, height, "Sigmas of new points over the overlap", f"{statement}.")
     west, north = grid.west / DEG, grid.north / DEG
     extent = (west, west + columns * grid.steps[0] / DEG, north - rows * grid.steps[1] / DEG, north)

@@ -107,7 +107,7 @@ def _caption(found: Unexplained, drawn: int) -> str:
             f"{number(1.0 / found.level)}: the least p-value for the whole run is {number(least, 2)}."
         )
     first = found.effects[0]
-    text = f"{len(found.effects)} effects are named by {found.tests} tests; clearest: {first.words}"
+    text = f"{len(found.effects)} effects are named by {found.tests} tests; clearest: {first.sentence}"
     more = len(found.effects) - drawn
     return text + (f"; of {more} more the table has the rest" if more > 0 else "") + (
         ". Residuals show of an effect what the adjustment did not absorb."

@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
+from mgsgraph.notebook import Record
 from mgsgraph.units import KM, MRAD
 
 _UNKNOWN = float("nan")
@@ -22,7 +23,7 @@ def _flight(first: str, last: str) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Altimeter:
+class Altimeter(Record):
     """One instrument; NaN where nothing published says."""
 
     name: str

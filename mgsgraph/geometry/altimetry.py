@@ -23,6 +23,7 @@ from mgsgraph.geometry.records import (
     require_names,
 )
 from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.notebook import Record
 from mgsgraph.units import SPEED_OF_LIGHT
 
 _HALF_LIGHT = 0.5 * SPEED_OF_LIGHT
@@ -80,7 +81,7 @@ def footprint_covariances(footprints: Array, horizontal: float, vertical: float 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaserProfile:
+class LaserProfile(Record):
     """Laser shots, struct of arrays; the footprints' covariances are a-priori knowledge of the ground points."""
 
     source: str
@@ -137,7 +138,7 @@ class LaserProfile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AltimeterShots:
+class AltimeterShots(Record):
     """Altimeter shots as their archive holds them, struct of arrays; NaN where a source doesn't say."""
 
     source: str
@@ -322,7 +323,7 @@ def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AltimetryCloud:
+class AltimetryCloud(Record):
     """Ground returns of a laser altimeter, profile by profile, struct of arrays: control that needs no image."""
 
     source: str

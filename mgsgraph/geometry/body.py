@@ -7,11 +7,12 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.notebook import Record
 from mgsgraph.units import KM
 
 
 @dataclass(frozen=True, slots=True)
-class Ellipsoid:
+class Ellipsoid(Record):
     """Reference ellipsoid of revolution, centred on the body-fixed frame, polar axis along +Z."""
 
     equatorial: float

@@ -8,10 +8,11 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.distortion import Distortion
 from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.notebook import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InteriorOrientation:
+class InteriorOrientation(Record):
     """Focal length, the detector line in the focal plane, and the optics.
 
     Detector pixel = image sample * summing + first; focal-plane place = affine map of (detector line, detector sample)

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.geometry.records import Array
+from mgsgraph.notebook import Record
 
 _CHUNK = 1024
 """Places whose neighbours are looked for at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gaps:
+class Gaps(Record):
     """What a terrain model's interpolation between tracks adds to the errors of its posts."""
 
     sigmas: Array

@@ -25,6 +25,7 @@ from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.notebook import Record
 
 _NEWTON_STEPS = 30
 _PIXEL_TOLERANCE = 1e-9
@@ -34,7 +35,7 @@ polynomials of the optics mean nothing)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LineTiming:
+class LineTiming(Record):
     """Time of each line, with one constant line period per segment."""
 
     first_lines: Array
@@ -100,7 +101,7 @@ class ExteriorOrientation(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PushbroomImage:
+class PushbroomImage(Record):
     """A line-scanner image with everything that its geometry needs."""
 
     name: str

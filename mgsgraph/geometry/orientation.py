@@ -19,6 +19,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.notebook import Record
 
 Angles = Literal["camera", "opk-paper", "opk-peer"]
 """What the rotation part of a coefficient is: about the camera axes, or added to omega, phi, kappa."""
@@ -60,7 +61,7 @@ class Moments(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OrientationPrior:
+class OrientationPrior(Record):
     """What is known of one image's orientation corrections beforehand: zero mean, and a sigma for each coefficient."""
 
     sigmas: Array
@@ -82,7 +83,7 @@ class OrientationPrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OrientationCorrection:
+class OrientationCorrection(Record):
     """Coefficients of one image's orientation corrections."""
 
     coefficients: Array

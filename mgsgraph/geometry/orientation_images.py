@@ -16,6 +16,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.notebook import Record
 
 Basis = Literal["lagrange", "spline"]
 """How orientation between nodes follows from them."""
@@ -27,7 +28,7 @@ _EVEN = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OrientationImages:
+class OrientationImages(Record):
     """The nodes of one strip, and the basis between them."""
 
     basis: Basis

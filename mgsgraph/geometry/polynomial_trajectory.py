@@ -15,6 +15,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory
+from mgsgraph.notebook import Record
 from mgsgraph.units import ARCSEC
 from mgsgraph.wording import root_mean_square
 
@@ -81,7 +82,7 @@ class PolynomialTrajectory:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Misfit:
+class Misfit(Record):
     """How far polynomials are from what they were fitted to: rms and largest over some lines of the image."""
 
     position_rms: Array
@@ -109,7 +110,7 @@ class Misfit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PolynomialFit:
+class PolynomialFit(Record):
     """The fit's own error."""
 
     order: int

@@ -27,6 +27,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
+from mgsgraph.notebook import Record
 
 _NODES_PER_WIDTH = 2.0
 """Nodes per standard deviation of the footprint: the spline between them is exact to 1e-3 of what the average lost."""
@@ -49,7 +50,7 @@ _OF_NORMAL = 1.2533
 
 
 @dataclass(frozen=True, eq=False)
-class StereoSurface:
+class StereoSurface(Record):
     """Averaged disparity of two images at nodes of the first; r rows of nodes, c columns."""
 
     first: Array

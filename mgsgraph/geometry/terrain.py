@@ -19,6 +19,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.common_errors import Gaps, common_variances
 from mgsgraph.geometry.records import Array, Index, Mask, assign
+from mgsgraph.notebook import Record
 
 TerrainKind = Literal["radius", "topography", "areoid", "counts"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid; shots."""
@@ -64,7 +65,7 @@ class SplineSurface(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PostLattice:
+class PostLattice(Record):
     """Posts in rows and columns of whatever projection, of a model whose horizontal place as a whole is unknown."""
 
     source: str
@@ -128,7 +129,7 @@ def window(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TerrainGrid:
+class TerrainGrid(Record):
     """Posts at equal steps of longitude and planetocentric latitude; rows go south, columns go east."""
 
     source: str

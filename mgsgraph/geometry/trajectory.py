@@ -15,6 +15,7 @@ import numpy as np
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.notebook import Record
 
 
 def _check_times(times: Array, where: str) -> None:
@@ -27,7 +28,7 @@ def _check_times(times: Array, where: str) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PositionTable:
+class PositionTable(Record):
     """Sampled geometric position of the camera relative to the body's centre."""
 
     times: Array
@@ -57,7 +58,7 @@ class PositionTable:
 
 
 @dataclass(frozen=True, eq=False)
-class AttitudeTable:
+class AttitudeTable(Record):
     """Sampled orientation of a frame against the inertial frame."""
 
     times: Array
@@ -103,7 +104,7 @@ class AttitudeTable:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pose:
+class Pose(Record):
     """Position and attitude of a camera at n moments, with their rates (per second, or per line where so said)."""
 
     position: Array
@@ -128,7 +129,7 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
+class Trajectory(Record):
     """Position and attitude of one camera over its image, and the body's rotation meanwhile."""
 
     epoch: float

@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.shared import shared_of
 from mgsgraph.network.parts import Unknown
-from mgsgraph.notebook import card
+from mgsgraph.notebook import Record
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
@@ -21,7 +21,7 @@ EXACT = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closing:
+class Closing(Record):
     """Largest differences between the incremental result and batch, in sigmas of batch."""
 
     unknown: Unknown
@@ -47,10 +47,7 @@ class Closing:
         """Whether all differences are within `CLOSE`."""
         return self.worst <= CLOSE
 
-    def _repr_html_(self) -> str:
-        """HTML for notebooks."""
-        return card("Closing check", [self.sentence()])
-
+    @property
     def sentence(self) -> str:
         """The result in one sentence."""
         if not self.converged:

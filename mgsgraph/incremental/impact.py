@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, Settled, Shared
 from mgsgraph.network.parts import Members, Unknown
-from mgsgraph.notebook import card
+from mgsgraph.notebook import Record, card
 from mgsgraph.output.table import Column, Table
 from mgsgraph.wording import many
 
@@ -21,7 +21,7 @@ _NAME = 28
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovedImages:
+class MovedImages(Record):
     """Images that a change reached, and orientation images of passes (then position and rotation are those at their
     time); i of them.
     """
@@ -49,7 +49,7 @@ class MovedImages:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovedPoints:
+class MovedPoints(Record):
     """Points that moved by more than `NOTICEABLE` of a sigma, or that the change brought; n of them."""
 
     ids: tuple[str, ...]
@@ -67,7 +67,7 @@ class MovedPoints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Impact:
+class Impact(Record):
     """What adding or removing images, or editing points, has done to the rest."""
 
     verb: str
@@ -106,6 +106,7 @@ class Impact:
         """The record with the wall time (s) of the change."""
         return replace(self, seconds=seconds)
 
+    @property
     def sentences(self) -> list[str]:
         """The main results, in sentences."""
         said = list[str]()
@@ -204,7 +205,7 @@ class Impact:
         """HTML for notebooks."""
         table = self.table().take(np.arange(min(SHOWN, len(self.images.names))))
         heads = [[name for name, _ in table.headings], [unit for _, unit in table.headings]]
-        return card(repr(self), self.sentences(), [*heads, *table.rows], head=2)
+        return card(repr(self), self.sentences, [*heads, *table.rows], head=2)
 
 
 def impact(

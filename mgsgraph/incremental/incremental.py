@@ -39,6 +39,7 @@ from mgsgraph.incremental.state import (
 )
 from mgsgraph.incremental.sweep import Sweep
 from mgsgraph.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
+from mgsgraph.names import number_of
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.definitions import Definitions, definitions, with_definitions
@@ -53,7 +54,7 @@ from mgsgraph.network.parts import (
     unknowns,
     with_images,
 )
-from mgsgraph.notebook import card
+from mgsgraph.notebook import Record, card
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import MRAD
 
@@ -64,7 +65,7 @@ if TYPE_CHECKING:
 Observations = TiePoints | LaserProfile | Sequence[TiePoints | LaserProfile]
 
 
-class IncrementalAdjustment:
+class IncrementalAdjustment(Record):
     """Images and their observations, adjusted as they come.
 
     Parameters
@@ -115,10 +116,11 @@ class IncrementalAdjustment:
         """Present values (d,) of all shared unknowns, m and rad."""
         return dict(self._engine.value)
 
-    def correction(self, image: str) -> OrientationCorrection:
+    def correction(self, image: str | int) -> OrientationCorrection:
         """Present orientation correction of an image, with what shared unknowns do to it; zero for a held one."""
-        one = with_definitions(alone(self._known(image)), self._engine.known)
-        own, value = Unknown("image", image), self._engine.value
+        known = self._known(image)
+        one = with_definitions(alone(known), self._engine.known)
+        own, value = Unknown("image", known.image.name), self._engine.value
         zero = np.zeros(one.priors[0].sigmas.size)
         values = [value.get(name, zero) if name != own or not one.held[0] else zero for name in unknowns(one)]
         return whole_correction(one, 0, values, self.settings.angles)
@@ -129,24 +131,23 @@ class IncrementalAdjustment:
 
         Raises InputError for an unknown pass.
         """
-        if name not in self._engine.known.passes:
-            there = ", ".join(self._engine.known.passes) or "it has none"
-            raise InputError(f"pass {name}", "no such pass", f"one of the adjustment's ({there})")
+        number_of(name, {known: k for k, known in enumerate(self._engine.known.passes)}, "pass")
         one = self._engine.known.passes[name]
         nodes = pass_unknowns(one)[: len(one.nodes)]
         values = np.array([self._engine.value[node] for node in nodes])
         covariances = np.array([self._engine.joint([node]) for node in nodes])
         return one.nodes.times + one.nodes.epoch, values, covariances
 
-    def covariance(self, *images: str) -> Array:
+    def covariance(self, *images: str | int) -> Array:
         """Joint covariance (d, d) of the coefficients of some images, m and rad, straight from iSAM2."""
-        for image in images:
+        names = [self._known(image).image.name for image in images]
+        for image in names:
             if self._known(image).held:
                 raise InputError(f"image {image}", "held: it has no unknowns", "an adjusted image")
             if (one := self._engine.known.of_image(image)) is not None:
                 found, remedy = f"of pass {one.name!r}: it has no coefficients of its own", "ask for `trajectory`"
                 raise InputError(f"image {image}", found, "an image with an orientation of its own", remedy)
-        return self._engine.joint([Unknown("image", image) for image in images])
+        return self._engine.joint([Unknown("image", image) for image in names])
 
     def joint(self, wanted: Sequence[Unknown]) -> Array:
         """Joint covariance (d, d) of some adjusted unknowns, m and rad, straight from iSAM2."""
@@ -235,18 +236,16 @@ class IncrementalAdjustment:
         addition = observed(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
         return self._added(new, addition, brought)
 
-    def remove(self, *images: str) -> Impact:
+    def remove(self, *images: str | int) -> Impact:
         """Take images out with their measures; points that nothing else sees go, too.
 
         Raises InputError for an unknown image.
         """
-        images = tuple(dict.fromkeys(images))
-        for image in images:
-            self._known(image)
+        names = tuple(dict.fromkeys(self._known(image).image.name for image in images))
         before = self.store.definitions()
-        after = shortened(self.store, before, images)
-        changed = without(self.store, images, after, turned_bundles(self.store, before, after))
-        return self._change("remove", list(images), [], *changed, after)
+        after = shortened(self.store, before, names)
+        changed = without(self.store, names, after, turned_bundles(self.store, before, after))
+        return self._change("remove", list(names), [], *changed, after)
 
     def put_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
         """Put points as a network has them, with all of their rows, in the place of what they were before.
@@ -313,11 +312,9 @@ class IncrementalAdjustment:
         changed = with_addition(self.store, addition, after, turned_bundles(self.store, before, after))
         return self._change("add", [one.image.name for one in new], new, *changed, after)
 
-    def _known(self, image: str) -> KnownImage:
-        if image not in set(self.images):
-            known = ", ".join(self.images[:4])
-            raise InputError(f"image {image}", "no such image", f"one of the adjustment's ({known or 'it has none'})")
-        return self.store.image(image)
+    def _known(self, image: str | int) -> KnownImage:
+        names = self.images
+        return self.store.image(names[number_of(image, {name: j for j, name in enumerate(names)}, "image")])
 
     def _new_images(
         self, images: PushbroomImage | KnownImage | Sequence[KnownImage], prior: OrientationPrior | None

@@ -16,6 +16,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index, Mask, frozen
 from mgsgraph.matching import equations, window
 from mgsgraph.matching.spline import SplinePicture
+from mgsgraph.notebook import Record
 
 _SMALLEST = 3
 """Half a window, pixels: fewer do not tell eight unknowns and their covariance."""
@@ -75,7 +76,7 @@ class LeastSquaresSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LeastSquaresMatches:
+class LeastSquaresMatches(Record):
     """What became of each match; numbers are NaN where it has not converged."""
 
     status: Index

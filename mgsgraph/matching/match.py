@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import partial
 from importlib.metadata import version
 from typing import NamedTuple
@@ -83,7 +83,7 @@ def match_scene(
 
 def digest(scene: Scene, settings: MatchSettings) -> str:
     """A short name for all that the result depends on."""
-    whole = hashlib.sha256(f"{version('mgsgraph')} {settings!r}".encode())
+    whole = hashlib.sha256(f"{version('mgsgraph')} {astuple(settings)}".encode())
     for picture in scene.pictures:
         lines, samples = np.linspace(0.0, picture.image.lines, 31), np.linspace(0.0, picture.image.samples, 31)
         rays = picture.image.sightlines(lines, samples, picture.correction)

@@ -10,6 +10,7 @@ from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.matching.coarse import Agreement
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.notebook import Record
 from mgsgraph.ties import PointKind, TiePoints
 
 SOURCE = "matches"
@@ -38,7 +39,7 @@ class Losses(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matches:
+class Matches(Record):
     """Tie points from images."""
 
     ties: TiePoints

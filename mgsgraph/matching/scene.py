@@ -18,6 +18,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.notebook import Record
 
 Pixels = NDArray[Any]
 """(lines, samples) grey values; NaN where a float picture has none."""
@@ -33,7 +34,7 @@ _USELESS = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroundChart:
+class GroundChart(Record):
     """A plane about a middle, in metres."""
 
     axes: Array
@@ -72,7 +73,7 @@ class GroundChart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
+class Ground(Record):
     """The ground as far as it is known beforehand, over a chart."""
 
     chart: GroundChart
@@ -112,7 +113,7 @@ class Ground:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class Picture(Record):
     """An image with its pixels, and the orientation that is believed for now."""
 
     image: PushbroomImage
@@ -190,7 +191,7 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(Record):
     """All pictures over one ground."""
 
     pictures: tuple[Picture, ...]

@@ -6,6 +6,7 @@ from typing import Literal, cast, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError, require
+from mgsgraph.notebook import Record
 
 Method = Literal["sift", "grid"]
 """Where matches are sought: at features, or at the nodes of a regular grid by correlation."""
@@ -18,7 +19,7 @@ def method_of(name: str) -> Method:
 
 
 @dataclass(frozen=True, slots=True)
-class MatchSettings:
+class MatchSettings(Record):
     """How images are matched."""
 
     method: Method = "sift"

@@ -1,6 +1,6 @@
 """The network: who sees what, with what sigma. Validated once."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -13,6 +13,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.names import number_of
 from mgsgraph.network.crossovers import Crossovers
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
@@ -27,7 +28,7 @@ from mgsgraph.network.records import (
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.network.stereo_control import StereoControl
-from mgsgraph.notebook import card
+from mgsgraph.notebook import Record, card
 from mgsgraph.ties import PointKind
 from mgsgraph.wording import some
 
@@ -40,7 +41,7 @@ def _kept(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
 
 
 @dataclass(frozen=True, eq=False)
-class Network:
+class Network(Record):
     """Images, ground points, rays and ranges with their sigmas; the whole input of an adjustment."""
 
     images: tuple[PushbroomImage, ...]
@@ -273,12 +274,45 @@ class Network:
             owner[strip.images] = k
         return _kept(owner)
 
-    def pictures(self, strip: int) -> list[PushbroomImage]:
-        """Images of a strip."""
-        return [self.images[j] for j in self.passes[strip].images.tolist()]
+    def image_number(self, image: str | int) -> int:
+        """Number of an image, asked for by its name or its number; InputError where there is none."""
+        return number_of(image, self._numbers["image"], "image")
 
-    def axes_of(self, image: int) -> Array | None:
+    def point_number(self, point: str | int) -> int:
+        """The same of a ground point."""
+        return number_of(point, self._point_numbers, "point")
+
+    def shift_number(self, shift: str | int) -> int:
+        """The same of an unknown shift (`shift_names`)."""
+        return number_of(shift, self._numbers["shift"], "shift")
+
+    def shared_number(self, shared: str | int) -> int:
+        """The same of a shared unknown."""
+        return number_of(shared, self._numbers["shared unknown"], "shared unknown")
+
+    def pass_number(self, of_pass: str | int) -> int:
+        """The same of a pass."""
+        return number_of(of_pass, self._numbers["pass"], "pass")
+
+    @cached_property
+    def _numbers(self) -> Mapping[str, Mapping[str, int]]:
+        names = {
+            "image": [image.name for image in self.images], "shift": list(self.shift_names),
+            "shared unknown": [one.name for one in self.shared], "pass": [one.name for one in self.passes],
+        }  # fmt: skip
+        return {what: {name: k for k, name in enumerate(several)} for what, several in names.items()}
+
+    @cached_property
+    def _point_numbers(self) -> Mapping[str, int]:
+        return {name: i for i, name in enumerate(self.points.ids)}
+
+    def pictures(self, strip: str | int) -> list[PushbroomImage]:
+        """Images of a strip."""
+        return [self.images[j] for j in self.passes[self.pass_number(strip)].images.tolist()]
+
+    def axes_of(self, image: str | int) -> Array | None:
         """(3, 3) from the axes of an image's pass to its camera's; None where they are the same."""
+        image = self.image_number(image)
         owner = int(self.pass_of[image])
         return None if owner < 0 else self.passes[owner].axes_of(image)
 

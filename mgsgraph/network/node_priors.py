@@ -27,6 +27,7 @@ from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network.conditioning import Conditionals, conditionals, variances
 from mgsgraph.network.processes import Process
 from mgsgraph.network.trend import BiasAndDrift
+from mgsgraph.notebook import Record
 
 _LONGEST = 1e9
 """s: departures that take longer to forget themselves can't be told from a bias."""
@@ -118,7 +119,7 @@ class NodePrior(BiasAndDrift):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointNodePrior:
+class JointNodePrior(Record):
     """Any Gaussian prior about zero on all components of all nodes at once; dense, so for passes of few nodes."""
 
     root: Array
@@ -172,7 +173,7 @@ class JointNodePrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PolynomialPrior:
+class PolynomialPrior(Record):
     """Corrections are polynomials of s = -1 .. 1 over the pass: sum_j a_j s^j; on four nodes of Lagrange's basis."""
 
     position_sigmas: Array

@@ -18,11 +18,12 @@ from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
 from mgsgraph.network.stereo_control import joined_control
+from mgsgraph.notebook import Record
 from mgsgraph.ties import PointKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownImage:
+class KnownImage(Record):
     """An image that takes part."""
 
     image: PushbroomImage

@@ -21,6 +21,7 @@ from mgsgraph.names import Names
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import GroundPoints, PointClass, ProfileShifts
 from mgsgraph.network.shared import SharedUnknown
+from mgsgraph.notebook import Record
 from mgsgraph.ties import PointKind
 
 PLACE_SIGMA = 0.1
@@ -32,7 +33,7 @@ _LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TerrainModel:
+class TerrainModel(Record):
     """A terrain model whose place as a whole is unknown."""
 
     name: str

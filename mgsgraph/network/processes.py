@@ -26,6 +26,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.notebook import Record
 
 ProcessKind = Literal["white", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter"]
 """The kinds of processes."""
@@ -34,7 +35,7 @@ _LONGEST = 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Process:
+class Process(Record):
     """A Gaussian process of three components that know nothing of each other."""
 
     kind: ProcessKind

@@ -21,6 +21,7 @@ from mgsgraph.geometry.records import (
 )
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
+from mgsgraph.notebook import Record
 from mgsgraph.ties import PointKind
 
 
@@ -43,7 +44,7 @@ class PointClass(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroundPoints:
+class GroundPoints(Record):
     """All ground points of a network."""
 
     ids: Names
@@ -81,7 +82,7 @@ class GroundPoints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImageRays:
+class ImageRays(Record):
     """Image coordinates of points: one ray each."""
 
     point: Index
@@ -106,7 +107,7 @@ class ImageRays:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ranges:
+class Ranges(Record):
     """Laser ranges, each from the place of one image's camera at the shot's time."""
 
     point: Index
@@ -158,7 +159,7 @@ def _horizontal(sigma: float) -> tuple[ShiftTerm, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProfileShifts:
+class ProfileShifts(Record):
     """Unknown horizontal shifts, one per laser profile: to be added to its footprints' a-priori places."""
 
     names: tuple[str, ...]
@@ -175,7 +176,7 @@ class ProfileShifts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class Surface(Record):
     """A terrain model as control: chosen points lie on it."""
 
     grid: TerrainGrid

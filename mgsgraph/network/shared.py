@@ -21,6 +21,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.notebook import Record
 from mgsgraph.units import MRAD, PPM
 
 DEGREE = 5
@@ -161,7 +162,7 @@ class SharedKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SharedUnknown:
+class SharedUnknown(Record):
     """One unknown that several images share: of a camera, an orbit, an altimeter."""
 
     name: str

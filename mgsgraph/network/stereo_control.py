@@ -7,10 +7,11 @@ import numpy as np
 
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import StereoSurface
+from mgsgraph.notebook import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StereoControl:
+class StereoControl(Record):
     """Surfaces that pairs of images show, and points that lie on them: laser shots, posts of terrain models."""
 
     surfaces: tuple[StereoSurface, ...]

@@ -3,9 +3,10 @@
 import numpy as np
 
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.notebook import Record
 
 
-class BiasAndDrift:
+class BiasAndDrift(Record):
     """The trend of a prior that has sigmas of a bias and of a drift, as unknowns: those with a sigma above zero."""
 
     __slots__ = ()

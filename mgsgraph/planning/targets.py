@@ -42,6 +42,7 @@ class Targets:
     def __len__(self) -> int:
         return len(self.points) + len(self.images)
 
+    @property
     def words(self) -> str:
         """The targets in words."""
         named = {"ties": "tie points", "all": "points"}

@@ -8,11 +8,12 @@ import numpy as np
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.notebook import Record
 from mgsgraph.registration.footprints import Corrections, points_in_images, seconds_from_image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Crossing:
+class Crossing(Record):
     """Shots of one profile over one image, or taken along with it."""
 
     profile: str
@@ -34,7 +35,7 @@ class Crossing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShotsOverImages:
+class ShotsOverImages(Record):
     """Shots (n) and images (m): who lies over whom."""
 
     images: tuple[PushbroomImage, ...]

@@ -53,7 +53,7 @@ class MeasuredDiscrepancy:
     """(m, 2) the same, adjusted."""
 
 
-def registration_offsets(solution: Solution, image: int, most: int | None = None) -> MeasuredFootprints:
+def registration_offsets(solution: Solution, image: str | int, most: int | None = None) -> MeasuredFootprints:
     """Laser points projected onto an image, before and after the adjustment, beside their measured places.
 
     Before: a-priori footprint, nominal orientation; after: adjusted place, adjusted orientation. Points that are not
@@ -63,12 +63,13 @@ def registration_offsets(solution: Solution, image: int, most: int | None = None
     ----------
     solution : Solution
         What an adjustment found.
-    image : int
-        Which image.
+    image : str or int
+        Which image, by name or number.
     most : int, optional
         Take no more than about this many laser points, evenly spread over all; the same ones in every image.
     """
     network = solution.network
+    image = network.image_number(image)
     rays, picture = network.rays, network.images[image]
     laser = solution.members(PointClass.LASER)
     laser = laser[np.all(np.isfinite(network.points.places[laser]), axis=1)]

@@ -12,6 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.network import PointClass
+from mgsgraph.notebook import Record
 from mgsgraph.registration.search import REACH, CostSurface
 
 MOST_REACH = 20_000.0
@@ -19,7 +20,7 @@ MOST_REACH = 20_000.0
 
 
 @dataclass(frozen=True, slots=True)
-class ReliefSettings:
+class ReliefSettings(Record):
     """How laser and images are registered by relief."""
 
     footprint: float | None = None
@@ -74,7 +75,7 @@ class ProfileState(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReliefProfile:
+class ReliefProfile(Record):
     """One laser profile, or one terrain model, against the stereo surface."""
 
     name: str
@@ -118,7 +119,7 @@ class ReliefProfile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReliefRegistration:
+class ReliefRegistration(Record):
     """Laser and images, registered."""
 
     name: str

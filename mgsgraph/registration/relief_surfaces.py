@@ -125,7 +125,7 @@ def stereo_surfaces(
     matches, window = densely_matched(scene, spacing, workers, progress)
     found, sizes = list[AveragedPair](), sorted({*footprints, *of_cells})
     for one in matches:
-        first, second = (posterior.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
+        first, second = (posterior.network.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
         for size in sizes:
             progress("stereo surface", len(found), len(matches) * len(sizes))
             found.append(averaged_pair(posterior, one, (first, second), size, spacing, window, size in of_cells))

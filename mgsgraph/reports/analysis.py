@@ -152,7 +152,7 @@ def _honesty(posterior: Posterior, name: str) -> Section:
 
         return quantile_sheet(statistics, name)
 
-    lines = [f"{test.words()}.", "By what factor the sigmas of each group are wrong:", components.words()]
+    lines = [f"{test.sentence}.", "By what factor the sigmas of each group are wrong:", *components.sentences]
     residuals = residuals_table(statistics)
     head, *rows = residuals.text()
     lines += [head, _PROMISED, *rows]
@@ -234,7 +234,7 @@ def _iterated(posterior: Posterior) -> Section:
         "sigma0": found.solution.sigma0,
     }  # fmt: skip
     files = {"components_iterated.csv": components_table(found.components).write_csv}
-    text = f"Scaled and adjusted again, until all factors were one:\n{found.words()}"
+    text = "\n".join(["Scaled and adjusted again, until all factors were one:", *found.sentences])
     return Section("iterated", text, record, files)
 
 
@@ -257,10 +257,10 @@ def _weak(posterior: Posterior, count: int) -> Section:
         return Section("weak", "All orientation was held: nothing of it is weak.", [])
     found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
     lines = ["Of what least was learnt (sigma after over sigma before):"]
-    lines += [f"{one.ratio:8.3f}  {one.words}" for one in found]
+    lines += [f"{one.ratio:8.3f}  {one.sentence}" for one in found]
     record = [
         {
-            "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.words, "equals": one.equals,
+            "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.sentence, "equals": one.equals,
             "parts": [
                 {
                     "of": part.axis.owner, "axis": str(part.axis), "share": part.share,
@@ -278,7 +278,7 @@ def _separability(posterior: Posterior) -> Section:
     """Mountings, attitude and position of passes that are not told apart."""
     linearised = posterior.linearised
     found = not_told_apart(posterior.network, linearised.joint, linearised.settings.angles)
-    lines = [one.words[0].upper() + one.words[1:] for one in found]
+    lines = [one.sentence[0].upper() + one.sentence[1:] for one in found]
     none = "Position and attitude of passes, and what their images share, are told apart (no correlation above 0.95)."
     record = [
         {

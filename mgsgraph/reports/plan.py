@@ -76,7 +76,7 @@ def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists:
 def statements(plan: Plan) -> list[str]:
     """What the plan says, in sentences."""
     what = "mean sigma" if plan.criterion == "mean" else "largest sigma"
-    found = [f"Targets: {plan.targets.words()}; their {what} is {plan.now.total:.4g} m now ({_local(plan.now)})."]
+    found = [f"Targets: {plan.targets.words}; their {what} is {plan.now.total:.4g} m now ({_local(plan.now)})."]
     if not plan.chosen:
         return [*found, "None of the candidates is worth anything: each row above says why."]
     names = ", ".join(one.name for one in plan.chosen)

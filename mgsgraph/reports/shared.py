@@ -60,7 +60,7 @@ def shared_table(solution: Solution) -> Table:
 def shared_statements(solution: Solution) -> list[str]:
     """Some sentences about each column, and one about each mixture of them that is determined."""
     both = zip(shared_estimates(solution), separations(solution), strict=True)
-    each = [" ".join([_value(one), apart.words, *_warnings(one)]) for one, apart in both]
+    each = [" ".join([_value(one), apart.sentence, *_warnings(one)]) for one, apart in both]
     return each + [f"Of shared unknowns together is determined: {one.words}." for one in mixtures(solution)]
 
 

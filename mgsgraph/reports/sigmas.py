@@ -57,12 +57,12 @@ class Section:
 def _file_of(posterior: Posterior, image: str) -> str:
     """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
     plainly = file_stem(image)
-    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.image_number(image) + 1}"
+    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.network.image_number(image) + 1}"
 
 
 def curve_section(posterior: Posterior, image: str) -> Section:
     """Sigmas of the orientation along an image's lines."""
-    picture = posterior.network.images[posterior.image_number(image)]
+    picture = posterior.network.images[posterior.network.image_number(image)]
     poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
     lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
     units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("mrad", sigmas[:, 3:], FLIGHT_NAMES[3:]))
@@ -101,7 +101,7 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
         "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
         "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
     }  # fmt: skip
-    text = f"{grid.statement[0].upper()}{grid.statement[1:]}."
+    text = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
     return Section("raster", text, record, {"sigmas.tif": partial(write_sigma_raster, grid, body)}, sheet)
 
 

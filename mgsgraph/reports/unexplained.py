@@ -20,9 +20,9 @@ def unexplained_section(posterior: Posterior, name: str) -> Section:
 
         return unexplained_sheet(found, name)
 
-    table, words = unexplained_table(found), found.words()
-    record = {"level": found.level, "tests": found.tests, "words": words.splitlines(), "effects": table.records()}
-    return Section("unexplained", words, record, {"unexplained.csv": table.write_csv}, sheet)
+    table, said = unexplained_table(found), found.sentences
+    record = {"level": found.level, "tests": found.tests, "words": said, "effects": table.records()}
+    return Section("unexplained", "\n".join(said), record, {"unexplained.csv": table.write_csv}, sheet)
 
 
 def unexplained_table(found: Unexplained) -> Table:

@@ -34,8 +34,8 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
         }
         for one in found.spectra
     ]  # fmt: skip
-    record = {"words": found.words, "vibrations": table.records(), "spectra": seen}
-    return Section("vibrations", "\n".join(found.words), record, {"vibrations.csv": table.write_csv}, sheet)
+    record = {"words": found.sentences, "vibrations": table.records(), "spectra": seen}
+    return Section("vibrations", "\n".join(found.sentences), record, {"vibrations.csv": table.write_csv}, sheet)
 
 
 def vibrations_table(found: ResidualVibrations) -> Table:

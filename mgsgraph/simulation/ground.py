@@ -19,6 +19,7 @@ from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, in_turn, inte
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.orbit import on_ellipsoid
 from mgsgraph.simulation.relief import Float, PeriodicSurface, add_craters, canyon, fractal
@@ -46,7 +47,7 @@ _DETAIL, _DETAIL_HURST = 15.0, 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class SiteGround:
+class SiteGround(Record):
     """What the ground of a site is like."""
 
     longitude: float
@@ -80,7 +81,7 @@ SITES: dict[str, SiteGround] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SiteTerrain:
+class SiteTerrain(Record):
     """The true ground of a simulated site. Longitudes are east, latitudes planetocentric, both in rad."""
 
     site: str

@@ -21,6 +21,7 @@ from mgsgraph.geometry.records import Array, Mask, assign
 from mgsgraph.geometry.track_gaps import track_gaps
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_terrain
 from mgsgraph.simulation.hrsc_flight import PericentrePass, Readout, strip_images
@@ -48,7 +49,7 @@ _BLUNDER = (5.0, 100.0)
 
 
 @dataclass(frozen=True, slots=True)
-class TrajectoryErrors:
+class TrajectoryErrors(Record):
     """Sigmas of what is wrong with the observed trajectory; of all three axes alike.
 
     28 mgon are the paper's, for all angles: it improves pitch and yaw from them without terrain, roll only with it. For
@@ -85,7 +86,7 @@ class TrajectoryErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class TerrainErrors:
+class TerrainErrors(Record):
     """A terrain model like MOLA's and what is wrong with it."""
 
     posts_per_degree: int = 64
@@ -106,7 +107,7 @@ class TerrainErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class BlockSettings:
+class BlockSettings(Record):
     """What block to simulate."""
 
     strips: int = 4
@@ -173,7 +174,7 @@ class BlockSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedBlock:
+class SimulatedBlock(Record):
     """A simulated block: what an adjustment is given, and the truth it should find."""
 
     settings: BlockSettings

@@ -26,6 +26,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
+from mgsgraph.notebook import Record
 from mgsgraph.units import DEG, SPEED_OF_LIGHT
 
 _CM, _MICRODEG = 1e-2, 1e-6 * DEG
@@ -48,7 +49,7 @@ _LIGHT = SPEED_OF_LIGHT * 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PedrFrames:
+class PedrFrames(Record):
     """Shots at 10 Hz without a gap; every 20 become a frame, the last one is filled up with missing shots."""
 
     orbit: int

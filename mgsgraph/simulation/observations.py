@@ -11,6 +11,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.ground import rays_to_sines
 from mgsgraph.ties import PointKind, TiePoints
 
@@ -19,7 +20,7 @@ MARGIN = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseSettings:
+class NoiseSettings(Record):
     """Sigmas from which everything uncertain is drawn, and which the written case states; one sigma, zero mean."""
 
     tie: float = 1.0

@@ -15,6 +15,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, displaced_footprints, narrow_image
 from mgsgraph.simulation.ground import CENTRE, rays_to_sines
 from mgsgraph.simulation.observations import (
@@ -41,7 +42,7 @@ _NO_OVERLAP = "take longer images, a smaller off_nadir or smaller position and a
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PairSettings:
+class PairSettings(Record):
     """What pair to simulate."""
 
     lines: int = 5000
@@ -73,7 +74,7 @@ class PairSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedPair:
+class SimulatedPair(Record):
     """A simulated stereo pair: what an adjustment is given, and the truth it should find."""
 
     settings: PairSettings

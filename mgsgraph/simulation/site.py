@@ -16,6 +16,7 @@ from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentr
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.camera import InstrumentErrors, displaced_footprints, moc_image
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
@@ -64,7 +65,7 @@ _CLOUD = (300.0, 3000.0)
 
 
 @dataclass(frozen=True, slots=True)
-class SimulationOptions:
+class SimulationOptions(Record):
     """What may differ from the published site."""
 
     errors: Errors = "drawn"
@@ -121,7 +122,7 @@ class SimulatedProfile(PedrFrames):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedImage:
+class SimulatedImage(Record):
     """One image: as it was taken, as the kernels have it, and what was taken along with it."""
 
     settings: ImageSettings
@@ -145,7 +146,7 @@ class SimulatedImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedSite:
+class SimulatedSite(Record):
     """A simulated site: what an adjustment is given, and the truth it should find."""
 
     settings: SiteSettings

@@ -15,6 +15,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.notebook import Record
 from mgsgraph.units import ARCMIN, ARCSEC, DEG, KM
 
 SiteName = Literal["eos", "gusev", "isidis"]
@@ -30,7 +31,7 @@ _HELD = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KernelErrors:
+class KernelErrors(Record):
     """What is wrong with the kernels of one image; nominal = true (+) these."""
 
     position: Array
@@ -51,7 +52,7 @@ class KernelErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImageSettings:
+class ImageSettings(Record):
     """One image as published, its simultaneous profile, and what is wrong with its kernels."""
 
     name: str
@@ -99,7 +100,7 @@ class ImageSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class SiteSettings:
+class SiteSettings(Record):
     """A study site: where it is, its two images, and how many tie points they share."""
 
     name: SiteName

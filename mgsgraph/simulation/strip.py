@@ -20,6 +20,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import require_count, require_seed
@@ -92,7 +93,7 @@ class StripAddition(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedStrip:
+class SimulatedStrip(Record):
     """A simulated strip: what an adjustment is given, and the truth it should find."""
 
     settings: StripSettings

@@ -13,6 +13,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.ground import on_sines
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings, Shots, Visible, free_points, profile, shots_along
 from mgsgraph.simulation.orbit import orbit_axes
@@ -29,7 +30,7 @@ _NO_OVERLAP = "take longer images, more overlap, a smaller off_nadir or smaller 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class Step(Record):
     """An image, as taken and as known, and what it brings."""
 
     image: PushbroomImage

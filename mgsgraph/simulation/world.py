@@ -18,6 +18,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.notebook import Record
 from mgsgraph.simulation.orbit import quaternions
 from mgsgraph.units import MRAD
 
@@ -37,7 +38,7 @@ _SAMPLES_PER_PERIOD = 16
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class World(Record):
     """Sizes of what the world does; 0: it doesn't."""
 
     beam: float = 0.0
@@ -97,7 +98,7 @@ _USUAL: dict[str, float] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Vibration:
+class Vibration(Record):
     """A camera's sinusoidal vibration."""
 
     period: float

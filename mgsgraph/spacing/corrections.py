@@ -72,7 +72,7 @@ class CorrectionSeries:
         return matrix[axis::6, axis::6]
 
 
-def correction_series(solution: Solution, strip: int, factor: float | None = None) -> CorrectionSeries:
+def correction_series(solution: Solution, strip: str | int, factor: float | None = None) -> CorrectionSeries:
     """The corrections of a strip at its nodes.
 
     Parameters
@@ -83,6 +83,7 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
     from scipy.linalg import block_diag  # slow to import
 
     factor = ray_scatter(solution).factor if factor is None else factor
+    strip = solution.network.pass_number(strip)
     one = solution.network.passes[strip]
     count = len(one.nodes)
     if count > _MOST:

@@ -202,7 +202,7 @@ def _graded(times: Array, halve: Mask) -> Array:
     return times
 
 
-def pattern(solution: Solution, strip: int, factor: float | None = None) -> ResidualPattern:
+def pattern(solution: Solution, strip: str | int, factor: float | None = None) -> ResidualPattern:
     """What the residuals of a strip's rays show between its nodes.
 
     Parameters
@@ -211,7 +211,8 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Resi
         Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
     """
     factor = ray_scatter(solution).factor if factor is None else factor
-    network, nodes = solution.network, solution.network.passes[strip].nodes
+    network, strip = solution.network, solution.network.pass_number(strip)
+    nodes = network.passes[strip].nodes
     mine = pass_rays(network, strip)
     mine = mine.only(solution.rays_used[mine.rays] & np.isfinite(solution.residuals[mine.rays]).all(axis=1))
     images = network.pictures(strip)

@@ -54,7 +54,7 @@ class Vibration:
     """Images, with their turns, of which it may be as well, or in part: residuals don't tell."""
 
     @property
-    def words(self) -> str:
+    def sentence(self) -> str:
         """In a sentence."""
         chance = f"p = {self.probability:.1g}" if self.probability > 1e-12 else "p < 1e-12"
         way = {"pitch": "along lines", "roll": "along samples", "yaw": "along lines at the edges"}[self.turn]
@@ -103,9 +103,9 @@ class ResidualVibrations:
     """Clearest first."""
 
     @property
-    def words(self) -> list[str]:
+    def sentences(self) -> list[str]:
         """Sentences: each vibration, and what would not be seen."""
-        found = [one.words for one in self.vibrations]
+        found = [one.sentence for one in self.vibrations]
         if not found:
             found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per turn)."]
         blind = [f"{one.turn} of {one.image}" for one in self.spectra if one.blind and one.turn != "yaw"]

@@ -70,7 +70,7 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
     edited, moved = opened.change(lambda project: _with_moved(project, _KINDS[kind](project, asked)))
     sentences = [edited.sentence]
     if edited.impact is not None:
-        sentences += edited.impact.sentences()
+        sentences += edited.impact.sentences
     return {
         "kind": edited.kind, "point": edited.point, "revision": opened.revision, "sentences": sentences,
         "moved": [] if edited.impact is None else _moved(opened, edited.impact, moved),

@@ -78,7 +78,7 @@ def sigma_cells(opened: Opened) -> dict[str, Any]:
     low, high = span(values)
     outline = np.round(np.stack(corners, axis=1), 2)
     return {
-        "title": "3-D sigma of a new point", "unit": "m", "low": low, "high": high, "sentence": grid.statement,
+        "title": "3-D sigma of a new point", "unit": "m", "low": low, "high": high, "sentence": grid.sentence,
         "corners": outline.reshape(-1, 8).tolist(), "values": [float(f"{v:.5g}") for v in values.tolist()],
     }  # fmt: skip
 

@@ -51,8 +51,12 @@ def scene_record(opened: Opened) -> dict[str, Any]:
         "classes": [{"name": name, "count": int(count)} for name, count in zip(CLASSES, number, strict=True)],
         "values": [{"name": name, "title": title, "unit": unit} for name, (title, unit) in VALUES.items()],
         "terrain": block.terrain is not None,
-        "solution": [] if opened.solution is None else statements(opened.solution),
+        "solution": opened.once("statements", lambda: _statements(opened)),
     }  # fmt: skip
+
+
+def _statements(opened: Opened) -> list[str]:
+    return [] if opened.solution is None else statements(opened.solution)
 
 
 def _outline(outline: Array, step: slice | None) -> list[list[float]]:

@@ -9,7 +9,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -27,6 +27,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.studio import routes_images, routes_map, routes_points
 from mgsgraph.studio.changes import EditLock
+from mgsgraph.studio.map_points import map_points
 from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.routes_points import BROWSER
 from mgsgraph.studio.views import Views
@@ -150,6 +151,14 @@ def serve(opened: Opened, port: int | None, ready: Callable[[str], Any]) -> None
             application(opened, token, number), log_level="warning", access_log=False, timeout_graceful_shutdown=2
         )
         server = uvicorn.Server(config)
-        threading.Thread(target=opened.warm, daemon=True).start()
         ready(f"http://{HOST}:{number}/?token={token}")
+        # while a browser starts, what it asks first is put together
+        threading.Thread(target=_prepare, args=(opened,), daemon=True).start()
         server.run(sockets=[place])
+
+
+def _prepare(opened: Opened) -> None:
+    with suppress(MgsgraphError):  # whoever asks for it hears of it
+        routes_map.scene_record(opened)
+        map_points(opened).value("sigma")
+        opened.warm()

@@ -194,7 +194,7 @@ def test_no_direction_is_known_less_than_before() -> None:
     assert np.all(ratios <= values[0] * (1.0 + 1e-6))
     few, _ = spectrum(solution.joint_covariance, layout.scales, 5, layout.prior.whitening(layout.scales), dense=0)
     np.testing.assert_allclose(np.sqrt(few[:5]), values[:5], rtol=1e-4)
-    assert any("node" in one.words or "strip" in one.words for one in weakest)
+    assert any("node" in one.sentence or "strip" in one.sentence for one in weakest)
 
 
 def with_tables_of_their_own(net: Network) -> Network:

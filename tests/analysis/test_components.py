@@ -231,7 +231,7 @@ def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, flo
         assert one.judgement is Judgement.JUDGED
         assert abs(one.deviation(factor)) < 2.6
         assert one.sigma < 0.25 * one.factor
-        assert one.consistent is bool(factor == 1.0), one.verdict()
+        assert one.consistent is bool(factor == 1.0), one.sentence
     again = components_of(found.solution)
     for one in again.groups[:4]:
         assert one.factor == pytest.approx(1.0, abs=0.011)
@@ -258,7 +258,7 @@ def test_what_can_t_be_judged_keeps_its_sigmas_and_is_named() -> None:
     assert np.isnan(one.factor)
     assert one.consistent is None
     assert np.array_equal(found.network.ranges.sigmas, net.ranges.sigmas)
-    assert "ranges: can't be" in found.words()
+    assert "ranges: can't be" in str(found)
     with pytest.raises(InputError, match="no such group; expected one of tie image points"):
         _ = found.components["stars"]
 
@@ -283,7 +283,7 @@ def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
     found = iterated_components(net, SETTINGS)
     assert found.components["tie image points"].judgement is Judgement.ZERO
     assert found.components["tie image points"].factor == pytest.approx(0.02)
-    assert "residuals too small for any sigma" in found.words()
+    assert "residuals too small for any sigma" in str(found)
     assert found.components["laser image points"].consistent
 
 
@@ -292,12 +292,12 @@ def component(factor: float, degrees: float) -> Component:
 
 
 def test_verdicts_in_words() -> None:
-    assert component(1.03, 80.0).verdict() == "pointing: honest (factor 1.030 +- 0.081)"
-    assert "too pessimistic, sigmas too large by a factor of 2.10 +- 0.17" in component(1.0 / 2.1, 80.0).verdict()
-    assert "too optimistic, sigmas too small by a factor of 2.10 +- 0.17" in component(2.1, 80.0).verdict()
-    assert "nothing wrong to be seen, with little to see it by" in component(1.4, 4.0).verdict()
+    assert component(1.03, 80.0).sentence == "pointing: honest (factor 1.030 +- 0.081)"
+    assert "too pessimistic, sigmas too large by a factor of 2.10 +- 0.17" in component(1.0 / 2.1, 80.0).sentence
+    assert "too optimistic, sigmas too small by a factor of 2.10 +- 0.17" in component(2.1, 80.0).sentence
+    assert "nothing wrong to be seen, with little to see it by" in component(1.4, 4.0).sentence
     few = Component("position", Judgement.FEW, 10, 0.3, 0.1, np.nan, np.nan)
-    assert few.verdict() == "position: can't be judged (0.3 redundancy)"
+    assert few.sentence == "position: can't be judged (0.3 redundancy)"
 
 
 def test_deviations_and_intervals_are_chi_square_s() -> None:
@@ -318,7 +318,7 @@ def test_the_global_test_has_the_table_s_bounds() -> None:
     assert found.larger == pytest.approx(0.05, rel=1e-4)
     assert found.two_sided == pytest.approx(0.1, rel=1e-4)
     assert found.passed
-    assert "FAILED, too small" in chi_square_test(Fit(1.0, 15, 5)).words()
+    assert "FAILED, too small" in chi_square_test(Fit(1.0, 15, 5)).sentence
     with pytest.raises(InputError, match="0 degrees of freedom"):
         chi_square_test(Fit(0.0, 5, 5))
     with pytest.raises(InputError, match="alpha: 0"):
@@ -362,8 +362,8 @@ def test_statistics_of_normal_and_other_residuals() -> None:
     few = ResidualStatistics("few", plain.values[:3], 2, 1.5)
     assert np.isnan(few.p_value)
     assert few.as_promised is None
-    assert "too few for a test" in few.words()
-    assert ResidualStatistics("none", np.zeros(0), 4, 0.0).words() == "none: no residual that anything controls"
+    assert "too few for a test" in few.sentence
+    assert ResidualStatistics("none", np.zeros(0), 4, 0.0).sentence == "none: no residual that anything controls"
 
 
 def test_the_band_of_a_quantile_plot_holds_95_percent_at_each_place() -> None:
@@ -381,7 +381,7 @@ def test_a_first_look_says_so() -> None:
     net, _ = drawn({"tie image points": 5.0}, 5)
     rough = components_of(adjust_network(net, SETTINGS))
     assert rough.rough
-    assert "A first look" in rough.words()
+    assert "A first look" in str(rough)
 
 
 def test_a_group_whose_estimate_runs_away_keeps_its_sigmas() -> None:
@@ -392,7 +392,7 @@ def test_a_group_whose_estimate_runs_away_keeps_its_sigmas() -> None:
     for name in ("pointing priors", "position priors"):
         one = found.components[name]
         assert one.judgement in (Judgement.LOST, Judgement.INSEPARABLE, Judgement.FEW)
-    assert "can't be judged, the estimate runs away" in found.words()
+    assert "can't be judged, the estimate runs away" in str(found)
     assert np.array_equal(found.network.priors[0].sigmas, net.priors[0].sigmas)
     assert found.components["laser image points"].consistent
 
@@ -415,7 +415,7 @@ def test_quantile_sheet_shows_each_group_with_its_band() -> None:
 
 def test_a_verdict_names_what_it_depends_on() -> None:
     one = replace(component(1.3, 9.0), beside="ground priors", correlation=-0.99, given="position")
-    assert one.verdict().endswith("with ground priors, correlation -0.99; if the stated sigmas of position are right")
+    assert one.sentence.endswith("with ground priors, correlation -0.99; if the stated sigmas of position are right")
 
 
 def test_a_factor_that_hangs_on_the_sigmas_of_a_group_that_is_not_judged_says_so() -> None:
@@ -447,4 +447,4 @@ def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPa
     components = components_of(solution).groups
     assert [components[k].negative for k in judged] == (expected <= 0.0).tolist()
     assert components[g].factor == pytest.approx(components[g].foerstner) == pytest.approx(0.1)
-    assert "negative" in components[g].verdict()
+    assert "negative" in components[g].sentence

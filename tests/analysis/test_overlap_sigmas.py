@@ -70,7 +70,7 @@ def test_what_makes_no_raster_is_refused() -> None:
         sigma_grid(posterior(), [names[0], names[0]])
     with pytest.raises(InputError, match=r"cells of .* at most; choose larger cells"):
         sigma_grid(posterior(), names, cell=0.5)
-    with pytest.raises(InputError, match="image nowhere: not in the solution"):
+    with pytest.raises(InputError, match="image nowhere: no such image"):
         sigma_grid(posterior(), [names[0], "nowhere"])
 
 

@@ -82,7 +82,7 @@ def test_planted_strengths_are_found() -> None:
     assert np.all(np.abs(logs / np.sqrt(np.diagonal(ends[0].covariance))) < 3.5)
     assert ends[0].converged
     assert abs(ends[0].rays - 1.0) < 4.0 * ends[0].rays_error
-    assert ends[0].words().count("gauss-markov") >= 2
+    assert str(ends[0]).count("gauss-markov") >= 2
 
 
 def test_what_cannot_be_told_apart_is_said() -> None:
@@ -102,7 +102,7 @@ def test_what_cannot_be_told_apart_is_said() -> None:
     assert ("along-track position", "pitch") in {(one.position, one.rotation) for one in found}
     for one in found:
         assert one.sigma < 0.35 * one.alone
-        assert "not separable" in one.words()
+        assert "not separable" in one.sentence
 
 
 def test_each_process_of_a_sum_and_each_axis_has_its_own() -> None:
@@ -139,7 +139,7 @@ def test_passes_have_their_strengths_in_common() -> None:
     found = estimated_strengths(replace(net, passes=tuple(passes)), SolverSettings(), rays=False, most=2)
     (only,) = found.strengths
     assert only.passes == tuple(one.name for one in net.passes)
-    assert "common to 2 passes" in found.words()
+    assert "common to 2 passes" in str(found)
     priors = [one.prior for one in found.network.passes]
     first, second = (one.attitude[0].sigmas for one in priors if isinstance(one, ProcessPrior))
     np.testing.assert_array_equal(first, second)
@@ -150,5 +150,5 @@ def test_what_is_hardly_seen_is_held_at_nothing() -> None:
     net = network(6, 1e-3)
     found = estimated_strengths(net, SolverSettings(), rays=False, most=1)
     assert not any(one.searched for one in found.strengths)
-    assert found.words().count("held at nothing") == 2
+    assert str(found).count("held at nothing") == 2
     assert found.evidence == 0.0

@@ -61,7 +61,7 @@ def test_two_boresights_have_only_a_difference() -> None:
         assert one.sigma < 0.02 * one.quantities[0].sigma
         together = next(one for names, one in groups.items() if place in names)
         assert len(together.quantities) == 3
-        assert "largest correlation of two" in together.words
+        assert "largest correlation of two" in together.sentence
         assert together.coefficients[1:] == pytest.approx([ALTITUDE, ALTITUDE], rel=0.02)
 
 

@@ -54,7 +54,7 @@ def test_a_principal_point_is_no_boresight_only_by_their_priors() -> None:
     for name, other in (("principal point x", "camera boresight y"), ("principal point y", "camera boresight x")):
         assert by_name[name].verdict is Verdict.NOT_FROM_ONE
         assert by_name[name].other == other
-        assert f"Not separable from {other}" in by_name[name].words
+        assert f"Not separable from {other}" in by_name[name].sentence
     determined = [set(one.names) for one in mixtures(solution)]
     assert {"principal point x", "camera boresight y"} in determined
 
@@ -62,7 +62,7 @@ def test_a_principal_point_is_no_boresight_only_by_their_priors() -> None:
 def test_what_the_measures_do_not_see_is_said_to_be_from_its_prior() -> None:
     (one,) = separations(with_unknowns((SharedKind.RADIAL_DISTORTION_3, 1e-8)))
     assert one.verdict is Verdict.FROM_PRIOR
-    assert "Determined by its prior alone" in one.words
+    assert "Determined by its prior alone" in one.sentence
 
 
 def test_a_single_unknown_of_known_images_is_separable() -> None:

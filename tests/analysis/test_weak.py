@@ -124,7 +124,7 @@ def test_position_against_pointing_is_named_where_nothing_else_is_weak() -> None
     solution = adjust_network(net, SolverSettings())
     found = weak_directions(solution, 6)
     assert [direction.ratio > 0.5 for direction in found[:2]] == [True, True]
-    names = {direction.words.split(" of image")[0] for direction in found[:2]}
+    names = {direction.sentence.split(" of image")[0] for direction in found[:2]}
     assert names == {"constant along-track position against pitch", "constant across-track position against roll"}
     frame = flight_frame(net.images[0])
     for direction in found[:2]:
@@ -147,7 +147,7 @@ def test_ratio_is_the_sigma_of_the_direction() -> None:
         assert direction.ratio == pytest.approx(np.sqrt(variance), rel=1e-9)
         assert np.linalg.norm(direction.direction) == pytest.approx(1.0)
         assert 0.9 < sum(part.share for part in direction.parts) < 1.0 + 1e-9
-        assert re.search(r": one sigma is [\d.e-]+ (m|mrad)", direction.words)
+        assert re.search(r": one sigma is [\d.e-]+ (m|mrad)", direction.sentence)
 
 
 def test_weakest_comes_first_and_equals_are_as_weak_to_one_percent() -> None:
@@ -202,7 +202,7 @@ def test_a_large_network_names_single_images_as_weak_as_the_weakest(monkeypatch:
         variance = direction.direction @ covariance @ direction.direction
         assert direction.ratio == pytest.approx(np.sqrt(variance), rel=1e-6)
         assert direction.ratio == pytest.approx(other.ratio, rel=0.011)
-        assert "against" in direction.words
+        assert "against" in direction.sentence
         assert len({part.axis.owner for part in direction.parts}) == 1
 
 
@@ -218,8 +218,8 @@ def test_order_of_images_does_not_matter() -> None:
     one, other = (weak_directions(adjust_network(each, SolverSettings()), 3) for each in (net, turned))
     assert [d.equals for d in one] == [d.equals for d in other]
     np.testing.assert_allclose([d.sigma for d in one], [d.sigma for d in other], rtol=1e-3)
-    assert {frozenset(re.findall("image SIM/.", d.words)) for d in one} == {
-        frozenset(re.findall("image SIM/.", d.words)) for d in other
+    assert {frozenset(re.findall("image SIM/.", d.sentence)) for d in one} == {
+        frozenset(re.findall("image SIM/.", d.sentence)) for d in other
     }
 
 
@@ -229,9 +229,9 @@ def test_the_one_image_that_is_loose_is_named(loose: int) -> None:
     tight = OrientationPrior(net.priors[0].sigmas * 1e-3)
     priors = tuple(net.priors[0] if j == loose else tight for j in range(2))
     first = weak_directions(adjust_network(replace(net, priors=priors), SolverSettings()), 1)[0]
-    assert "against" in first.words
-    assert f"image SIM/{'AB'[loose]}" in first.words
-    assert f"image SIM/{'BA'[loose]}" not in first.words
+    assert "against" in first.sentence
+    assert f"image SIM/{'AB'[loose]}" in first.sentence
+    assert f"image SIM/{'BA'[loose]}" not in first.sentence
 
 
 def test_shifts_are_parts_too() -> None:
@@ -246,7 +246,7 @@ def test_unknown_priors_are_told() -> None:
     drawn = pair(ties=60)
     net = with_fixed(network(drawn, (False, True)), np.concatenate([drawn.true_ties, drawn.true_footprints]))
     solution = adjust_network(unknown(net, 0), SolverSettings())
-    assert "nothing was known before" in weak_directions(solution, 1)[0].words
+    assert "nothing was known before" in weak_directions(solution, 1)[0].sentence
 
 
 def test_bad_questions() -> None:

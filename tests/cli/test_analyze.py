@@ -107,8 +107,8 @@ def test_a_project_answers_as_its_solution_does(case_file: Path, tmp_path: Path,
 def test_what_can_not_be_answered_is_said_in_one_line(result: Path, tmp_path: Path, call: Called) -> None:
     image = read_solution(result).network.images[0].name
     for said, arguments in {
-        "point nowhere: not in the solution": ("--point", "nowhere"),
-        "image nowhere: not in the solution": ("--pose", "nowhere", 1.0),
+        "point nowhere: no such point": ("--point", "nowhere"),
+        "image nowhere: no such image": ("--pose", "nowhere", 1.0),
         "1 measures": ("--pixel", image, 1.0, 1.0),
         "no --out FOLDER, for the GeoTIFF": ("--raster",),
         "no --raster": ("--cell-m", 100.0),

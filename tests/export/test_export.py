@@ -89,7 +89,7 @@ def test_a_solution_that_cannot_be_noted_in_is_exported(
         record.write_text(damaged)
         done = export_solution(solution, "csm", tmp_path / "out")
         assert not done.noted
-        assert "could not be noted" in done.statement
+        assert "could not be noted" in done.sentence
         assert record.read_text() == damaged
     for damaged in ("[]", "{", sound.replace('"name"', '"nome"'), sound.replace('"crc32": "', '"crc32": "0')):
         record.write_text(damaged)
@@ -150,11 +150,11 @@ def test_a_full_disk_is_said_of_the_folder_that_was_asked_for(
 
 def test_what_to_beware_of_is_said() -> None:
     fine = Exported(Target.CSM, Path("out"), ("a.json",), 8, 0.001)
-    assert fine.statement.endswith("where the solution has them.")
-    assert "farther off" in fine._replace(largest=0.02).statement
-    assert "NOT converge" in fine._replace(converged=False).statement
-    assert "no measure" in fine._replace(measures=0, largest=np.nan).statement
-    assert "no geometry" in fine._replace(target=Target.GIS, measures=0, largest=np.nan).statement
+    assert fine.sentence.endswith("where the solution has them.")
+    assert "farther off" in fine._replace(largest=0.02).sentence
+    assert "NOT converge" in fine._replace(converged=False).sentence
+    assert "no measure" in fine._replace(measures=0, largest=np.nan).sentence
+    assert "no geometry" in fine._replace(target=Target.GIS, measures=0, largest=np.nan).sentence
 
 
 @pytest.mark.parametrize("bad", [np.inf, np.nan])

@@ -121,7 +121,7 @@ def test_removals() -> None:
         assert impact.unconnected == ()
     assert impact.lost
     assert impact.undetermined
-    assert any(f"{len(impact.lost)} points that no other image saw" in said for said in impact.sentences())
+    assert any(f"{len(impact.lost)} points that no other image saw" in said for said in impact.sentences)
 
 
 def test_what_moves_the_ground_is_the_image() -> None:

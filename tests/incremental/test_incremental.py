@@ -156,8 +156,8 @@ def test_an_unconnected_image_is_named_and_connected_later() -> None:
     name = made.images[3].name
     impact = adjustment.add(made.images[3], prior=NOISE.prior)
     assert impact.unconnected == (name,)
-    assert name in impact.sentences()[0]
-    assert "Unconnected" in impact.sentences()[0]
+    assert name in impact.sentences[0]
+    assert "Unconnected" in impact.sentences[0]
     assert impact.neighbours == {}
     assert not np.any(adjustment.correction(name).coefficients)
     np.testing.assert_allclose(adjustment.covariance(name), np.diag(NOISE.prior.sigmas.ravel() ** 2), rtol=1e-9)
@@ -412,7 +412,7 @@ def test_batch_that_does_not_converge_is_not_taken_over() -> None:
     closing, solution = adjustment.close()
     assert not solution.converged
     assert not closing.adopted
-    assert "did not converge" in closing.sentence()
+    assert "did not converge" in closing.sentence
     assert all(np.array_equal(before[unknown], value) for unknown, value in adjustment.values.items())
 
 

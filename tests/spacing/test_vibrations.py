@@ -130,10 +130,10 @@ def test_what_ties_can_see_is_named_and_what_not_is_said(look: Look, turn: str, 
     assert one.amplitude == pytest.approx(true, abs=4.0 * one.sigma + 0.05 * true)
     other = {"CTX/A": "CTX/B", "CTX/B": "CTX/A"}[one.image]
     assert f"{other} ({turn})" in one.alternatives
-    assert f"{blind} of CTX/A, {blind} of CTX/B" in found.words[-1]
-    assert "2.0" in found.words[0]
+    assert f"{blind} of CTX/A, {blind} of CTX/B" in found.sentences[-1]
+    assert "2.0" in found.sentences[0]
     # a project has no record of its solution, and says the same
-    assert residual_vibrations(at_solution(solution)).words == found.words
+    assert residual_vibrations(at_solution(solution)).sentences == found.sentences
 
 
 def test_control_shows_what_ties_cannot() -> None:
@@ -143,7 +143,7 @@ def test_control_shows_what_ties_cannot() -> None:
     assert one.turn == "roll"
     assert one.frequency == pytest.approx(2.0, abs=0.02)
     assert one.amplitude == pytest.approx(difference(mine, 1), abs=4.0 * one.sigma + 0.1)
-    assert not any("Not seen" in said for said in found.words)
+    assert not any("Not seen" in said for said in found.sentences)
 
 
 @pytest.mark.parametrize("control", [False, True])
