@@ -113,7 +113,7 @@ export class Sheet {
 
   // Line and sample in an image, refined against any other measure where both have pixels; Escape gives it up
   placing(ray, store, cancel) {
-    const field = (key, value) => make('input', {type: 'number', step: 'any', required: true, value: value ?? '', name: key});
+    const field = (key, value) => make('input', {type: 'number', step: 'any', required: true, value: value === undefined ? '' : Number(value.toFixed(3)), name: key});
     const line = field('line', ray.line), sample = field('sample', ray.sample);
     const form = make('form', {className: 'placing'}, make('label', {}, 'line ', line), ' ', make('label', {}, 'sample ', sample), ' ', make('button', {type: 'submit', textContent: 'Store'}));
     form.setAttribute('aria-label', `Place in ${ray.image}`);
@@ -125,7 +125,7 @@ export class Sheet {
           const found = await this.app.request('/api/refine', {
             reference: {image: other.image, line: other.line, sample: other.sample}, image: ray.image, line: Number(line.value), sample: Number(sample.value),
           });
-          [line.value, sample.value, sigma] = [found.line, found.sample, found.sigma_px];
+          [line.value, sample.value, sigma] = [found.line.toFixed(3), found.sample.toFixed(3), found.sigma_px];
           this.app.say(found.sentence);
         } catch (error) {
           this.app.say(error.message, 'error');
@@ -231,15 +231,15 @@ export class Sheet {
   }
 
   holding() {
-    const place = this.sheet.place || {longitude_deg: '', latitude_deg: '', height_m: ''};
+    const known = this.sheet.place, place = key => (known ? Number(known[key].toFixed(key === 'height_m' ? 3 : 8)) : '');
     const field = (key, words, value) => {
       const input = make('input', {type: 'number', step: 'any', value, required: true});
       input.dataset.key = key;
       return make('label', {}, `${words} `, input);
     };
-    const form = make('form', {className: 'tools'},
-      field('longitude_deg', 'longitude (deg E)', place.longitude_deg), field('latitude_deg', 'latitude (deg, planetographic)', place.latitude_deg),
-      field('height_m', 'height above the ellipsoid (m)', place.height_m), field('sigma_east_m', 'σ east (m)', 10), field('sigma_north_m', 'σ north (m)', 10),
+    const form = make('form', {className: 'tools holding'},
+      field('longitude_deg', 'longitude (deg E)', place('longitude_deg')), field('geodetic_latitude_deg', 'latitude (deg, planetographic)', place('geodetic_latitude_deg')),
+      field('height_m', 'height above the ellipsoid (m)', place('height_m')), field('sigma_east_m', 'σ east (m)', 10), field('sigma_north_m', 'σ north (m)', 10),
       field('sigma_up_m', 'σ up (m)', 10), make('button', {type: 'submit', textContent: 'Hold it there'}));
     form.addEventListener('submit', event => {
       event.preventDefault();
