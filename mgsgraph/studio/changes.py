@@ -99,14 +99,14 @@ def _move(project: Project, asked: Mapping[str, Any]) -> Edited:
 
 
 def _hold(project: Project, asked: Mapping[str, Any]) -> Edited:
-    """At a place in degrees (planetodetic latitude) and m above the ellipsoid, with sigmas in m."""
+    """At a place in degrees (geodetic, that is planetographic latitude) and m above the ellipsoid, with sigmas in m."""
     point = _text(asked, "point")
     names = project.store.image_names()
     body = project.store.image(names[0]).image.body
-    place = np.array([_number(asked, "longitude_deg") * DEG, _number(asked, "latitude_deg") * DEG,
+    place = np.array([_number(asked, "longitude_deg") * DEG, _number(asked, "geodetic_latitude_deg") * DEG,
                       _number(asked, "height_m")])  # fmt: skip
     if abs(place[1]) > 0.5 * np.pi:
-        raise InputError("change, latitude_deg", f"{place[1] / DEG:g}", "-90 to 90")
+        raise InputError("change, geodetic_latitude_deg", f"{place[1] / DEG:g}", "-90 to 90")
     sigmas = np.array([_number(asked, f"sigma_{axis}_m") for axis in ("east", "north", "up")])
     return edits.hold(project, point, from_geodetic(place[None], body)[0], sigmas)
 

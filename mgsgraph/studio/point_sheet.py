@@ -84,9 +84,9 @@ def _place(block: Block, place: Array) -> dict[str, float] | None:
     if not np.all(np.isfinite(place)):
         return None
     longitude, latitude, radius = planetocentric(place[None])[0].tolist()
-    height = float(geodetic(place[None], block.images[0].body)[0, 2])
+    _, geodetic_latitude, height = geodetic(place[None], block.images[0].body)[0].tolist()
     return {"longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
-            "height_m": height}  # fmt: skip
+            "geodetic_latitude_deg": geodetic_latitude / DEG, "height_m": height}  # fmt: skip
 
 
 def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:

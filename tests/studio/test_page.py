@@ -13,7 +13,8 @@ from click.testing import CliRunner
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from moc_pair_project import moc_pair_project
-from studio_server import Studio, studio
+from studio_page import PANELS, Page
+from studio_server import studio
 
 from mgsgraph.cli import group
 from mgsgraph.network.parts import KnownImage
@@ -27,45 +28,6 @@ from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 TRAP = '<img src=x onerror="window.trapped=1">'
-PANELS = ("map", "images", "point", "questions", "registration", "comparison")
-
-
-class Page:
-    """A tab of the browser at a studio, what it complained of and what it asked for."""
-
-    def __init__(self, browser: Any, running: Studio, width: int = 1280, **settings: Any) -> None:
-        self.context = browser.new_context(viewport={"width": width, "height": 900}, accept_downloads=True, **settings)
-        self.tab = self.context.new_page()
-        self.complaints: list[str] = []
-        self.asked: list[str] = []
-        self.tab.on("console", lambda one: self.complaints.append(one.text) if one.type == "error" else None)
-        self.tab.on("pageerror", lambda one: self.complaints.append(str(one)))
-        self.tab.on("request", lambda one: self.asked.append(one.url))
-        self.root = running.root
-        self.tab.goto(running.address)
-        self.tab.wait_for_selector("#map[data-ready]")
-
-    def run(self, script: str, *arguments: Any) -> Any:
-        return self.tab.evaluate(script, *arguments)
-
-    def until(self, script: str, argument: Any = None) -> None:
-        """Wait until a script is true; Playwright's own waiting evaluates texts in the page, which that forbids."""
-        for _ in range(150):
-            if self.run(script, argument):
-                return
-            self.tab.wait_for_timeout(100)
-        raise AssertionError(script)
-
-    def show(self, key: str) -> None:
-        """A panel by its key."""
-        self.run("document.activeElement.blur()")
-        self.tab.keyboard.press(key)
-        self.tab.wait_for_selector(f"#{PANELS[int(key) - 1]}:not([hidden])")
-
-    def close(self) -> None:
-        assert self.complaints == []
-        assert {one for one in self.asked if not one.startswith((self.root, "data:", "blob:"))} == set()
-        self.context.close()
 
 
 def command(*words: object) -> str:

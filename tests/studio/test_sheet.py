@@ -110,6 +110,20 @@ def test_correlations_are_those_most_correlated(changed: tuple[Opened, str], sol
         assert set(found["distance_m"]) == set(rows)
 
 
+def test_a_point_held_where_its_sheet_says_it_is_stays_there(changed: tuple[Opened, str]) -> None:
+    opened, name = changed
+    place = point_sheet(opened, name)["place"]
+    before = read_posterior(opened.path)[1].point(name).position
+    sigmas = {f"sigma_{axis}_m": 5.0 for axis in ("east", "north", "up")}
+    keys = "longitude_deg", "geodetic_latitude_deg", "height_m"
+    change(opened, {"kind": "hold", "point": name, **{key: place[key] for key in keys}, **sigmas})
+    held = read_posterior(opened.path)[1]
+    np.testing.assert_allclose(held.point(name).position, before, rtol=0.0, atol=1e-3)
+    sheet = point_sheet(opened, name)
+    assert (sheet["class"], sheet["kind"]) == ("control", "constrained")
+    assert max(sheet["sigmas_m"]) < 5.0
+
+
 def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(solved: Path, tmp_path: Path) -> None:
     assert posterior_near(solved, "nobody") is None
     command("init", tmp_path / "new", "--case", solved.parent / "case" / "case.toml")

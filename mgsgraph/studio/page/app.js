@@ -1,10 +1,11 @@
 // What all panels share: what is open, the selected point, requests, changes, and the line that says what happened.
-// Events: "opened" (the scene is there), "selected" (a point), "changed" (a change was stored; event.detail says what).
+// Events: "opened" (the scene is there), "selected" (a point), "placed" (a place in an image), "changed" (a change was
+// stored; event.detail says what).
 
 export class App extends EventTarget {
   constructor(saying) {
     super();
-    Object.assign(this, {saying, scene: null, selection: '', last: null, browser: crypto.randomUUID(), busy: 0});
+    Object.assign(this, {saying, scene: null, selection: '', placed: null, last: null, browser: crypto.randomUUID(), busy: 0});
   }
 
   async open() {
@@ -59,6 +60,12 @@ export class App extends EventTarget {
   select(name) {
     this.selection = name;
     this.emit('selected', name);
+  }
+
+  // A place of an image that was clicked: {image, line, sample}
+  place(found) {
+    this.placed = found;
+    this.emit('placed', found);
   }
 
   say(sentence, kind = '') {

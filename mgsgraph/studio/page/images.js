@@ -362,7 +362,8 @@ export class Images {
     const {clientWidth: width, clientHeight: height} = pane.canvas;
     const at = [width / 2 + this.cursor[0], height / 2 + this.cursor[1]];
     if (this.measuring.running) return this.measuring.take(pane, mapping.toImage(...at));
-    const name = pane.tieAt(at);
+    const [line, sample] = mapping.toImage(...at), name = pane.tieAt(at);
+    this.app.place({image: pane.name, line, sample});
     if (name) this.app.select(name);
   }
 

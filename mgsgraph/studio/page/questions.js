@@ -13,7 +13,15 @@ export class Questions {
     this.sample = make('input', {type: 'number', step: 'any', placeholder: 'sample'});
     this.pixels = [];
     this.list = make('ul');
-    const row = (title, ...parts) => make('fieldset', {}, make('legend', {textContent: title}), ...parts);
+    // Enter asks the first question of a row
+    const row = (title, ...parts) => {
+      const form = make('form', {}, make('fieldset', {}, make('legend', {textContent: title}), ...parts));
+      form.addEventListener('submit', event => event.preventDefault());
+      form.addEventListener('keydown', event => {
+        if (event.key === 'Enter' && event.target.tagName === 'INPUT') form.querySelector('button').click();
+      });
+      return form;
+    };
     const button = (textContent, act) => {
       const one = make('button', {type: 'button', textContent});
       one.addEventListener('click', act);
@@ -30,8 +38,10 @@ export class Questions {
       this.list, this.answers);
     app.addEventListener('opened', () => this.open());
     app.addEventListener('selected', () => this.take());
+    app.addEventListener('placed', () => this.takePlace());
     if (app.scene) this.open();
     this.take();
+    this.takePlace();
   }
 
   open() {
@@ -44,6 +54,13 @@ export class Questions {
     if (!name) return;
     const [last] = this.names().slice(-1);
     this.points.value = last && last !== name ? `${last}, ${name}` : name;
+  }
+
+  // The place of an image that was clicked last
+  takePlace() {
+    if (!this.app.placed) return;
+    const {image, line, sample} = this.app.placed;
+    [this.image.value, this.line.value, this.sample.value] = [image, line.toFixed(2), sample.toFixed(2)];
   }
 
   names() {
@@ -68,15 +85,18 @@ export class Questions {
     const place = {image: this.image.value, line: this.number(this.line), sample: this.number(this.sample)};
     if (Number.isNaN(place.line) || Number.isNaN(place.sample)) return this.app.say('Say line and sample of the place.', 'error');
     this.pixels.push(place);
-    this.list.replaceChildren(...this.pixels.map((one, k) => {
-      const away = make('button', {type: 'button', textContent: '×', title: 'Take this ray away'});
+    return this.listRays();
+  }
+
+  listRays() {
+    this.list.replaceChildren(...this.pixels.map(one => {
+      const away = make('button', {type: 'button', textContent: '×', title: `Take the ray of ${one.image} away`});
       away.addEventListener('click', () => {
-        this.pixels.splice(k, 1);
-        this.list.children[k].remove();
+        this.pixels.splice(this.pixels.indexOf(one), 1);
+        this.listRays();
       });
       return make('li', {}, `${one.image}: line ${one.line}, sample ${one.sample} `, away);
     }));
-    return undefined;
   }
 
   async ask(body) {

@@ -63,15 +63,15 @@ export class Sheet {
       parts.push(make('p', {textContent: `Longitude ${east.toFixed(6)}° E, latitude ${north.toFixed(6)}° (planetocentric), ${height.toFixed(2)} m above the ellipsoid${sigmas}.`}));
     } else parts.push(make('p', {textContent: sheet.rays.length ? 'Nothing determines its place: it needs rays of two images.' : 'No measure of it takes part.'}));
     if (sheet.answer) parts.push(make('pre', {textContent: sheet.answer}));
-    parts.push(this.rays(), this.testWords = make('p', {className: 'caption'}), this.setAside(), this.actions());
-    parts.push(make('h3', {textContent: 'Points that it goes along with'}), this.along = make('div', {}, make('p', {className: 'caption', textContent: sheet.answer ? 'being found …' : 'known after an adjustment'})));
+    parts.push(this.rays(), this.testWords = make('p', {className: 'caption'}), this.setAside(), this.actions(), this.forms = make('div'), this.lastChange());
+    parts.push(make('h3', {textContent: 'Points most correlated with it'}), this.along = make('div', {}, make('p', {className: 'caption', textContent: sheet.answer ? 'being found …' : 'known after an adjustment'})));
     this.body.replaceChildren(...parts);
   }
 
   rays() {
     const head = make('tr');
     for (const [name, unit] of [['chip', ''], ['image', ''], ['line', 'px'], ['sample', 'px'], ['σ', 'px'], ['residual line', 'px'], ['residual sample', 'px'],
-      ['redundancy', 'line, sample'], ['w', 'line, sample'], ['least detectable error', 'px'], ['', '']])
+      ['redundancy', 'line, sample'], ['w-test', 'line, sample'], ['minimal detectable error', 'px: line, sample'], ['', '']])
       head.append(make('th', {scope: 'col'}, name, unit ? make('small', {textContent: unit}) : ''));
     const body = make('tbody');
     this.cells = new Map();
@@ -106,17 +106,26 @@ export class Sheet {
   }
 
   moving(ray, where) {
-    const line = make('input', {type: 'number', step: 'any', value: ray.line}), sample = make('input', {type: 'number', step: 'any', value: ray.sample});
-    const others = this.sheet.rays.filter(one => one.image !== ray.image && one.picture);
-    const form = make('form', {}, make('label', {}, 'line ', line), ' ', make('label', {}, 'sample ', sample), ' ', make('button', {type: 'submit', textContent: 'Store'}));
-    if (ray.picture && others.length) {
-      const refine = make('button', {type: 'button', textContent: `Refine against ${others[0].image}`});
+    const form = this.placing(ray, ({line, sample}) => this.change({kind: 'move', image: ray.image, line, sample}), () => this.draw());
+    where.replaceChildren(form);
+    form.querySelector('input').focus();
+  }
+
+  // Line and sample in an image, refined against any other measure where both have pixels; Escape gives it up
+  placing(ray, store, cancel) {
+    const field = (key, value) => make('input', {type: 'number', step: 'any', required: true, value: value === undefined ? '' : Number(value.toFixed(3)), name: key});
+    const line = field('line', ray.line), sample = field('sample', ray.sample);
+    const form = make('form', {className: 'placing'}, make('label', {}, 'line ', line), ' ', make('label', {}, 'sample ', sample), ' ', make('button', {type: 'submit', textContent: 'Store'}));
+    form.setAttribute('aria-label', `Place in ${ray.image}`);
+    let sigma = null;
+    for (const other of this.sheet.rays.filter(one => ray.picture && one.image !== ray.image && one.picture)) {
+      const refine = make('button', {type: 'button', textContent: `Refine against ${other.image}`});
       refine.addEventListener('click', async () => {
         try {
           const found = await this.app.request('/api/refine', {
-            reference: {image: others[0].image, line: others[0].line, sample: others[0].sample}, image: ray.image, line: Number(line.value), sample: Number(sample.value),
+            reference: {image: other.image, line: other.line, sample: other.sample}, image: ray.image, line: Number(line.value), sample: Number(sample.value),
           });
-          [line.value, sample.value] = [found.line, found.sample];
+          [line.value, sample.value, sigma] = [found.line.toFixed(3), found.sample.toFixed(3), found.sigma_px];
           this.app.say(found.sentence);
         } catch (error) {
           this.app.say(error.message, 'error');
@@ -124,12 +133,62 @@ export class Sheet {
       });
       form.append(' ', refine);
     }
+    for (const one of [line, sample]) one.addEventListener('input', () => { sigma = null; });
+    const stop = make('button', {type: 'button', textContent: 'Cancel'});
+    stop.addEventListener('click', cancel);
+    form.append(' ', stop);
+    form.addEventListener('keydown', event => {
+      if (event.key === 'Escape') cancel();
+    });
     form.addEventListener('submit', event => {
       event.preventDefault();
-      this.change({kind: 'move', image: ray.image, line: Number(line.value), sample: Number(sample.value)});
+      store({line: Number(line.value), sample: Number(sample.value), ...(sigma ? {sigma_px: sigma} : {})});
     });
-    where.replaceChildren(form);
-    line.focus();
+    return form;
+  }
+
+  // A measure more: in an image without one, at first where the geometry puts the point
+  adding() {
+    const taken = new Set([...this.sheet.rays, ...this.sheet.set_aside].map(one => one.image));
+    const left = this.app.scene.images.filter(one => !taken.has(one.name));
+    if (!left.length) return this.app.say('It is measured, or rejected, in every image.', 'error');
+    const choice = make('select', {}, ...left.map(one => make('option', {value: one.name, textContent: one.name})));
+    const place = make('span');
+    const show = async () => {
+      const image = left.find(one => one.name === choice.value), ray = {image: image.name, picture: Boolean(image.picture)};
+      try {
+        const [{record}] = await this.app.request('/api/questions', {projections: [[this.sheet.name, image.name]]});
+        [ray.line, ray.sample] = record.line_sample_px.map(one => Number(one.toFixed(2)));
+        this.app.say(`Geometry puts ${this.sheet.name} at line ${ray.line}, sample ${ray.sample} of ${image.name}.`);
+      } catch (error) {
+        this.app.say(error.message, 'error');
+      }
+      if (choice.value !== image.name) return;
+      const form = this.placing(ray, measure => this.change({kind: 'measure', measures: [{image: image.name, ...measure}]}), () => this.forms.replaceChildren());
+      place.replaceChildren(form);
+      form.querySelector('input').focus();
+    };
+    choice.addEventListener('change', show);
+    this.forms.replaceChildren(make('div', {className: 'tools'}, make('label', {}, 'Measure in ', choice), place));
+    return show();
+  }
+
+  // What the last change of this session moved, the most moved points first
+  lastChange() {
+    const found = this.app.last;
+    if (!found?.moved?.length) return '';
+    const body = make('tbody');
+    for (const {name, vector_m: vector, sigmas} of found.moved.slice(0, 5)) {
+      const link = make('button', {type: 'button', textContent: name});
+      link.addEventListener('click', () => this.app.select(name));
+      const far = vector ? [...vector.map(one => short(one)), short(sigmas)] : ['new', '', '', ''];
+      body.append(make('tr', {}, make('td', {}, link), ...far.map(textContent => make('td', {className: 'number', textContent}))));
+    }
+    const head = make('tr', {}, ...['point', 'east (m)', 'north (m)', 'up (m)', 'of its sigmas'].map(textContent => make('th', {scope: 'col', textContent})));
+    const more = found.moved.length > 5 ? ` ${found.moved.length - 5} more moved less.` : '';
+    return make('div', {className: 'last-change'}, make('h3', {textContent: 'What the last change moved'}),
+      make('p', {className: 'caption', textContent: found.sentences.join(' ') + more}),
+      make('div', {className: 'scroll', tabIndex: 0}, make('table', {}, make('thead', {}, head), body)));
   }
 
   setAside() {
@@ -146,9 +205,17 @@ export class Sheet {
 
   actions() {
     const box = make('div', {className: 'tools'}), {sheet} = this;
-    if (sheet.kind === 'free') this.button(box, 'Hold …', 'Hold it at a known place, as ground control', () => this.holding(box));
+    this.button(box, 'Measure in …', 'Measure it in one more image', () => this.adding());
+    if (sheet.class === 'laser' || sheet.class === 'post') return this.last(box);
+    if (sheet.kind === 'free') this.button(box, 'Hold …', 'Hold it at a known place, as ground control', () => this.holding());
     else this.button(box, 'Release', 'Hold it no longer', () => this.change({kind: 'release'}));
-    if (!sheet.ranges) this.button(box, 'Take it out', 'Take the point out with all of its measures', () => this.change({kind: 'remove'}));
+    this.button(box, 'Take it out', 'Take the point out with all of its measures', () => this.change({kind: 'remove'}));
+    return this.last(box);
+  }
+
+  // What every point has behind its changes
+  last(box) {
+    const {sheet} = this;
     const look = make('button', {type: 'button', textContent: 'See it in the images'});
     look.addEventListener('click', () => this.app.show('images').then(() => this.app.emit('selected', sheet.name)));
     box.append(look);
@@ -163,22 +230,26 @@ export class Sheet {
     return box;
   }
 
-  holding(box) {
-    const place = this.sheet.place || {longitude_deg: '', latitude_deg: '', height_m: ''};
+  holding() {
+    const known = this.sheet.place, place = key => (known ? Number(known[key].toFixed(key === 'height_m' ? 3 : 8)) : '');
     const field = (key, words, value) => {
       const input = make('input', {type: 'number', step: 'any', value, required: true});
       input.dataset.key = key;
       return make('label', {}, `${words} `, input);
     };
-    const form = make('form', {className: 'tools'},
-      field('longitude_deg', 'longitude (deg E)', place.longitude_deg), field('latitude_deg', 'latitude (deg, planetographic)', place.latitude_deg),
-      field('height_m', 'height above the ellipsoid (m)', place.height_m), field('sigma_east_m', 'σ east (m)', 10), field('sigma_north_m', 'σ north (m)', 10),
+    const form = make('form', {className: 'tools holding'},
+      field('longitude_deg', 'longitude (deg E)', place('longitude_deg')), field('geodetic_latitude_deg', 'latitude (deg, planetographic)', place('geodetic_latitude_deg')),
+      field('height_m', 'height above the ellipsoid (m)', place('height_m')), field('sigma_east_m', 'σ east (m)', 10), field('sigma_north_m', 'σ north (m)', 10),
       field('sigma_up_m', 'σ up (m)', 10), make('button', {type: 'submit', textContent: 'Hold it there'}));
     form.addEventListener('submit', event => {
       event.preventDefault();
       this.change({kind: 'hold', ...Object.fromEntries([...form.querySelectorAll('input')].map(one => [one.dataset.key, Number(one.value)]))});
     });
-    box.after(form);
+    form.setAttribute('aria-label', `Hold ${this.sheet.name}`);
+    form.addEventListener('keydown', event => {
+      if (event.key === 'Escape') this.forms.replaceChildren();
+    });
+    this.forms.replaceChildren(form);
     form.querySelector('input').focus();
   }
 
@@ -193,10 +264,13 @@ export class Sheet {
   showTests({critical, alpha, rays}) {
     for (const [image, cells] of this.cells)
       ['redundancy', 'w', 'detectable_px'].forEach((key, k) => {
-        cells[k].textContent = rays[image] ? rays[image][key].map(one => short(one)).join(', ') : '–';
-        if (key === 'w' && rays[image]?.w.some(one => Math.abs(one) > critical)) cells[k].classList.add('alarm');
+        const values = rays[image]?.[key] || [];
+        cells[k].replaceChildren(...values.flatMap((one, n) => {
+          const alarm = key === 'w' && one !== null && Math.abs(one) > critical;
+          return [...(n ? [', '] : []), make('span', {className: alarm ? 'alarm' : '', textContent: short(one)})];
+        }), ...(values.length ? [] : ['–']));
       });
-    this.testWords.textContent = `A measure is suspected where |w| exceeds ${short(critical)} (a false alarm in ${short(1 / alpha, 4)}); the least detectable error is one that would be found with a probability of 80 %.`;
+    this.testWords.textContent = `A measure is suspected where |w| exceeds ${short(critical)} (a false alarm in ${short(1 / alpha, 4)}); the minimal detectable error is the smallest that would be found with a probability of 80 %.`;
   }
 
   showCorrelations({axes, rows, distance_m: away, looked_at: count}) {

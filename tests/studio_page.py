@@ -1,0 +1,45 @@
+"""A tab of a real browser at a studio, for the tests of its page."""
+
+from typing import Any
+
+from studio_server import Studio
+
+PANELS = ("map", "images", "point", "questions", "registration", "comparison")
+
+
+class Page:
+    """A tab of the browser at a studio, what it complained of and what it asked for."""
+
+    def __init__(self, browser: Any, running: Studio, width: int = 1280, **settings: Any) -> None:
+        self.context = browser.new_context(viewport={"width": width, "height": 900}, accept_downloads=True, **settings)
+        self.tab = self.context.new_page()
+        self.complaints: list[str] = []
+        self.asked: list[str] = []
+        self.tab.on("console", lambda one: self.complaints.append(one.text) if one.type == "error" else None)
+        self.tab.on("pageerror", lambda one: self.complaints.append(str(one)))
+        self.tab.on("request", lambda one: self.asked.append(one.url))
+        self.root = running.root
+        self.tab.goto(running.address)
+        self.tab.wait_for_selector("#map[data-ready]")
+
+    def run(self, script: str, *arguments: Any) -> Any:
+        return self.tab.evaluate(script, *arguments)
+
+    def until(self, script: str, argument: Any = None) -> None:
+        """Wait until a script is true; Playwright's own waiting evaluates texts in the page, which that forbids."""
+        for _ in range(150):
+            if self.run(script, argument):
+                return
+            self.tab.wait_for_timeout(100)
+        raise AssertionError(script)
+
+    def show(self, key: str) -> None:
+        """A panel by its key."""
+        self.run("document.activeElement.blur()")
+        self.tab.keyboard.press(key)
+        self.tab.wait_for_selector(f"#{PANELS[int(key) - 1]}:not([hidden])")
+
+    def close(self) -> None:
+        assert self.complaints == []
+        assert {one for one in self.asked if not one.startswith((self.root, "data:", "blob:"))} == set()
+        self.context.close()
