@@ -224,7 +224,8 @@ def measure(
         raise InputError("--sigma-px", f"{sigma_px}", "a positive number of pixels")
     if table is not None:
         require_writable(table, project)
-    wanted = [Measure(image, line, sample, *[sigma_px or 0.0] * 2) for image, line, sample in pixels]
+    sigma = sigma_px or 0.0
+    wanted = [Measure(image, line, sample, sigma, sigma) for image, line, sample in pixels]
     with open_project(project, write=True) as opened:
         if new and edits.point_state(opened, point) is not None:
             raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
