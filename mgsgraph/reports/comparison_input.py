@@ -89,7 +89,7 @@ def input_differences(earlier: Solution, solution: Solution, labels: tuple[str, 
         Column("priors", ["other" if one else "same" for one in other_priors[listed].tolist()],
                head="a-priori sigmas", page="s", text=">16"),
     ))  # fmt: skip
-    sentences = [measures.sentence(labels)]
+    sentences = [measures.differences(labels)]
     if np.any(other_priors):
         changed = [solution.network.images[j].name for j in after[other_priors].tolist()]
         sentences.append(f"Images of other a-priori sigmas: {some(changed, len(changed))}.")
@@ -112,7 +112,7 @@ class _Measures:
     weighted: np.ndarray
     """(n,) True where the sigmas do."""
 
-    def sentence(self, labels: tuple[str, str]) -> str:
+    def differences(self, labels: tuple[str, str]) -> str:
         """In words."""
         if not (self.only_earlier or self.only_later or self.moved.any() or self.weighted.any()):
             return f"The {many(self.later.size, 'image measure')} are the same."
