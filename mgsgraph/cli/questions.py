@@ -250,7 +250,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
     print_sentences([words for words in (one.warning, other.warning) if words])
     click.echo(comparison_text(found))
     if out is not None:
-        write_comparison(after, before, found, out, figures=not no_figures)
+        write_comparison(found, out, figures=not no_figures)
         click.echo(f"The comparison is in {out}")
 
 

@@ -10,7 +10,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.analysis.group_medians import medians, span
-from mgsgraph.figures.aggregate import cell_numbers, limit
+from mgsgraph.figures.aggregate import cell_means, cell_numbers, limit
 from mgsgraph.figures.overview_map import GroundFrame, draw_cells, ground_frame
 from mgsgraph.figures.sheet import MOST_MARKS, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.records import Array
@@ -21,7 +21,7 @@ _FEWEST = 3
 
 
 @plain_style()
-def comparison_sheet(points: CommonPoints, labels: tuple[str, str], name: str) -> Sheet | None:
+def comparison_sheet(points: CommonPoints, labels: tuple[str, str]) -> Sheet | None:
     """Horizontal and upward movement and the ratio of the 3-D sigmas of the common points; None of fewer than three."""
     if len(points.places) < _FEWEST:
         return None
@@ -36,7 +36,7 @@ def comparison_sheet(points: CommonPoints, labels: tuple[str, str], name: str) -
         (points.ratio, "PuOr_r", LogNorm(1.0 / factor, factor), "3-D sigma, later over earlier (logarithmic)"),
     )
     height = 7.8 if frame.long else 4.0
-    caption = _caption(points, labels, name, many, not frame.long)
+    caption = _caption(points, labels, many, not frame.long)
     sheet = new_sheet("comparison", 11.0, height, "Two solutions compared", caption, band=0.0, vector=not many)
     rows, columns = (3, 1) if frame.long else (1, 3)
     panels = sheet.panels(rows, columns, sharex="all", sharey="all").ravel()
@@ -67,7 +67,7 @@ def _draw_marks(
 ) -> None:
     drawn = panel.scatter(frame.places[:, 0], frame.places[:, 1], c=values, s=12.0, cmap=colours, norm=norm,
                           edgecolors="#55555580", linewidths=0.3, zorder=3)  # fmt: skip
-    panel.set_aspect("auto" if frame.long else "equal", adjustable="datalim")
+    panel.set_aspect("auto" if frame.long else "equal")
     ratio = isinstance(norm, LogNorm)
     ticks = FixedLocator(np.geomspace(norm.vmin or 1.0, norm.vmax or 1.0, 5).tolist()) if ratio else MaxNLocator(5)
     bar = sheet.figure.colorbar(drawn, ax=panel, extend="both", ticks=ticks, pad=0.015, aspect=22,
@@ -81,18 +81,15 @@ def _draw_arrows(panel: Axes, frame: GroundFrame, moved: Array) -> None:
     size = frame.high - frame.low
     edge = float(size.max()) / 16.0
     cells = (max(int(np.ceil(size[0] / edge)), 1), max(int(np.ceil(size[1] / edge)), 1))
-    cell, total = cell_numbers(frame.places - frame.low, size, cells), cells[0] * cells[1]
-    count = np.bincount(cell, minlength=total)
-    some = np.flatnonzero(count)
-    middles = np.stack([np.bincount(cell, frame.places[:, k], total)[some] / count[some] for k in range(2)], axis=1)
-    mean = np.stack([np.bincount(cell, moved[:, k], total)[some] / count[some] for k in range(2)], axis=1) / KM
+    middles, mean = cell_means(frame.places - frame.low, moved[:, :2] / KM, (float(size[0]), float(size[1])), cells, 1)
+    middles = middles + frame.low
     longest = float(np.linalg.norm(mean, axis=1).max())
     if longest > 0.0:
         panel.quiver(*middles.T, *mean.T, angles="xy", scale_units="xy", scale=longest / (1.5 * edge), width=0.004,
                      color="#CC0000", zorder=4)  # fmt: skip
 
 
-def _caption(points: CommonPoints, labels: tuple[str, str], name: str, many: bool, arrows: bool) -> str:
+def _caption(points: CommonPoints, labels: tuple[str, str], many: bool, arrows: bool) -> str:
     """What one sees, with figures."""
     horizontal = np.hypot(points.moved[:, 0], points.moved[:, 1])
     known = points.ratio[np.isfinite(points.ratio)]
@@ -101,7 +98,7 @@ def _caption(points: CommonPoints, labels: tuple[str, str], name: str, many: boo
     drawn = "medians of cells" if many else "one mark for each point"
     red = "red arrows (exaggerated, to scale among each other) are the mean movement of cells; " if arrows else ""
     return (
-        f"{name}: {labels[1]} minus {labels[0]}, {len(horizontal)} common points, {drawn}; half of them moved by at "
-        f"most {half} m horizontally, the largest movement is {most} m; {red}the ratio of the 3-D sigmas is {ratio}, "
-        "below 1 where a point is better known; colours end at the 2 % and 98 % quantiles."
+        f"{points.solution.name}: {labels[1]} minus {labels[0]}, {len(horizontal)} common points, {drawn}; half of "
+        f"them moved by at most {half} m horizontally, the largest movement is {most} m; {red}the ratio of the 3-D "
+        f"sigmas is {ratio}, below 1 where a point is better known; colours end at the 2 % and 98 % quantiles."
     )

@@ -144,9 +144,9 @@ def registration_figures(registration: CaseRegistration) -> list[Picture]:
     return [*drawn(discrepancy_sheets(registration)), *closeups]
 
 
-def comparison_figures(solution: Solution, earlier: Solution) -> list[Picture]:
+def comparison_figures(points: CommonPoints) -> list[Picture]:
     """The map of the differences from an earlier solution; none of fewer than three common points."""
-    sheet = comparison_sheet(CommonPoints(solution, earlier), ("the earlier one", "this one"), solution.name)
+    sheet = comparison_sheet(points, ("the earlier one", "this one"))
     return drawn([] if sheet is None else [sheet])
 
 

@@ -49,6 +49,8 @@ class Comparison:
     """In words."""
     tables: list[Table]
     """Of settings and input that differ, figures of merit, sigmas, images and points."""
+    points: CommonPoints
+    """The ground points that both have."""
 
 
 def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("earlier", "this one")) -> Comparison:
@@ -82,7 +84,7 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
         method, *about_images, *about_points, *about_sigmas, settings.sentence, *inputs.sentences, *others,
     ]  # fmt: skip
     every = (_fit_figures(solution, earlier, labels), sigmas, settings.table, inputs.table, images, moved)
-    return Comparison(earlier.name, labels, sentences, [table for table in every if len(table)])
+    return Comparison(earlier.name, labels, sentences, [table for table in every if len(table)], points)
 
 
 def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]]:
@@ -257,9 +259,7 @@ def comparison_text(found: Comparison) -> str:
     return "\n".join(lines)
 
 
-def write_comparison(
-    solution: Solution, earlier: Solution, found: Comparison, folder: Path, figures: bool = True
-) -> list[str]:
+def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> list[str]:
     """Write comparison.json, a CSV file for each table (of all common points, not only those that moved most) and the
     map of differences to a folder that appears whole or not at all; the names of the files.
 
@@ -268,20 +268,19 @@ def write_comparison(
     InputError
         If the folder holds anything but an earlier comparison, or can't be written.
     """
-    points = CommonPoints(solution, earlier)
     with fresh_folder(folder, COMPARISON) as aside:
         record = {"program": PROGRAM, "format": 1, "names": list(found.labels), "statements": found.sentences}
         record |= {table.name: table.records() for table in found.tables if table.name != _POINTS}
         write_json(aside / COMPARISON, record)
         names = [COMPARISON]
         for table in found.tables:
-            whole = moved_points(points) if table.name == _POINTS else table
+            whole = moved_points(found.points) if table.name == _POINTS else table
             whole.write_csv(aside / f"{table.name}.csv")
             names.append(f"{table.name}.csv")
         if figures:
             from mgsgraph.figures.comparison import comparison_sheet  # matplotlib takes its time
             from mgsgraph.figures.sheet import save
 
-            sheet = comparison_sheet(points, found.labels, solution.name)
+            sheet = comparison_sheet(found.points, found.labels)
             names += save([] if sheet is None else [sheet], aside)
     return names

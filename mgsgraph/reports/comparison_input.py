@@ -113,7 +113,7 @@ class _Measures:
     """(n,) True where the sigmas do."""
 
     def differences(self, labels: tuple[str, str]) -> str:
-        """In words."""
+        """How the measures of both adjustments differ, in a sentence."""
         if not (self.only_earlier or self.only_later or self.moved.any() or self.weighted.any()):
             return f"The {many(self.later.size, 'image measure')} are the same."
         parts = [f"Image measures: {self.later.size} of both"]

@@ -88,8 +88,8 @@ def _content(
     registration = None if case is None or not case.profiles else register_case(case, solution)
     connected = solution_connectivity(solution)
     drawings = figure_tasks(solution, connected)
-    if earlier is not None:
-        drawings.append(("comparison", partial(comparison_figures, solution, earlier)))
+    if compared is not None:
+        drawings.append(("comparison", partial(comparison_figures, compared.points)))
     sections, tasks = zip(*drawings, strict=True)
     with called_in_workers(tasks, "figures of the page", "give this program more memory") as drawn:
         sigmas, without_sigmas = sigma_figures(solution)

@@ -9,7 +9,6 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import PointClass
@@ -110,7 +109,8 @@ def comparison(opened: Opened, other: Path) -> dict[str, Any]:
         raise InputError(str(opened.path), "no batch solution of it as it is now", remedy=remedy)
     earlier = read_solution(results_of(other).folder)
     labels = (other.name or str(other), "this one")
-    found, points = compare(opened.solution, earlier, labels), CommonPoints(opened.solution, earlier)
+    found = compare(opened.solution, earlier, labels)
+    points = found.points
     first = np.argsort(-np.linalg.norm(points.moved, axis=1), kind="stable")
     every = np.linspace(0, max(first.size - 1, 0), min(first.size, _MOST_MOVED)).astype(np.int64)
     mine = first[every] if first.size else first

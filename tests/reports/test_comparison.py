@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib.quiver import Quiver
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.cli import group
 from mgsgraph.figures.comparison import comparison_sheet
+from mgsgraph.figures.sheet import encoded
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.output.table import Table
 from mgsgraph.reports.comparison import compare, write_comparison
 from mgsgraph.reports.comparison_input import input_differences, setting_differences
@@ -84,19 +87,35 @@ def test_every_block_has_a_map(solution: Solution, copies: int) -> None:
     rows = np.tile(np.arange(len(solution.network.points)), 1 + copies // len(solution.network.points))
     points = CommonPoints(solution, solution)
     object.__setattr__(points, "rows", (rows, rows))
-    sheet = comparison_sheet(points, LABELS, "block")
+    sheet = comparison_sheet(points, LABELS)
     assert sheet is not None
     assert sheet.vector == (copies == 1)
     few = CommonPoints(solution, solution)
     object.__setattr__(few, "rows", (rows[:2], rows[:2]))
-    assert comparison_sheet(few, LABELS, "block") is None
+    assert comparison_sheet(few, LABELS) is None
+
+
+def test_a_square_block_has_arrows(solution: Solution) -> None:
+    """Longer than wide by less than four times: drawn east and north to one scale, with the mean movement of cells."""
+    points = CommonPoints(solution, solution)
+    n, (k, *_) = 400, points.rows[0]
+    east, north = np.meshgrid(np.linspace(-2e4, 2e4, 20), np.linspace(-2e4, 2e4, 20))
+    frame = east_north_up(solution.places[[k]])[0]
+    object.__setattr__(points, "rows", (np.full(n, k), np.full(n, k)))
+    object.__setattr__(points, "places", solution.places[k] + np.column_stack([east.ravel(), north.ravel()]) @ frame[:2])
+    object.__setattr__(points, "moved", np.tile([3.0, 4.0, 1.0], (n, 1)))
+    sheet = comparison_sheet(points, LABELS)
+    assert sheet is not None
+    encoded(sheet, "png")
+    (arrows,) = [one for one in sheet.figure.axes[0].collections if isinstance(one, Quiver)]
+    np.testing.assert_allclose(np.asarray(arrows.V) / np.asarray(arrows.U), 4.0 / 3.0)
 
 
 def test_files_hold_every_common_point(solution: Solution, tmp_path: Path) -> None:
     network = solution.network
     other = adjust_network(replace(network, rays=network.rays.chosen(np.arange(network.rays.point.size - 2))),
                            solution.settings)  # fmt: skip
-    names = write_comparison(other, solution, compare(other, solution, LABELS), tmp_path / "out")
+    names = write_comparison(compare(other, solution, LABELS), tmp_path / "out")
     assert sorted(names) == sorted(path.name for path in (tmp_path / "out").iterdir())
     with (tmp_path / "out" / "points_compared.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
