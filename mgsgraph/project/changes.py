@@ -44,7 +44,7 @@ def is_solved(project: Project) -> bool:
     return adjusted and needed.issubset(known)
 
 
-def _incremental(project: Project, settings: SolverSettings | None = None) -> IncrementalAdjustment:
+def incremental(project: Project, settings: SolverSettings | None = None) -> IncrementalAdjustment:
     """From the state that the project holds, with its settings or others; points are always eliminated there, to the
     same result.
     """
@@ -58,9 +58,9 @@ def add(project: Project, addition: Addition) -> Impact | None:
     if not is_solved(project):
         put_in(store, addition)
     elif network is None:
-        impact = _incremental(project).add([one.known for one in addition.images], brought=addition.definitions)
+        impact = incremental(project).add([one.known for one in addition.images], brought=addition.definitions)
     else:
-        impact = _incremental(project).add(network, brought=addition.definitions)
+        impact = incremental(project).add(network, brought=addition.definitions)
     _note_sources(project, addition.images)
     project.add_networks(addition.networks)
     rays = 0 if network is None else network.rays.point.size
@@ -68,7 +68,7 @@ def add(project: Project, addition: Addition) -> Impact | None:
     what = ", ".join(addition.names) or "measures"
     files = [str(file) for file in addition.files]
     summary = {"images": list(addition.names), "rays": rays, "ranges": ranges, "files": files}
-    _note(project, "add", what, summary, impact)
+    note(project, "add", what, summary, impact)
     return impact
 
 
@@ -81,17 +81,17 @@ def remove(project: Project, images: Sequence[str]) -> Impact | None:
             raise InputError(str(project.folder), f"no image {name!r}", f"one of the project's ({known})")
     impact: Impact | None = None
     if is_solved(project):
-        impact = _incremental(project).remove(*images)
+        impact = incremental(project).remove(*images)
     else:
         _take_out(store, images)
-    _note(project, "remove", ", ".join(images), {"images": list(images)}, impact)
+    note(project, "remove", ", ".join(images), {"images": list(images)}, impact)
     return impact
 
 
 def check(project: Project) -> Closing:
     """The closing check against batch, without products; batch's result is taken over where it is needed."""
     with errors_from(str(project.folder)):
-        closing, solution = _incremental(project).close(project.name)
+        closing, solution = incremental(project).close(project.name)
     project.record("check", f"{len(solution.network.images)} images", _closing_facts(closing))
     project.record_batch(solution)
     return closing
@@ -137,10 +137,10 @@ def solve(
     closing: Closing | None = None
     with errors_from(str(project.folder)):
         if is_solved(project):
-            closing, solution = _incremental(project, settings).close(name, progress)
+            closing, solution = incremental(project, settings).close(name, progress)
         else:
             solution = adjust_network(store.network(), replace(settings, starts=0), name, progress)
-            _incremental(project, settings).adopt(solution)
+            incremental(project, settings).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
     folder, files = project.keep_solution(
@@ -186,19 +186,16 @@ def _note_sources(project: Project, images: Sequence[NewImage]) -> None:
         project.add_sources(one.known.image.name, one.files, one.picture)
 
 
-def _note(project: Project, verb: str, what: str, summary: dict[str, Any], impact: Impact | None) -> None:
+def note(project: Project, verb: str, what: str, summary: dict[str, Any], impact: Impact | None) -> int:
+    """Note a change in the history, with what it did to the rest; its number."""
     if impact is None:
-        project.record(verb, what, summary)
-        return
+        return project.record(verb, what, summary)
     moved = int(np.count_nonzero(~impact.points.new))
     counts = {"images_reached": len(impact.images.names), "points_moved": moved, "updates": impact.updates}
-    project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
-    project.record_incremental(impact.converged, outcome(impact))
-
-
-def outcome(impact: Impact) -> str:
-    """How an incremental adjustment ended, for the record of the solution."""
-    return "All unknowns came to rest." if impact.converged else "It did not come to rest; solve the project anew."
+    number = project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
+    message = "All unknowns came to rest." if impact.converged else "It did not come to rest; solve the project anew."
+    project.record_incremental(impact.converged, message)
+    return number
 
 
 class NewProject(NamedTuple):

@@ -9,7 +9,7 @@ an adjustment takes for a blunder itself it judges anew each time.)
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -18,13 +18,12 @@ from mgsgraph.errors import InputError, errors_from, one_line
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.impact import Impact
-from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.incremental.state import with_points
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges, Surface
 from mgsgraph.network.parts import image_columns, joined, part
 from mgsgraph.project.addition import on_terrain
-from mgsgraph.project.changes import is_solved, outcome, put_waiting
+from mgsgraph.project.changes import incremental, is_solved, note, put_waiting
 from mgsgraph.project.journal import Measure, PointState, last_state, state_of
 from mgsgraph.project.project import Project
 from mgsgraph.ties import PointKind
@@ -272,21 +271,13 @@ def _put(
     impact: Impact | None = None
     with errors_from(str(project.folder)):
         if is_solved(project):
-            settings = replace(project.settings.solver.settings, form="bundle")
-            impact = IncrementalAdjustment(settings, project.store).put_points([point], network, kind)
+            impact = incremental(project).put_points([point], network, kind)
         else:
             put_waiting(project.store, *with_points(project.store, [point], network, project.store.definitions()))
-    summary: dict[str, Any] = {"point": point, "kind": kind}
-    if impact is not None:
-        moved = int(np.count_nonzero(~impact.points.new))
-        summary |= {"points_moved": moved, "updates": impact.updates, "seconds": round(impact.seconds, 3)}
-    sentence = f"Point {point}: {words}."
-    number = project.record("edit", f"point {point}: {words}", summary)
+    number = note(project, "edit", f"point {point}: {words}", {"point": point, "kind": kind}, impact)
     texts = [None if one is None else msgspec.json.encode(one).decode() for one in (before, after)]
     project.record_edit(number, kind, point, texts[0], texts[1], undoes)
-    if impact is not None:
-        project.record_incremental(impact.converged, outcome(impact))
-    return Edited(kind, point, sentence, impact, number)
+    return Edited(kind, point, f"Point {point}: {words}.", impact, number)
 
 
 def _after(project: Project, point: str, state: PointState | None) -> Network | None:

@@ -1,6 +1,5 @@
 """What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from mgsgraph.io.files import understood
 from mgsgraph.io.records import read_record
 from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
-from mgsgraph.project.changes import is_solved
+from mgsgraph.project.changes import incremental, is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import CHANGING, Project, open_project
 from mgsgraph.reports.archive import ARCHIVE, read_solution
@@ -165,5 +164,4 @@ def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
     """The adjustment that a project holds; InputError for one that has never been solved."""
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
-    settings = replace(project.settings.solver.settings, form="bundle")
-    return IncrementalAdjustment(settings, project.store)
+    return incremental(project)

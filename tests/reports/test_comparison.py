@@ -102,7 +102,8 @@ def test_a_square_block_has_arrows(solution: Solution) -> None:
     east, north = np.meshgrid(np.linspace(-2e4, 2e4, 20), np.linspace(-2e4, 2e4, 20))
     frame = east_north_up(solution.places[[k]])[0]
     object.__setattr__(points, "rows", (np.full(n, k), np.full(n, k)))
-    object.__setattr__(points, "places", solution.places[k] + np.column_stack([east.ravel(), north.ravel()]) @ frame[:2])
+    plane = np.column_stack([east.ravel(), north.ravel()])
+    object.__setattr__(points, "places", solution.places[k] + plane @ frame[:2])
     object.__setattr__(points, "moved", np.tile([3.0, 4.0, 1.0], (n, 1)))
     sheet = comparison_sheet(points, LABELS)
     assert sheet is not None
