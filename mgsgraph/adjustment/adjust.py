@@ -1,67 +1,26 @@
 """The main job: lay a network out, solve it (in passes, when blunders are sought), and read off the posterior."""
 
-import importlib.metadata
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
-from mgsgraph.adjustment.datum.datum import require_strength
-from mgsgraph.adjustment.driver_search import drivers_of
-from mgsgraph.adjustment.driver_words import driver_sentences
-from mgsgraph.adjustment.drivers import Drivers
 from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
-from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
-from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values
-from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS, Linearity, linearity
-from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import (
-    explicit_covariances,
-    fit,
-    orientation_covariance,
-    point_covariances,
-)
-from mgsgraph.adjustment.predicted_lines import exactly, settled
-from mgsgraph.adjustment.residuals import Residuals, residuals
-from mgsgraph.adjustment.rounds import (
-    Progress,
-    Selection,
-    Solved,
-    determined_points,
-    everything,
-    places_of_all,
-    solve_in_rounds,
-    without_weak,
-)
+from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph.bundle import Sweeper
+from mgsgraph.adjustment.nominal import nominal_reduction, nominal_state
+from mgsgraph.adjustment.reading_off import Clock, read_off
+from mgsgraph.adjustment.rounds import Progress, Selection, Solved, determined_points, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.starts import best_of_starts, starts_wanted
-from mgsgraph.errors import InputError, SolverError
-from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.support import require_observed_nodes
-
-
-@dataclass(slots=True)
-class _Clock:
-    """Wall time by stage."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    _since: float = field(default_factory=time.perf_counter)
-
-    def stop(self, stage: str) -> None:
-        """Book the time since the last stop."""
-        now = time.perf_counter()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._since
-        self._since = now
 
 
 def adjust_network(
@@ -109,7 +68,7 @@ def adjust_network(
     SolverError
         The cluster has gone.
     """
-    clock = _Clock()
+    clock = Clock()
     if cluster is not None:
         require_bundles(settings, cluster.where)
     require_usable(settings)
@@ -120,10 +79,9 @@ def adjust_network(
     with _sweeper(layout, settings, cluster) as sweeper:
         if cluster is not None:
             clock.stop("send to workers")
-        layout, selection, before = _nominal(layout, sweeper, left_in)
+        layout, selection, before = nominal_reduction(layout, sweeper, left_in)
         clock.stop("solve")
-        places = _places_before(layout, before)
-        nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places, sweeper))
+        nominal = nominal_state(layout, before, sweeper)
         clock.stop("residuals")
         orientation = None if begin is None else layout.variables.joined(begin)
         solved = solve_in_rounds(layout, settings, selection, before, progress, sweeper, orientation)
@@ -134,8 +92,8 @@ def adjust_network(
             solved, minima, mixture = best_of_starts(solved, settings, before, starts, sweeper)
             clock.stop("starts")
         _require_ties(name, solved)
-        del before, layout, places  # the posterior needs the memory
-        found = _posterior(settings, name, solved, nominal, clock, sweeper, mixture)
+        del before, layout  # the posterior needs the memory
+        found = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
         return replace(found, minima=minima, message=" ".join([found.message, *remarks_of(sweeper)]))
 
 
@@ -185,246 +143,3 @@ def _sweeper(layout: Layout, settings: SolverSettings, cluster: Connection | Non
         return
     with Partitions(cluster, layout) as partitions:
         yield partitions
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """What the geometry and the a-priori sigmas alone say, before anything is solved."""
-
-    places: Array
-    """(n, 3) m, where the nominal orientation puts the points; NaN for undetermined ones."""
-    covariances: Array
-    """(n, 3, 3) m^2, of the points after the adjustment, for sigma0 = 1; NaN for undetermined ones."""
-    residuals: Array
-    """(k, 2) pixels, with the nominal orientation."""
-    range_residuals: Array
-    """(r,) m, with the nominal orientation."""
-
-
-def predict(network: Network, settings: SolverSettings) -> Prediction:
-    """Covariances that an adjustment of the network will have; raises what `adjust_network` raises before solving."""
-    network.require_observed()
-    layout, selection, before = _nominal(lay_out(network, settings))
-    rows, nominal = selection.rows(layout), np.zeros(layout.columns)
-    joint = orientation_covariance(BundleGraph(layout, rows), before)
-    covariances = point_covariances(layout, rows, nominal, before.points, joint)
-    places = _places_before(layout, before)
-    found = _exact_residuals(layout, places)
-    blank = layout.network_order(np.where(determined_points(rows), 1.0, np.nan))
-    return Prediction(
-        layout.network_order(places) * blank[:, None],
-        layout.network_order(covariances) * blank[:, None, None],
-        found.image * blank[network.rays.point][:, None],
-        found.ranges,
-    )
-
-
-def _nominal(
-    layout: Layout, sweeper: Sweeper = IN_PROCESS, left_in: Selection | None = None
-) -> tuple[Layout, Selection, Reduction]:
-    """All points that are determined, and their reduction with the nominal orientation, rays laid out about the lines
-    that it predicts.
-
-    Raises PointBehindCamera, and WeakNetwork where nothing determines some direction of the orientation.
-    """
-    wanted, nominal = left_in or everything(layout.network), np.zeros(layout.columns)
-    selection = wanted.without_stereo()
-    before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
-    strong = without_weak(layout, before, selection)
-    if np.all(strong.out):
-        raise InputError(
-            "network",
-            f"none of {len(layout.network.points)} points is determined by its rays",
-            "points seen from two sides, or with an a-priori place",
-        )
-    if not np.array_equal(strong.out, selection.out):
-        selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
-    require_strength(layout, before)
-
-    def again(anew: Layout) -> Reduction:
-        return BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
-
-    layout, before = settled(layout, before, again, own=True, sweeper=sweeper)
-    return layout, replace(selection, stereo=wanted.stereo), before
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Nominal:
-    """What the nominal orientation makes of the network."""
-
-    places: Array
-    """(n, 3) m, network order."""
-    residuals: Residuals
-    """There."""
-
-
-def _posterior(
-    settings: SolverSettings,
-    name: str,
-    solved: Solved,
-    nominal: _Nominal,
-    clock: _Clock,
-    sweeper: Sweeper,
-    mixture: JointCovariance | None,
-) -> Solution:
-    """Covariances, residuals and the record of it all; with several minima the joint covariance is their mixture's."""
-    layout, rows, orientation = solved.layout, solved.rows, solved.orientation
-    network = layout.network
-    without_laser = (None, None) if mixture is not None else _sigmas_without_laser(layout, solved, sweeper)
-    clock.stop("without laser")
-    determined = layout.network_order(determined_points(rows))
-    found = residuals(layout, orientation, solved.points, sweeper)
-    found_fit = fit(layout, rows, orientation, solved.points, found)
-    drivers = None
-    if not solved.outcome.converged or found_fit.absurd:
-        drivers = _drivers(solved, found, sweeper)
-        clock.stop("drivers")
-    if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
-        found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
-    found_before = nominal.residuals
-    never = solved.selection.out[network.rays.point]
-    found.image[never] = found_before.image[never] = np.nan
-    clock.stop("residuals")
-    if drivers is not None:
-        _require_covariance(solved, drivers)
-    if solved.explicit is not None:
-        joint, covariances = explicit_covariances(layout, solved.explicit, solved.outcome.state)
-        straight = _linearity(layout, solved, joint, sweeper)
-    else:
-        assert solved.reduction is not None
-        joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
-        straight = _linearity(layout, solved, joint, sweeper)
-        clock.stop("linearity")
-        joint = joint if mixture is None else mixture
-        covariances = point_covariances(layout, rows, orientation, solved.points, joint, sweeper)
-    clock.stop("covariance")
-    shifts, lift = shift_values(network, layout.variables, orientation)
-    coefficients = tuple(
-        orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)
-        for j, own in enumerate(network.with_polynomial.tolist())
-    )
-    nodes, trends = pass_values(network, layout.variables, orientation)
-    message = solved.outcome.message
-    if solved.circling:
-        message += f" This holds for the best of {solved.rounds} passes; what was rejected still changed in each."
-    elif solved.rounds > 1:
-        message += f" {solved.rounds} passes, until rejected rows stayed as they were."
-    return Solution(
-        name=name,
-        network=network,
-        settings=settings,
-        converged=solved.outcome.converged,
-        message=message,
-        history=solved.history,
-        cost_initial=solved.cost_initial,
-        cost_final=solved.outcome.cost_final,
-        fit=found_fit,
-        coefficients=coefficients,
-        shifts=shifts,
-        joint_covariance=joint,
-        places_before=np.where(determined[:, None], nominal.places, np.nan),
-        places=_blanked(layout, solved.points, determined),
-        covariances=_blanked(layout, covariances, determined),
-        determined=determined,
-        rays_used=(rows.weight[0, layout.observation_rows.rays] > 0.0) & determined[network.rays.point],
-        ranges_used=rows.weight[0, layout.observation_rows.ranges] > 0.0,
-        residuals=found.image,
-        residuals_before=found_before.image,
-        range_residuals=found.ranges,
-        range_residuals_before=found_before.ranges,
-        sigmas_without_laser=without_laser[0],
-        median_sigmas_without_laser=without_laser[1],
-        seconds=clock.seconds,
-        versions=versions(),
-        rays_rejected=~solved.selection.rays,
-        ranges_rejected=~solved.selection.ranges,
-        stereo_rejected=~solved.selection.stereo,
-        test_dimensions=solved.dimensions,
-        stereo_heights=np.where(determined, found.stereo, np.nan),
-        shared=shared_values(network, layout.variables, orientation),
-        nodes=nodes,
-        trends=trends,
-        lift=lift,
-        linearity=straight,
-        drivers=drivers,
-    )
-
-
-def _require_covariance(solved: Solved, drivers: Drivers) -> None:
-    """Raise SolverError, with what drives it, where an adjustment that did not converge has no covariance either."""
-    layout, message = solved.layout, solved.outcome.message
-    if solved.reduction is None or solved.outcome.converged:
-        return
-    try:
-        BundleGraph(layout, solved.rows).factor(solved.reduction)
-    except NotDefinite:
-        words = " ".join(driver_sentences(drivers, layout.network))
-        raise SolverError(f"{message} What it stopped at determines no orientation. {words}") from None
-
-
-def _drivers(solved: Solved, found: Residuals, sweeper: Sweeper) -> Drivers:
-    """Which images and points drive an adjustment; `found` are the residuals at its end."""
-    graph = BundleGraph(solved.layout, solved.rows, sweeper)
-    at = solved.reduction or graph.reduction(solved.orientation, points=solved.points)
-    damping = solved.outcome.history[-1].damping if solved.outcome.history else 0.0
-    return drivers_of(graph, at, damping, found)
-
-
-def _linearity(layout: Layout, solved: Solved, joint: JointCovariance, sweeper: Sweeper) -> Linearity | None:
-    """Whether the joint covariance may be used; None of large networks, and of costs that are no sums of squares."""
-    large = len(layout.network.points) > MOST_POINTS or layout.columns > MOST_UNKNOWNS
-    if large or layout.model.loss != NO_LOSS or not solved.outcome.converged:
-        return None
-    graph = BundleGraph(layout, solved.rows, sweeper)
-    at = solved.reduction or graph.reduction(solved.orientation, points=solved.points)
-    if layout.prior.considered:
-        joint = orientation_covariance(graph, at, consider=False)
-    return linearity(graph, at, joint.square_root)
-
-
-def _blanked(layout: Layout, values: Array, determined: Mask) -> Array:
-    """Values (n, ...) in the network's order, NaN for undetermined points; done in place, a component at a time."""
-    for column in values.reshape(values.shape[0], -1).T:
-        column[:] = np.where(determined, layout.network_order(column), np.nan)
-    return values
-
-
-def _places_before(layout: Layout, before: Reduction) -> Array:
-    """(n, 3) m, layout order: a-priori places; for free points the intersection with the nominal orientation."""
-    return np.where((layout.rows.kind == PRIOR)[:, None], layout.rows.start, before.points)
-
-
-def _exact_residuals(layout: Layout, places: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
-    """With the nominal orientation at places (n, 3), layout order: a-priori ones are not where the rays alone meet."""
-    nominal = np.zeros(layout.columns)
-    layout, places = exactly(layout, nominal, places, sweeper)
-    return residuals(layout, nominal, places, sweeper)
-
-
-def _sigmas_without_laser(
-    layout: Layout, solved: Solved, sweeper: Sweeper
-) -> tuple[Array, Array] | tuple[None, None]:
-    """(3,) m mean and median sigmas of the tie points, had there been no laser rows; no observed values are needed."""
-    classes = layout.network.points.classes
-    ties = classes == PointClass.TIE
-    laser = classes == PointClass.LASER
-    if not (np.any(ties) and np.any(laser)):
-        return None, None
-    left = solved.selection
-    rows = replace(left, ranges=np.zeros_like(left.ranges), out=left.out | laser).rows(layout)
-    if np.any(np.isinf(layout.sigmas)):
-        return None, None  # without the laser nothing may hold the datum
-    graph = BundleGraph(layout, rows, sweeper)
-    reduction = graph.reduction(solved.orientation, points=solved.points)
-    joint = orientation_covariance(graph, reduction)
-    covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
-    mine = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
-    if not np.any(mine):
-        return None, None
-    sigmas = [np.sqrt(covariances[mine, axis, axis]) for axis in range(3)]
-    return np.array([one.mean() for one in sigmas]), np.array([np.median(one) for one in sigmas])
-
-
-def versions() -> dict[str, str]:
-    """Versions of this program and of the libraries that compute."""
-    return {name: importlib.metadata.version(name) for name in ("mgsgraph", "gtsam", "numpy", "numba")}

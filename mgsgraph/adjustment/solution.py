@@ -13,6 +13,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.starts import Minima
+from mgsgraph.adjustment.strained import Strained, strained_orientations
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
@@ -117,8 +118,8 @@ class Solution(Record):
     covariance, and what follows from it, is the mean square about the lowest one over their mixture."""
 
     drivers: Drivers | None = None
-    """Which images and points drive it; None where it came to rest with a sigma0 that can be, or an older version
-    didn't say."""
+    """Which images and points drive it; None where it came to rest with a sigma0 and orientations that can be, or an
+    older version didn't say."""
 
     @property
     def stereo_used(self) -> Mask:
@@ -143,6 +144,11 @@ class Solution(Record):
     def iterations(self) -> int:
         """Number of steps tried."""
         return len(self.history)
+
+    @cached_property
+    def strained(self) -> tuple[Strained, ...]:
+        """Images whose orientation was moved by far more than is said to be known of it, worst first."""
+        return strained_orientations(self.network, self.coefficients, self.nodes)
 
     @cached_property
     def values(self) -> tuple[Array, ...]:

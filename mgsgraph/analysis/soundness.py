@@ -1,8 +1,10 @@
-"""Whether an adjustment that came to rest is a result: what it left out, and whether its sigma0 can be.
+"""Whether an adjustment that came to rest is a result: what it left out, and whether its sigma0 and its orientations
+can be.
 
 An optimiser comes to rest on whatever is left to it. Robust estimates and rejection hold while more than half of the
 observations of a kind are good, and no estimate can hold beyond (breakdown point; Rousseeuw & Leroy 1987, section 1.2):
-where most are left out, those that are left may as well be the wrong ones.
+where most are left out, those that are left may as well be the wrong ones. And among many measures one wrong image
+hardly shows in sigma0: least squares turns it by hundreds of a-priori sigmas, and bends its neighbours.
 """
 
 from enum import StrEnum
@@ -12,6 +14,7 @@ import numpy as np
 
 from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.strained import Strained
 from mgsgraph.analysis.statistics import ray_statistics, rejected_points
 from mgsgraph.network import PointClass
 
@@ -76,6 +79,8 @@ class Soundness(NamedTuple):
     """Kinds of observations of which many are lost, the most first."""
     sigma0: float
     """A-posteriori standard deviation of unit weight; NaN without redundancy."""
+    impossible: tuple[Strained, ...]
+    """Orientations that no stated sigma allows, the farthest first."""
 
     @property
     def absurd(self) -> bool:
@@ -90,11 +95,11 @@ class Soundness(NamedTuple):
     @property
     def sound(self) -> bool:
         """Whether nothing forbids to take the solution for a result."""
-        return not self.absurd and not self.fatal
+        return not (self.absurd or self.fatal or self.impossible)
 
 
 def soundness(solution: Solution) -> Soundness:
-    """What a solution left out, and whether its sigma0 can be."""
+    """What a solution left out, and whether its sigma0 and its orientations can be."""
     network, rays = solution.network, ray_statistics(solution)
     lost, found = rejected_points(solution), list[Loss]()
     for one, kind in _OF_CLASS.items():
@@ -108,7 +113,8 @@ def soundness(solution: Solution) -> Soundness:
     for j, (total, used) in enumerate(zip(rays.total.tolist(), rays.count.sum(axis=1).tolist(), strict=True)):
         found.append(Loss(Kind.IMAGE, network.images[j].name, total - used, total))
     worth = [one for one in found if one.total and (one.fatal or one.large)]
-    return Soundness(tuple(sorted(worth, key=lambda one: -one.share)), solution.sigma0)
+    impossible = tuple(one for one in solution.strained if one.impossible)
+    return Soundness(tuple(sorted(worth, key=lambda one: -one.share)), solution.sigma0, impossible)
 
 
 def is_result(solution: Solution) -> bool:

@@ -85,8 +85,8 @@ def adjust(
     blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md. With
     --relief laser profiles of unknown shift are held to the surface that the images show: see docs/coregister.md.
 
-    Exit status: 0 converged, 1 not converged, or to what is no result: most of a kind of observations left out, or an
-    absurd sigma0 (results are written); 2 bad input.
+    Exit status: 0 converged, 1 not converged, or to what is no result: most of a kind of observations left out, an
+    absurd sigma0, orientations beyond 100 a-priori sigmas (results are written); 2 bad input.
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.adjustment.cluster import open_cluster, parse_cluster

@@ -11,7 +11,6 @@ from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.group_fits import ODDS, GroupFit, group_fits
-from mgsgraph.analysis.strained import strained_orientations
 from mgsgraph.output.table import Column, Table
 from mgsgraph.wording import listed
 
@@ -74,7 +73,7 @@ def weight_unit(solution: Solution) -> list[str]:
     worse, better = [one for one in fits if one.worse], [one for one in fits if one.better]
     words = _words(worse, better) if worse or better else ""
     mixed = f"{head}, but it is a mean of observations that do not fit alike: {words}" if words else ""
-    if solution.converged and strained_orientations(solution):
+    if solution.converged and solution.strained:
         return [
             f"{mixed or head}. No sigma holds, whatever it is multiplied by, while orientations are far beyond their "
             "a-priori sigmas: see there, and look at the inputs first."

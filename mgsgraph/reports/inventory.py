@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.adjust import Prediction, predict
+from mgsgraph.adjustment.nominal import Prediction, predict
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
 from mgsgraph.case.passes import members

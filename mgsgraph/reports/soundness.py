@@ -4,8 +4,9 @@ from typing import Any
 
 from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.strained import IMPOSSIBLE
 from mgsgraph.analysis.soundness import MOST, Loss, soundness
-from mgsgraph.wording import listed
+from mgsgraph.wording import listed, some
 
 _NAMED = 4
 """Losses that are named."""
@@ -35,6 +36,14 @@ def soundness_statements(solution: Solution) -> list[str]:
             "blunders. Look at the largest ones in the table of residuals and at `mgsgraph check`, or reject blunders "
             "(--reject 4)."
         )
+    if solution.converged and found.impossible:
+        far = [solution.network.images[one.image].name for one in found.impossible]
+        said.append(
+            f"NO RESULT although it came to rest: orientations were moved by up to {found.impossible[0].most:.0f} "
+            f"a-priori sigmas ({some(far, len(far))}). Beyond {IMPOSSIBLE:.0f} no stated sigma is to blame, but an "
+            "input (measures of another image, lines and samples interchanged, kernels, a camera, a unit). Look at "
+            "these images with `mgsgraph check`, or leave them out."
+        )
     many = [one for one in found.losses if not one.fatal]
     if many:
         said.append(
@@ -58,7 +67,10 @@ def soundness_json(solution: Solution) -> dict[str, Any]:
     return {
         "sound": solution.converged and found.sound,
         "sigma0_absurd": found.absurd,
-        "limits": {"share": MOST, "sigma0": ABSURD},
+        "orientations_impossible": [
+            {"image": solution.network.images[one.image].name, "sigmas": one.most} for one in found.impossible
+        ],
+        "limits": {"share": MOST, "sigma0": ABSURD, "orientation_sigmas": IMPOSSIBLE},
         "left_out": [
             {"kind": str(one.kind), "image": one.image or None, "count": one.lost, "of": one.total, "fatal": one.fatal}
             for one in found.losses

@@ -19,7 +19,6 @@ from mgsgraph.analysis.statistics import (
     solution_connectivity,
     used_ray_counts,
 )
-from mgsgraph.analysis.strained import strained_orientations
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import Connectivity
@@ -85,10 +84,10 @@ def _ending(solution: Solution) -> list[str]:
 
 def _strained(solution: Solution) -> list[str]:
     """Orientations that were moved too far, and ranges that no orbit within its sigmas explains."""
-    net, found = solution.network, strained_orientations(solution)
+    net, found = solution.network, solution.strained
     ranges = range_statements(net, solution.range_residuals_before)
     said = [f"With the nominal orientation {sentence}." for sentence in ranges]
-    if not found:
+    if not found or (solution.converged and found[0].impossible):  # of which `soundness_statements` speaks
         return said
     names = some_of([net.images[one.image].name for one in found], np.arange(len(found)))
     return [

@@ -7,10 +7,9 @@ import pytest
 from networks import network, pair
 from rigs import adjusted_rig, rig
 
-from mgsgraph.adjustment.adjust import predict
+from mgsgraph.adjustment.nominal import predict
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.nominal import unexplained_ranges, unexplained_residuals
-from mgsgraph.analysis.strained import strained_orientations
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.reports.readings import beyond_priors_statements, range_statements
@@ -53,7 +52,7 @@ def test_what_a_pass_and_its_boresight_explain_is_let_be(seed: int) -> None:
     net = rig(seed=seed)
     assert not found(net)
     assert not range_statements(net, predict(net, SolverSettings()).range_residuals)
-    assert not strained_orientations(adjusted_rig(seed))
+    assert not adjusted_rig(seed).strained
 
 
 def test_interchanged_lines_and_samples_in_a_pass_are_named() -> None:
@@ -70,7 +69,7 @@ def test_nodes_that_are_moved_beyond_their_sigmas_are_named() -> None:
     solution = adjusted_rig()
     sigmas = solution.network.passes[0].prior.own_sigmas(solution.network.passes[0].nodes)
     moved = solution.nodes[0] + 8.0 * sigmas * (np.arange(6) == 4)
-    (one,) = strained_orientations(replace(solution, nodes=(moved,)))
+    (one,) = replace(solution, nodes=(moved,)).strained
     assert one.image == 0
     assert one.most == pytest.approx(8.0, abs=1.0)
 

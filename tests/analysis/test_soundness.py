@@ -6,15 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from networks import network, pair
+from sharing import shared
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.strained import IMPOSSIBLE
 from mgsgraph.analysis.soundness import MOST, Kind, is_result, soundness
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
-from mgsgraph.network import Network, PointClass
+from mgsgraph.geometry import rotation
+from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.reports.inventory import inventory
 from mgsgraph.reports.results import solution_json
 from mgsgraph.reports.soundness import soundness_statements, state_of
@@ -110,6 +113,49 @@ def test_what_is_left_out_is_said(good: Solution, kind: Kind, share: float, fata
     assert ("NO RESULT" in summary_table(found)) is fatal
     if kind is Kind.IMAGE:
         assert losses[0].image == good.network.images[1].name
+
+
+def moved(solution: Solution, sigmas: float) -> Solution:
+    """The solution with sigmas by which an orientation has moved by so many at the most."""
+    (worst, *_) = replace(solution, network=tightened(solution.network, 1e-3)).strained
+    return replace(solution, network=tightened(solution.network, 1e-3 * worst.most / sigmas))
+
+
+def tightened(net: Network, factor: float) -> Network:
+    return replace(net, priors=tuple(replace(prior, sigmas=factor * prior.sigmas) for prior in net.priors))
+
+
+def test_orientations_that_no_sigma_allows(good: Solution) -> None:
+    near, far = moved(good, 0.99 * IMPOSSIBLE), moved(good, 1.01 * IMPOSSIBLE)
+    assert near.strained
+    assert is_result(near)
+    assert not soundness_statements(near)
+    assert not is_result(far)
+    (one,) = soundness(far).impossible
+    (sentence,) = soundness_statements(far)
+    name = far.network.images[one.image].name
+    assert name in sentence
+    record = solution_json(far)["soundness"]
+    assert record["sound"] is False
+    assert record["orientations_impossible"] == [{"image": name, "sigmas": pytest.approx(1.01 * IMPOSSIBLE)}]
+    assert "NO RESULT" in state_of(far)
+    held = replace(far.network, held=np.ones(len(far.network.images), dtype=bool))
+    assert is_result(replace(far, network=held))
+
+
+def test_what_a_shared_boresight_does_is_measured_by_its_own_sigma() -> None:
+    """Both images look elsewhere by 0.01 rad, hundreds of their own sigmas: the camera's, which is little known."""
+    net, turn = network(pair(ties=20, shots=10)), rotation.exponential(np.array([[0.01, 0.0, 0.0]]))[0]
+    images = []
+    for image in net.images:
+        camera = image.trajectory.camera  # type: ignore[attr-defined]
+        turned = replace(camera, constant=turn @ camera.constant)
+        images.append(replace(image, trajectory=replace(image.trajectory, camera=turned)))  # type: ignore[type-var]
+    net = replace(net, images=tuple(images), shared=(shared(SharedKind.CAMERA_BORESIGHT, [0, 1], 0.1),))
+    solution = adjust_network(net, SolverSettings(starts=0))
+    assert np.linalg.norm(solution.shared[0]) > IMPOSSIBLE * net.priors[0].sigmas[0, 3:].max()
+    assert is_result(solution)
+    assert not solution.strained
 
 
 def test_a_sigma0_that_no_sigma_makes(good: Solution) -> None:

@@ -54,10 +54,10 @@ def said(solution: Solution, *words: str) -> str:
 
 
 def test_orientations_that_their_priors_do_not_allow(solution: Solution) -> None:
-    """A thousandth of the sigmas that they were drawn from: the same corrections are a thousand times too large."""
+    """A fiftieth of the sigmas that they were drawn from: the same corrections are fifty times too large."""
     assert not any("a-priori sigmas are the orientations" in sentence for sentence in statements(solution))
     net = solution.network
-    tight = tuple(replace(prior, sigmas=1e-3 * prior.sigmas) for prior in net.priors)
+    tight = tuple(replace(prior, sigmas=0.02 * prior.sigmas) for prior in net.priors)
     sentence = said(replace(solution, network=replace(net, priors=tight)), "a-priori sigmas are the orientations")
     assert all(image.name in sentence for image in net.images)
     held = replace(net, priors=tight, held=np.ones(len(tight), dtype=bool))
