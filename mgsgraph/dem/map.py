@@ -1,10 +1,11 @@
 """The map of a terrain model: Lambert's equal-area plane about its middle, north up, and regular posts on it.
 
-It is PROJ's `+proj=laea` on the IAU's sphere of the body with planetocentric latitudes, as `matching.chart` lays out
-(Snyder 1987, p. 182): no zones, poles like any other point, metres true to 1e-4 within a hundred kilometres.
+It is PROJ's `+proj=laea` on the sphere of the body's equatorial radius with planetocentric latitudes, as
+`matching.chart` lays out (Snyder 1987, p. 182): no zones, poles like any other point, metres true to 1e-4 within a hundred kilometres.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.coordinate_systems import equal_area_crs, wkt2
 from mgsgraph.matching.scene import GroundChart
 from mgsgraph.notebook import Record
 from mgsgraph.units import DEG
@@ -70,12 +72,14 @@ class MapGrid(Record):
         return GroundChart(east_north_up(middle)[0], self.radius)
 
     @property
+    def system(self) -> dict[str, Any]:
+        """The coordinate system as PROJJSON."""
+        return equal_area_crs(Ellipsoid(self.radius, self.radius), self.longitude, self.latitude)
+
+    @property
     def crs(self) -> str:
-        """The coordinate system in PROJ's words."""
-        return (
-            f"+proj=laea +lat_0={self.latitude:.{_DIGITS}f} +lon_0={self.longitude:.{_DIGITS}f} +x_0=0 +y_0=0 "
-            f"+R={self.radius:.3f} +units=m +no_defs"
-        )
+        """The coordinate system as WKT2 (ISO 19162:2019)."""
+        return wkt2(self.system)
 
     def resampled(self, post: float) -> "MapGrid":
         """Other posts on the same ground; InputError where there would be too many."""

@@ -20,9 +20,10 @@ from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.aside import made_beside
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
+from mgsgraph.io.coordinate_systems import authority_code, geographic_crs, wkt2
 from mgsgraph.io.writing import fresh_file
 from mgsgraph.output.folders import PROGRAM
-from mgsgraph.reports.sigmas import body_crs, write_sigma_raster
+from mgsgraph.reports.sigmas import write_sigma_raster
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""
@@ -64,7 +65,7 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
     ]  # fmt: skip
     written = [folder / GEOPACKAGE]
     with fresh_file(written[0]) as aside, made_beside(written[0], folder=True) as scratch:
-        _write_layers(layers, _statements(solution, layers, body_crs(body)), scratch / GEOPACKAGE, solution)
+        _write_layers(layers, _statements(solution, layers), scratch / GEOPACKAGE, solution)
         (scratch / GEOPACKAGE).replace(aside)  # GDAL wants the ending, and leaves its journals beside it
     if grid is not None:
         written.append(folder / RASTER)
@@ -83,7 +84,8 @@ def _pyogrio() -> ModuleType:
 
 
 def _write_layers(layers: list[Layer], statements: dict[str, str], path: Path, solution: Solution) -> None:
-    pyogrio, crs = _pyogrio(), body_crs(solution.network.images[0].body)
+    pyogrio, body = _pyogrio(), solution.network.images[0].body
+    crs = authority_code(body) or wkt2(geographic_crs(body))  # by its code, or a GeoPackage loses the authority
     said = Layer(ABOUT, "Where this came from, and what the layers mean.", "", np.zeros(0), {
         "subject": list(statements), "statement": list(statements.values()),
     })  # fmt: skip
@@ -135,7 +137,7 @@ def _calendar(solution: Solution) -> tuple[str, str]:
     return str(first), str(last)
 
 
-def _statements(solution: Solution, layers: list[Layer], crs: str) -> dict[str, str]:
+def _statements(solution: Solution, layers: list[Layer]) -> dict[str, str]:
     """Where the layers come from and what they mean, by subject."""
     fit, body = solution.fit, solution.network.images[0].body
     first, last = _calendar(solution)
@@ -145,7 +147,7 @@ def _statements(solution: Solution, layers: list[Layer], crs: str) -> dict[str, 
         "solution": f"{solution.name}: {state}; {solution.message}",
         "fit": f"sigma0 {solution.sigma0:.6g}, {fit.degrees_of_freedom} degrees of freedom",
         "time of the images": f"{first} to {last} TDB; columns with et_s are seconds TDB past J2000",
-        "coordinates": f"{crs}: degrees, latitudes planetocentric, longitudes east; shapes are in -180 .. 180 and are "
+        "coordinates": f"{authority_code(body) or geographic_crs(body)['name']}: degrees, latitudes planetocentric, longitudes east; shapes are in -180 .. 180 and are "
         "split at the date line, the column lon_deg counts from 0 to 360 as points.csv does",
         "heights": f"columns height_m: above the ellipsoid with radii {body.equatorial:.3f} m at the equator and "
         f"{body.polar:.3f} m at the poles",

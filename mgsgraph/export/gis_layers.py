@@ -18,9 +18,9 @@ from mgsgraph.analysis.statistics import (
     rejected_points,
     used_ray_counts,
 )
-from mgsgraph.export.gis_shapes import Shapes, map_lines, map_points, map_polygon, map_polygons
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.footprint import Footprint, areas
+from mgsgraph.geometry.map_shapes import Shapes, map_lines, map_points, map_polygon, map_polygons
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints

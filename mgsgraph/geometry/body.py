@@ -88,6 +88,11 @@ def nearness(body: Ellipsoid) -> float:
     return _NEAR_UNKNOWN if target_name(body) == "UNKNOWN" else _NEAR
 
 
+def naif_id(name: str) -> int | None:
+    """NAIF id of a body by the name that `target_name` gives; None for one whose size isn't known here."""
+    return _BODIES[name][0] if name in _BODIES else None
+
+
 def body_name(code: int) -> str:
     """What SPICE calls a body by its NAIF id; empty for one whose size isn't known here."""
     return next((name for name, (known, _, _) in _BODIES.items() if known == code), "")

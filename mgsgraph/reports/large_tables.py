@@ -12,6 +12,7 @@ import pyarrow as pa
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.coordinate_systems import geographic_crs
 from mgsgraph.output.table import Column, Table, write_parquet
 from mgsgraph.reports.tables import points_table, residual_rows, residuals_table
 from mgsgraph.units import DEG
@@ -70,26 +71,6 @@ def _with_geometry(table: Table, places: Array) -> Table:
 def _geoparquet(body: Ellipsoid) -> dict[str, str]:
     """What GeoParquet 1.1 says of the places, as metadata of the file."""
     about: dict[str, Any] = {
-        "encoding": "WKB", "geometry_types": ["Point"], "crs": projjson(body), "edges": "planar",
+        "encoding": "WKB", "geometry_types": ["Point"], "crs": geographic_crs(body), "edges": "planar",
     }  # fmt: skip
     return {"geo": json.dumps({"version": _GEOPARQUET, "primary_column": "geometry", "columns": {"geometry": about}})}
-
-
-def projjson(body: Ellipsoid) -> dict[str, Any]:
-    """Planetocentric longitude and latitude in degrees on a sphere of the body's equatorial radius, as PROJJSON."""
-    name = f"Planetocentric, sphere of {body.equatorial:.3f} m"
-    ellipsoid = {"name": name, "radius": body.equatorial}
-    axes = [
-        {"name": f"Planetocentric {word}", "abbreviation": short, "direction": way, "unit": "degree"}
-        for word, short, way in (("longitude", "Lon", "east"), ("latitude", "Lat", "north"))
-    ]
-    return {
-        "$schema": "https://proj.org/schemas/v0.7/projjson.schema.json",
-        "type": "GeographicCRS",
-        "name": name,
-        "datum": {
-            "type": "GeodeticReferenceFrame", "name": name, "ellipsoid": ellipsoid,
-            "prime_meridian": {"name": "Reference meridian", "longitude": 0},
-        },
-        "coordinate_system": {"subtype": "ellipsoidal", "axis": axes},
-    }  # fmt: skip

@@ -15,6 +15,7 @@ from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.io.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.io.writing import file_stem, fresh_file
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.output.geotiff import geotiff
@@ -23,9 +24,6 @@ from mgsgraph.units import DEG
 
 if TYPE_CHECKING:
     from mgsgraph.figures.sheet import Sheet
-
-_CRS = {3396190.0: "IAU_2015:49900", 1737400.0: "IAU_2015:30100"}
-"""Sphere, ocentric, of Mars and of the Moon, by equatorial radius in m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +104,7 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
 
 
 def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
-    """Write a sigma grid as a GeoTIFF (float32, m, NaN where nothing is known), whole or not at all.
+    """Write a sigma grid as a cloud-optimized GeoTIFF (float32, m, NaN where nothing is known), whole or not at all.
 
     Raises
     ------
@@ -118,7 +116,7 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
     corner = grid.west / DEG, grid.north / DEG
     with (
         fresh_file(path) as aside,
-        geotiff(aside, grid.values.shape, body_crs(body), corner, (across, down), dtype="float32", nodata=np.nan)
+        geotiff(aside, grid.values.shape, wkt2(geographic_crs(body)), corner, (across, down), dtype="float32", nodata=np.nan)
         as file,
     ):
         file.write(grid.values.astype(np.float32))
@@ -126,8 +124,3 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
         for k, name in enumerate(BANDS, start=1):
             file.set_band_description(k, name)
             file.set_band_unit(k, "m")
-
-
-def body_crs(body: Ellipsoid) -> str:
-    """Coordinate system of planetocentric degrees: IAU's code where it has the body's radius, else a sphere of it."""
-    return _CRS.get(body.equatorial, f"+proj=longlat +R={body.equatorial:.3f} +no_defs")

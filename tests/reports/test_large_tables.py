@@ -11,8 +11,9 @@ from pyarrow import csv, parquet
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.io.coordinate_systems import geographic_crs
 from mgsgraph.reports import large_tables
-from mgsgraph.reports.large_tables import form_of, projjson, write_large_tables
+from mgsgraph.reports.large_tables import form_of, write_large_tables
 from mgsgraph.reports.results import write_results
 from mgsgraph.reports.tables import points_table, residuals_table
 
@@ -39,7 +40,7 @@ def test_places_are_in_geoparquet(solution: Solution, tmp_path: Path) -> None:
     write_results(solution, tmp_path / "r", figures=False, tables="parquet")
     table = parquet.read_table(tmp_path / "r" / "points.parquet")
     about = json.loads(table.schema.metadata[b"geo"])
-    assert about["columns"]["geometry"]["crs"] == projjson(solution.network.images[0].body)
+    assert about["columns"]["geometry"]["crs"] == geographic_crs(solution.network.images[0].body)
     shapely = pytest.importorskip("shapely")
     shapes = shapely.from_wkb(np.array(table["geometry"].to_pylist(), dtype=object))
     lon, lat = table["lon_deg"].to_numpy(), table["lat_deg"].to_numpy()
