@@ -244,7 +244,7 @@ def _track(coverage: ImageCoverage, entry: CandidateProfile, where: str) -> _Sho
     assert entry.image is not None
     assert entry.every_s is not None
     view = coverage.views[entry.image]
-    first, last = view.image.timing.at(np.array([0.0, float(view.image.lines)]))[0] + view.image.trajectory.epoch
+    first, last = view.image.span
     count = int((last - first) / entry.every_s) + 1
     if count > _MOST_SHOTS:
         raise InputError(f"{where}, every_s", f"{count} shots", f"at most {_MOST_SHOTS}", "take a longer interval")

@@ -12,19 +12,20 @@ from mgsgraph.dem.gridding import HeightGrid
 from mgsgraph.dem.map import MapGrid
 from mgsgraph.dem.model import Dem, DemSettings, ortho_grid
 from mgsgraph.dem.ortho import ortho_tiles
+from mgsgraph.dem.stac import write_item
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.output.csv_json import picked, write_json
-from mgsgraph.output.folders import DEM, PROGRAM
+from mgsgraph.output.folders import DEM, PROGRAM, STAC_ITEM
 from mgsgraph.output.geotiff import geotiff
 from mgsgraph.output.table import Column, Table
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import DEG, KM
 from mgsgraph.wording import many, some
 
-FORMAT = 1
-"""Version of dem.json's layout."""
+FORMAT = 2
+"""Version of dem.json's layout: 2 has the coordinate system as WKT2, not in PROJ's words."""
 _UNEXPLAINED = 1.5
 """Times what matching explains from which on rays that miss each other are worth a word."""
 BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
@@ -50,6 +51,8 @@ def write_dem(
 
         progress("figure", 0, 1)
         save([dem_sheet(dem, read_ortho(folder / "ortho.tif"))], folder)
+    images = [picture.image for picture in scene.pictures]
+    write_item(dem, grid, BANDS, images, folder / STAC_ITEM, sorted(path.name for path in folder.iterdir()))
 
 
 def dem_statements(dem: Dem) -> list[str]:

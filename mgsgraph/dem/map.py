@@ -1,7 +1,8 @@
 """The map of a terrain model: Lambert's equal-area plane about its middle, north up, and regular posts on it.
 
 It is PROJ's `+proj=laea` on the sphere of the body's equatorial radius with planetocentric latitudes, as
-`matching.chart` lays out (Snyder 1987, p. 182): no zones, poles like any other point, metres true to 1e-4 within a hundred kilometres.
+`matching.chart` lays out (Snyder 1987, p. 182): no zones, poles like any other point, metres true to 1e-4 within a
+hundred kilometres.
 """
 
 from dataclasses import dataclass

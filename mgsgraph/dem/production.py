@@ -47,7 +47,7 @@ def make_dem(
     case : path
         Case file, for the pixels, the ground beforehand, and the laser profiles.
     out : path
-        Folder with dem.tif, ortho.tif, dem.json, shots.csv and the figure; appears whole or not at all.
+        Folder with dem.tif, ortho.tif, dem.json, dem.stac.json, shots.csv and the figure; appears whole or not at all.
     settings : DemSettings, optional
         Choices.
     workers : int, optional

@@ -129,10 +129,7 @@ def _dated(pyogrio: ModuleType, moment: str) -> Iterator[None]:
 
 def _calendar(solution: Solution) -> tuple[str, str]:
     """When the first and the last line of all images were read, TDB."""
-    edges = np.array([
-        image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
-        for image in solution.network.images
-    ])  # fmt: skip
+    edges = np.array([image.span for image in solution.network.images])
     first, last = (_NOON + np.timedelta64(round(1e3 * one), "ms") for one in (edges.min(), edges.max()))
     return str(first), str(last)
 
@@ -147,8 +144,9 @@ def _statements(solution: Solution, layers: list[Layer]) -> dict[str, str]:
         "solution": f"{solution.name}: {state}; {solution.message}",
         "fit": f"sigma0 {solution.sigma0:.6g}, {fit.degrees_of_freedom} degrees of freedom",
         "time of the images": f"{first} to {last} TDB; columns with et_s are seconds TDB past J2000",
-        "coordinates": f"{authority_code(body) or geographic_crs(body)['name']}: degrees, latitudes planetocentric, longitudes east; shapes are in -180 .. 180 and are "
-        "split at the date line, the column lon_deg counts from 0 to 360 as points.csv does",
+        "coordinates": f"{authority_code(body) or geographic_crs(body)['name']}: degrees, latitudes planetocentric, "
+        "longitudes east; shapes are in -180 .. 180 and are split at the date line, the column lon_deg counts from 0 "
+        "to 360 as points.csv does",
         "heights": f"columns height_m: above the ellipsoid with radii {body.equatorial:.3f} m at the equator and "
         f"{body.polar:.3f} m at the poles",
         "sigmas": "for sigma0 = 1, as the a-priori sigmas imply; scaled ones are times sigma0",

@@ -116,9 +116,7 @@ def _adjusted_footprints(solution: Solution) -> tuple[Footprint, ...]:
 def _footprints(solution: Solution, footprints: tuple[Footprint, ...], name: str, about: str) -> Layer:
     network, rays = solution.network, ray_statistics(solution)
     owners = ["", *(one.name for one in network.passes)]
-    edges = np.array([
-        image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch for image in network.images
-    ])  # fmt: skip
+    edges = np.array([image.span for image in network.images])
     heights = [geodetic(one.outline, one.body)[:, 2] for one in footprints]
     fields = {
         "image": [image.name for image in network.images],

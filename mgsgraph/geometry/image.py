@@ -139,6 +139,11 @@ class PushbroomImage(Record):
         return 2.0 / self.lines
 
     @property
+    def span(self) -> Array:
+        """(2,) s TDB past J2000, when the first line begins and the last one ends."""
+        return self.timing.at(np.array([0.0, float(self.lines)]))[0] + self.trajectory.epoch
+
+    @property
     def pixel_angle(self) -> float:
         """Angle across a detector pixel in the middle of the image, rad."""
         _, slope = self.interior.focal_plane(np.array([0.5 * self.samples]))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import shapely
+import shapely.geometry
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.body import planetocentric
@@ -107,3 +108,20 @@ def _in_the_map(shape: Any) -> Any:
     pieces = shapely.get_parts(shapely.union_all(parts))  # a ring around a pole is cut at its own ends, too
     kept = pieces[shapely.get_dimensions(pieces) == dimension]  # what only touches the date line is no part
     return (shapely.multipolygons if dimension == 2 else shapely.multilinestrings)(kept)
+
+
+def geojson(shape: Any) -> dict[str, Any] | None:
+    """A shape as GeoJSON's geometry; None of none."""
+    return None if shape is None else dict(shapely.geometry.mapping(shape))
+
+
+def map_bounds(shape: Any) -> tuple[float, float, float, float]:
+    """West, south, east and north of a shape in degrees; west is larger than east where it crosses the date line
+    (RFC 7946, 5.2).
+    """
+    west, south, east, north = (float(edge) for edge in shapely.bounds(shape))
+    parts = shapely.bounds(shapely.get_parts(shape))
+    left, right = parts[parts[:, 0] == -_HALF_TURN], parts[parts[:, 2] == _HALF_TURN]
+    if len(left) and len(right) and len(left) + len(right) == len(parts) and not np.any(left[:, 2] == _HALF_TURN):
+        west, east = float(right[:, 0].min()), float(left[:, 2].max())
+    return west, south, east, north

@@ -32,7 +32,7 @@ _MOMENTS = 9
 
 def seconds(image: PushbroomImage) -> tuple[float, float]:
     """First and last time of an image's lines, s TDB past J2000."""
-    start, stop = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
+    start, stop = image.span
     return float(start), float(stop)
 
 

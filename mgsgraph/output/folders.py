@@ -29,6 +29,8 @@ NODES = "nodes.json"
 """File that makes a folder without any of them a study of orientation images by this program."""
 DEM = "dem.json"
 """File that makes a folder without any of them a terrain model by this program."""
+STAC_ITEM = "dem.stac.json"
+"""Item of a catalogue (STAC), beside the terrain model that it lists."""
 COMPARISON = "comparison.json"
 """File that makes a folder without any of them a comparison of two solutions by this program."""
 EXPORT = "export.json"
@@ -49,7 +51,7 @@ TABLES = (
     "likelihood.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
-    DEM, "dem.tif", "ortho.tif", "shots.csv",
+    DEM, "dem.tif", "ortho.tif", "shots.csv", STAC_ITEM,
     COMPARISON, "merit_compared.csv", "sigmas_compared.csv", "settings_compared.csv", "input_compared.csv",
     "images_compared.csv", "points_compared.csv",
     COREGISTRATION, "profiles.csv", "costs.csv", "disagreement.csv",

@@ -1,4 +1,4 @@
-"""Cloud-optimized GeoTIFF files, made in memory: what does not fit on a disk, GDAL tells nobody when it closes a file."""
+"""Cloud-optimized GeoTIFF, made in memory: what does not fit on a disk, GDAL tells nobody when it closes a file."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -185,7 +185,7 @@ def footprints_in_images(
 
 def seconds_from_image(image: PushbroomImage, times: Array) -> Array:
     """S (n,) by which times (s TDB past J2000) lie after an image's last line, negative before its first; 0 within."""
-    first, last = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
+    first, last = image.span
     return np.asarray(np.minimum(times - first, 0.0) + np.maximum(times - last, 0.0))
 
 

@@ -116,8 +116,9 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
     corner = grid.west / DEG, grid.north / DEG
     with (
         fresh_file(path) as aside,
-        geotiff(aside, grid.values.shape, wkt2(geographic_crs(body)), corner, (across, down), dtype="float32", nodata=np.nan)
-        as file,
+        geotiff(
+            aside, grid.values.shape, wkt2(geographic_crs(body)), corner, (across, down), dtype="float32", nodata=np.nan
+        ) as file,
     ):
         file.write(grid.values.astype(np.float32))
         file.update_tags(**tags)

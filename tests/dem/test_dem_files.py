@@ -12,7 +12,9 @@ import dem_site
 import numpy as np
 import pytest
 import rasterio
+import shapely
 from full_disk import files_of_at_most
+from rasterio.crs import CRS
 from rasterio.warp import transform
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -22,15 +24,16 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import read_case
 from mgsgraph.dem import production
 from mgsgraph.dem.checking import check_profiles, checked
-from mgsgraph.dem.files import dem_statements, write_dem
+from mgsgraph.dem.files import BANDS, dem_statements, write_dem
 from mgsgraph.dem.model import Dem, DemSettings, dem_of
 from mgsgraph.dem.production import make_dem
+from mgsgraph.dem.stac import item
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, planetocentric
-from mgsgraph.output.folders import DEM, fresh_folder
+from mgsgraph.output.folders import DEM, STAC_ITEM, fresh_folder
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
-FILES = {"dem.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png", "dem.svg"}
+FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png", "dem.svg"}
 
 
 @cache
@@ -70,6 +73,7 @@ def test_bands_in_gdal_s_hands(folder: Path) -> None:
     assert told["metadata"]["IMAGE_STRUCTURE"]["COMPRESSION"] == "DEFLATE"
     assert told["metadata"][""]["images"] == "E02-00665, E02-01453"
     assert "Lambert Azimuthal Equal Area" in told["coordinateSystem"]["wkt"]
+    assert 'BASEGEOGCRS["Mars (2015) - Sphere / Ocentric"' in told["coordinateSystem"]["wkt"]
     with rasterio.open(folder / "dem.tif") as file:
         height, sigma, matching, orientation, count = file.read()
     there = np.isfinite(height)
@@ -93,6 +97,72 @@ def test_a_reader_finds_each_height_by_longitude_and_latitude(folder: Path) -> N
     assert off.size > 150
     assert np.median(np.abs(off)) < 2.0  # half a post of slope, beside half a metre of noise
     assert np.nanmedian(sigmas) < 1.5
+
+
+@pytest.mark.parametrize("name", ["dem.tif", "ortho.tif"])
+def test_rasters_are_cloud_optimized(folder: Path, name: str) -> None:
+    cogeo = pytest.importorskip("rio_cogeo.cogeo", reason="rio-cogeo (of the extra [test]) is not installed")
+    assert cogeo.cog_validate(folder / name, strict=True, quiet=True) == (True, [], [])
+    with rasterio.open(folder / name) as file:
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+
+
+# ---- the item of a catalogue
+
+
+def test_pystac_takes_the_item(folder: Path) -> None:
+    """Against the schemas of STAC 1.1 that pystac brings; those of the extensions lie on the web alone."""
+    pystac = pytest.importorskip("pystac", reason="pystac (of the extra [test]) is not installed")
+    told = json.loads((folder / STAC_ITEM).read_text(encoding="utf-8"))
+    core = pystac.Item.from_dict(told | {"stac_extensions": []})
+    assert core.validate() == ["https://schemas.stacspec.org/v1.1.0/item-spec/json-schema/item.json"]
+    with pytest.raises(pystac.errors.STACValidationError):
+        pystac.Item.from_dict(told | {"stac_extensions": [], "bbox": [0.0]}).validate()
+    item = pystac.Item.from_file(folder / STAC_ITEM)
+    assert {"dem", "ortho", "sigma", "record", "shots", "overview"} == set(item.assets)
+    for asset in item.assets.values():
+        assert (folder / asset.href).is_file()
+        assert asset.roles
+    assert item.properties["ssys:targets"] == ["Mars"]
+    assert item.common_metadata.start_datetime < item.common_metadata.end_datetime
+
+
+@pytest.mark.parametrize("name", ["dem", "ortho"])
+def test_the_item_says_of_the_rasters_what_they_are(folder: Path, name: str) -> None:
+    told = json.loads((folder / STAC_ITEM).read_text(encoding="utf-8"))
+    asset = told["assets"][name]
+    with rasterio.open(folder / asset["href"]) as file:
+        assert asset["proj:shape"] == [file.height, file.width]
+        assert asset["proj:transform"] == pytest.approx(list(file.transform)[:6], abs=1e-9)
+        assert asset["proj:bbox"] == pytest.approx(list(file.bounds), abs=1e-6)
+        assert CRS.from_wkt(told["properties"]["proj:wkt2"]) == file.crs
+        assert CRS.from_dict(told["properties"]["proj:projjson"]) == file.crs
+        assert [band["data_type"] for band in asset["bands"]] == list(file.dtypes)
+        there = np.argwhere(file.dataset_mask() > 0)[:: 50]
+        x, y = file.xy(*there.T)
+        lon, lat = transform(file.crs, "IAU_2015:49900", list(x), list(y))
+    assert asset["type"] == "image/tiff; application=geotiff; profile=cloud-optimized"
+    shape = shapely.geometry.shape(told["geometry"])
+    assert shapely.contains_xy(shape.buffer(1e-3), lon, lat).mean() > 0.98  # an ortho pixel may reach beyond its post
+    west, south, east, north = told["bbox"]
+    assert (west, south, east, north) == pytest.approx(shape.bounds)
+
+
+def test_an_item_on_the_date_line_of_the_moon() -> None:
+    moved = replace(made().model.map, longitude=180.0, latitude=0.0, radius=1737400.0)
+    dem = replace(made(), model=replace(made().model, map=moved))
+    images = [picture.image for picture in dem_site.scene().pictures]
+    told = item(dem, moved, BANDS, images, [])
+    west, south, east, north = told["bbox"]
+    assert told["geometry"]["type"] == "MultiPolygon"
+    assert 170.0 < west < 180.0
+    assert -180.0 < east < -170.0
+    assert south < north
+    assert told["properties"]["ssys:targets"] == ["Moon"]
+    assert told["properties"]["ssys:target_class"] == "satellite"
+    odd = replace(moved, radius=2.5e5)
+    unknown = item(replace(dem, model=replace(dem.model, map=odd)), odd, BANDS, images, [])
+    assert not any("ssys" in one for one in (*unknown["stac_extensions"], *unknown["properties"]))
 
 
 def test_the_ortho_image_shows_the_ground_where_it_is(folder: Path) -> None:
