@@ -42,8 +42,8 @@ class Record:
     def _repr_html_(self) -> str:
         """HTML for notebooks."""
         kind: Any = type(self)
-        meanings = _meanings(kind)
-        rows = [(name, _brief(value), meanings.get(name, "")) for name, value in _fields(self)]
+        said = meanings(kind)
+        rows = [(name, _brief(value), said.get(name, "")) for name, value in _fields(self)]
         title = kind.__name__ if kind.__repr__ is Record.__repr__ else repr(self)
         return card(title, _sentences(self), [("field", "value", "meaning"), *rows] if rows else (), head=1)
 
@@ -112,7 +112,7 @@ def _several(values: Any, parts: Sequence[str], brackets: str) -> str:
 
 
 @cache
-def _meanings(kind: type[Any]) -> dict[str, str]:
+def meanings(kind: type[Any]) -> dict[str, str]:
     """What stands under the fields of a class in its source: shapes, units, frames."""
     found = dict[str, str]()
     for base in reversed(kind.__mro__):

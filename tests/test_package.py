@@ -47,7 +47,7 @@ STOREYS = [
     ("mgsgraph.factors", "mgsgraph.names"),
     (
         "mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook", "mgsgraph.wording", "mgsgraph.compiled",
-        "mgsgraph.apart", "mgsgraph.workers", "mgsgraph.aside", "mgsgraph.stages",
+        "mgsgraph.apart", "mgsgraph.libraries", "mgsgraph.workers", "mgsgraph.aside", "mgsgraph.stages",
     ),
 ]
 """Rooms from above to below; of a room whose writers draw, these stand above the figures, and the rest below them."""

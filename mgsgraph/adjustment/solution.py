@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +26,11 @@ from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import Design, adjusted_image, correction_parts, design, whole_correction
 from mgsgraph.notebook import Record, card
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from pandas import DataFrame
+    from xarray import Dataset
 
 _TOGETHER = 1024
 """Images whose orientation is put together at a time: 31 lines of each take some 60 MB."""
@@ -219,6 +226,58 @@ class Solution(Record):
         """Determined points of one class."""
         return np.flatnonzero((self.network.points.classes == point_class) & self.determined)
 
+    # for other libraries; the tables stand above this room, so they are asked for by name
+
+    def to_pandas(self, what: str = "points") -> "DataFrame":
+        """One of the tables as a DataFrame of pandas (extra ``[tables]``): rows and columns as in the CSV files.
+
+        Parameters
+        ----------
+        what : str
+            points, residuals, orientation, footprints, error_ellipses, connectivity, shared or passes. Units are in
+            the names of the columns; what is not known is NaN.
+
+        Raises
+        ------
+        InputError
+            If there is no such table, or pandas is not installed.
+        """
+        return _frames().to_pandas(self, what)
+
+    def to_geopandas(self, what: str = "points") -> "GeoDataFrame":
+        """The same as a GeoDataFrame of GeoPandas, with shapes in planetocentric degrees, -180 .. 180, on the body.
+
+        Parameters
+        ----------
+        what : str
+            points, residuals (at their points), footprints or error_ellipses (95 %, for sigma0 = 1).
+
+        Raises
+        ------
+        InputError
+            If there is no such table, or GeoPandas is not installed.
+        """
+        return _frames().to_geopandas(self, what)
+
+    def to_xarray(self, places: int = 31) -> "Dataset":
+        """Exterior orientation of all images, before and after, with sigmas, as a Dataset of xarray (extra
+        ``[tables]``).
+
+        Variables are the fields of `OrientationProfile` with dimensions (image, place) and, of vectors, their axis or
+        angle; each says its unit (SI) and its meaning.
+
+        Parameters
+        ----------
+        places : int
+            Lines of each image, evenly spaced from its first to its last.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
+        return _frames().to_xarray(self, places)
+
     def _repr_html_(self) -> str:
         """For notebooks."""
         rows = [("points", "number", "mean sigma X, Y, Z"), ("", "", "m")]
@@ -236,6 +295,10 @@ class Solution(Record):
             f"{self.cost_final:.6g}, sigma0 {self.sigma0:.4g}, {self.fit.degrees_of_freedom} degrees of freedom; "
             f"{self.network!r})"
         )
+
+
+def _frames() -> Any:
+    return import_module("mgsgraph.export.frames")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""GIS: one GeoPackage with the layers of a solution, and a GeoTIFF of sigmas where a grid of them is given.
+"""GIS: a GeoPackage with the layers of a solution, GeoParquet, QGIS, a GeoTIFF of sigmas where a grid is given.
 
 The coordinate system is IAU_2015's "Sphere / Ocentric" (49900 of Mars, 30100 of the Moon): its latitude is the angle at
 the body's centre, and its longitude counts east, as ours do. The others of Mars would say something else: the latitudes
@@ -7,8 +7,9 @@ but a GeoPackage defines its systems in a language (WKT 1) that has no word for 
 geodetic ones (3.6 and 3.12, tried). Heights are given above the body's ellipsoid, not above the sphere, in columns.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -19,11 +20,18 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.aside import made_beside
 from mgsgraph.errors import InputError
+from mgsgraph.export.frames import layer_table, table_layer
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
+from mgsgraph.export.qgis import PROJECT, STYLES, write_project, write_style
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.io.coordinate_systems import authority_code, geographic_crs, wkt2
 from mgsgraph.io.writing import fresh_file
+from mgsgraph.libraries import library
 from mgsgraph.output.folders import PROGRAM
+from mgsgraph.reports.geoparquet import write_geoparquet
+from mgsgraph.reports.large_tables import write_points, write_residuals
 from mgsgraph.reports.sigmas import write_sigma_raster
+from mgsgraph.reports.tables import points_table, residuals_table
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""
@@ -36,7 +44,8 @@ _NOON = np.datetime64("2000-01-01T12:00:00.000", "ms")
 
 
 def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -> list[Path]:
-    """Write ``solution.gpkg`` and, where a grid is given, ``sigmas.tif`` into an existing folder.
+    """Write a GeoPackage, tables as GeoParquet, styles and a project for QGIS into an existing folder; of a
+    grid ``sigmas.tif``, too.
 
     The same solution gives the same bytes: what a GeoPackage calls its last change is when the last line was read.
 
@@ -60,31 +69,56 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
         If a file can't be written, or pyogrio, of the extra ``[gis]``, is not installed.
     """
     body = solution.network.images[0].body
-    layers = [
-        *footprint_layers(solution), *point_layers(solution), *ellipse_layers(solution), *vector_layers(solution)
-    ]  # fmt: skip
+    footprints, ellipses = footprint_layers(solution), ellipse_layers(solution)
+    layers = [*footprints, *point_layers(solution), *ellipses, *vector_layers(solution)]
     written = [folder / GEOPACKAGE]
     with fresh_file(written[0]) as aside, made_beside(written[0], folder=True) as scratch:
         _write_layers(layers, _statements(solution, layers), scratch / GEOPACKAGE, solution)
         (scratch / GEOPACKAGE).replace(aside)  # GDAL wants the ending, and leaves its journals beside it
+    written += _write_tables(solution, [footprints[1], ellipses[0]], folder)
+    written += _write_styles(layers, solution, folder)
     if grid is not None:
         written.append(folder / RASTER)
-        write_sigma_raster(grid, body, written[1])
+        write_sigma_raster(grid, body, written[-1])
     return written
 
 
-def _pyogrio() -> ModuleType:
-    try:
-        import pyogrio  # GDAL takes its time
-    except ImportError as error:
-        missing = isinstance(error, ModuleNotFoundError) and error.name == "pyogrio"
-        found = "pyogrio is not installed" if missing else f"pyogrio can't be imported ({' '.join(str(error).split())})"
-        raise InputError("GIS layers", found, remedy='pip install "mgsgraph[gis]"') from None
-    return pyogrio  # type: ignore[no-any-return]
+def _write_tables(solution: Solution, layers: Sequence[Layer], folder: Path) -> list[Path]:
+    """Points and residuals, with the columns that the results have, and some layers; each with a style beside it."""
+    body, written = solution.network.images[0].body, list[Path]()
+    writers: list[tuple[Layer, Callable[[Path], None]]] = [
+        (table_layer("points", points_table(solution)), partial(write_points, solution)),
+        (table_layer("residuals", residuals_table(solution)), partial(write_residuals, solution)),
+        *((layer, partial(_write_layer_table, layer, body)) for layer in layers),
+    ]
+    for layer, write in writers:
+        name = layer.name.removesuffix("_adjusted")
+        written += [folder / f"{name}.parquet", folder / f"{name}.qml"]
+        with fresh_file(written[-2]) as aside:
+            write(aside)
+        write_style(layer, written[-1])
+    return written
+
+
+def _write_layer_table(layer: Layer, body: Ellipsoid, path: Path) -> None:
+    kinds = {shape.geom_type for shape in layer.shapes if shape is not None}
+    write_geoparquet(path, [layer_table(layer)], body, sorted(kinds))
+
+
+def _write_styles(layers: Sequence[Layer], solution: Solution, folder: Path) -> list[Path]:
+    """A style for each layer, and a project that shows all of them: points on top, footprints below."""
+    (folder / STYLES).mkdir(exist_ok=True)
+    written = [folder / STYLES / f"{layer.name}.qml" for layer in layers]
+    for layer, path in zip(layers, written, strict=True):
+        write_style(layer, path)
+    shown = [one for kind in ("Point", "MultiLineString", "MultiPolygon") for one in layers if one.geometry == kind]
+    written.append(folder / PROJECT)
+    write_project(shown, GEOPACKAGE, solution.network.images[0].body, solution.name, written[-1])
+    return written
 
 
 def _write_layers(layers: list[Layer], statements: dict[str, str], path: Path, solution: Solution) -> None:
-    pyogrio, body = _pyogrio(), solution.network.images[0].body
+    pyogrio, body = library("pyogrio", "gis", "GIS layers"), solution.network.images[0].body
     crs = authority_code(body) or wkt2(geographic_crs(body))  # by its code, or a GeoPackage loses the authority
     said = Layer(ABOUT, "Where this came from, and what the layers mean.", "", np.zeros(0), {
         "subject": list(statements), "statement": list(statements.values()),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.map_shapes import geojson, map_polygon
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 
@@ -81,6 +82,12 @@ class Footprint:
     def area(self) -> float:
         """m^2 on the ellipsoid."""
         return float(areas([self])[0])
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """GeoJSON feature with the name, planetocentric degrees in -180 .. 180, cut at the date line."""
+        shape = map_polygon(self.outline)
+        return {"type": "Feature", "geometry": geojson(shape), "properties": {"image": self.name, "whole": self.whole}}
 
     def __repr__(self) -> str:
         part = "" if self.whole else ", not whole"

@@ -230,6 +230,12 @@ def residual_rows(solution: Solution) -> int:
     return solution.network.rays.point.size + solution.network.ranges.point.size + _stereo_heights(solution)[0].size
 
 
+def residual_points(solution: Solution, rows: slice = slice(None)) -> Index:
+    """(m,) number of the ground point of each row of `residuals_table`, or of some of the `rows`."""
+    network = solution.network
+    return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])[rows]
+
+
 def _parts(rows: slice, sizes: Sequence[int]) -> list[slice]:
     """Which of several arrays' elements some rows are, where these stand one after another."""
     first, last, _ = rows.indices(sum(sizes))

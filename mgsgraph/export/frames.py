@@ -1,0 +1,113 @@
+"""A solution as tables and arrays of other libraries: pandas, GeoPandas, xarray. `Solution` has them as methods."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+
+from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profiles
+from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.errors import InputError
+from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers
+from mgsgraph.io.coordinate_systems import geographic_crs, wkt2
+from mgsgraph.libraries import library
+from mgsgraph.notebook import meanings
+from mgsgraph.output.table import Column, Table
+from mgsgraph.reports.geoparquet import GEOMETRY, with_points, with_shapes
+from mgsgraph.reports.passes import nodes_table
+from mgsgraph.reports.shared import shared_table
+from mgsgraph.reports.tables import (
+    connectivity_table,
+    orientation_table,
+    points_table,
+    residual_points,
+    residuals_table,
+)
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from pandas import DataFrame
+    from xarray import Dataset
+
+_EXTRA = "tables"
+_PLAIN: dict[str, Callable[[Solution], Table]] = {
+    "orientation": orientation_table,
+    "connectivity": lambda solution: connectivity_table(solution_connectivity(solution)),
+    "shared": shared_table,
+    "passes": nodes_table,
+}
+"""Tables whose rows have no place, by their names."""
+_PLACED: dict[str, Callable[[Solution], Table]] = {
+    "points": lambda solution: with_points(points_table(solution), solution.places),
+    "residuals": lambda solution: with_points(residuals_table(solution), solution.places[residual_points(solution)]),
+    "footprints": lambda solution: layer_table(footprint_layers(solution)[1]),
+    "error_ellipses": lambda solution: layer_table(ellipse_layers(solution)[0]),
+}
+"""Tables whose rows have one."""
+_AXES = {"position": ("axis", ("x", "y", "z")), "angles": ("angle", ("omega", "phi", "kappa")),
+         "rotation": ("camera_axis", ("x", "y", "z"))}  # fmt: skip
+"""Last dimension of the vectors of an orientation profile, by the beginning of their names, and its labels."""
+
+
+def layer_table(layer: Layer) -> Table:
+    """A layer of a map as a table with a column of shapes."""
+    columns = tuple(Column(name, values) for name, values in layer.fields.items())
+    return with_shapes(Table(layer.name, layer.about, columns), shapely.to_wkb(layer.shapes).tolist())
+
+
+def table_layer(name: str, table: Table) -> Layer:
+    """A table whose rows lie at points as a layer, for how it is drawn: its columns without the shapes."""
+    fields = {part.name(): part.scaled for column in table.columns if column.files for part in column.split}
+    return Layer(name, table.note, "Point", np.zeros(0, dtype=object), fields)
+
+
+def to_pandas(solution: Solution, what: str = "points") -> "DataFrame":
+    """`Solution.to_pandas`."""
+    found = _table(solution, what, _PLAIN | _PLACED)
+    library("pandas", _EXTRA, f"table of {what}")
+    return found.drop(GEOMETRY).arrow.to_pandas()
+
+
+def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
+    """`Solution.to_geopandas`."""
+    geopandas = library("geopandas", _EXTRA, f"table of {what}")
+    frame = _table(solution, what, _PLACED).arrow.to_pandas()
+    crs = wkt2(geographic_crs(solution.network.images[0].body))
+    shapes = geopandas.GeoSeries.from_wkb(frame.pop(GEOMETRY), crs=crs)
+    return geopandas.GeoDataFrame(frame, geometry=shapes)
+
+
+def _table(solution: Solution, what: str, tables: dict[str, Callable[[Solution], Table]]) -> Table:
+    if what not in tables:
+        raise InputError("table of a solution", repr(what), f"one of {', '.join(tables)}")
+    if what == "passes" and not solution.network.passes:
+        raise InputError("table of passes", "a network without any")
+    return tables[what](solution)
+
+
+def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
+    """`Solution.to_xarray`."""
+    xarray = library("xarray", _EXTRA, "orientation profiles")
+    profiles, images = orientation_profiles(solution, places=places), [one.name for one in solution.network.images]
+    said, variables, labels = meanings(OrientationProfile), dict[str, Any](), dict[str, Any]()
+    for name in (field for field in said if isinstance(getattr(profiles, field), np.ndarray)):
+        values = getattr(profiles, name)
+        dimension, parts = _AXES.get(name.split("_")[0], ("", ()))
+        dimensions = ("image", "place", *([dimension] if dimension else []))
+        labels |= {dimension: list(parts)} if dimension else {}
+        attributes = {"long_name": said[name], "units": _unit(said[name])}
+        variables[name] = dimensions, values.reshape(len(images), places, *values.shape[1:]), attributes
+    body = solution.network.images[0].body
+    about = {
+        "title": f"Exterior orientation of {solution.name}", "frame": "body-fixed",
+        "sigma0": solution.sigma0, "sigmas": "for sigma0 = 1",
+        "equatorial_radius_m": body.equatorial, "polar_radius_m": body.polar,
+    }  # fmt: skip
+    return xarray.Dataset(variables, {"image": images, **labels}, about)
+
+
+def _unit(meaning: str) -> str:
+    """Unit that a field's meaning says after its shape: "(n, 3) m, body-fixed"; 1 where there is none."""
+    first = meaning.partition(") ")[2].split(",")[0].split(" ")[0]
+    return first if first in ("m", "rad", "s") else "1"
