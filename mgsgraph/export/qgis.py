@@ -96,8 +96,8 @@ def _points(layer: Layer) -> list[Rule]:
 
 
 def _rounded(values: Array) -> Array:
-    """To two digits."""
-    return np.array([float(f"{value:.2g}") for value in values])
+    """To three digits."""
+    return np.array([float(f"{value:.3g}") for value in values])
 
 
 def _marker(label: str, condition: str, colour: str, shape: str, size: float) -> Rule:
