@@ -94,7 +94,7 @@ class JointCovariance(Record):
     square_root: SquareRoot
     """Of the information; says which variables there are."""
     blocks: Array
-    """Rows [S_FF S_FS] of the cliques, flat, in m and rad, laid out as the rows of the square root."""
+    """(t,) m and rad squared, rows [S_FF S_FS] of the cliques, flat, laid out as the rows of the square root."""
 
     def __post_init__(self) -> None:
         self.blocks.flags.writeable = False

@@ -59,7 +59,7 @@ class Solution(Record):
     fit: Fit
     """sigma0 and degrees of freedom."""
     coefficients: tuple[Array, ...]
-    """Per image (degree + 1, 6) in m and rad, its own alone (`correction` has the whole); zero for a held one."""
+    """(degree + 1, 6) m and rad, of each image, its own alone (`correction` has the whole); zero for a held one."""
     shifts: Array
     """(p, 2) m, east and north, horizontal shifts of laser profiles and of the terrain model (network.shift_names)."""
     joint_covariance: JointCovariance
@@ -109,7 +109,7 @@ class Solution(Record):
     """(n,) m, of each point above its stereo surface, along the normal; NaN for points on none. None where an older
     version didn't say."""
     shared: tuple[Array, ...] = ()
-    """Value of each of the network's shared unknowns, in the unit of its kind: (1,), or (3,) of a boresight."""
+    """(w,) of each of the network's shared unknowns, in the unit of its kind: one value, or three of a boresight."""
     nodes: tuple[Array, ...] = ()
     """(k, 6) m and rad, corrections at the orientation images of each strip (of a spline its coefficients)."""
     trends: tuple[Array, ...] = ()

@@ -31,13 +31,14 @@ class SquareRoot:
     width: Index
     """(v,) number of its columns; of a held one, how many it would have."""
     members: Index
-    """Variables of the cliques, clique after clique, the frontal ones of each before its separator."""
+    """(j,) variables of the cliques, clique after clique, the frontal ones of each before its
+    separator."""
     sizes: Index
     """(c,) number of variables of each clique."""
     frontals: Index
     """(c,) how many of them are frontal."""
     rows: Array
-    """Rows [R T] of the cliques, flat, in 1/m and 1/rad: f rows of f + s numbers for f frontal and s other columns."""
+    """(t,) 1/m and 1/rad, rows [R T] of the cliques, flat: f rows of f + s numbers for f frontal and s other columns."""
 
     def __post_init__(self) -> None:
         for name in ("first", "width", "members", "sizes", "frontals", "rows"):

@@ -73,7 +73,7 @@ class Minimum(Record):
     shift: Array
     """(w,) m and rad, of the terrain model's unknowns (`Surface.terms`)."""
     spread: Array
-    """(w, w) their covariance about it, for sigma0 = 1."""
+    """(w, w) m and rad squared, their covariance about it, for sigma0 = 1."""
     starts: int
     """Starts that ended there, the first one among them."""
 

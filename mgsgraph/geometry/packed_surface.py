@@ -20,19 +20,19 @@ class PackedSurface:
     """
 
     first: Array
-    """(2,) as of the surface."""
+    """(2,) as of the surface (`StereoSurface`)."""
     step: Array
-    """(2,) as of the surface."""
+    """(2,) the same."""
     shape: Index
     """(2,) rows and columns of nodes."""
     places: Bytes
-    """Second differences along both axes, in units of the resolution, int64."""
+    """(b,) second differences along both axes, in units of the resolution, int64, packed."""
     covered: Bytes
-    """int8."""
+    """(b,) of each node, whether it has a place, int8, packed."""
     sigmas: Bytes
-    """float16."""
+    """(b,) as of the surface, float16, packed."""
     roughness: Bytes
-    """float16."""
+    """(b,) the same."""
 
     @property
     def surface(self) -> StereoSurface:

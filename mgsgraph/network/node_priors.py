@@ -56,12 +56,13 @@ class NodePrior(BiasAndDrift):
     """What is known of a pass's nodes beforehand; every entry (6,), m along X, Y, Z and rad."""
 
     sigmas: Array
-    """Of a node's coefficient about the trend; infinite where nothing is known. A spline's orientation at a node is the
-    mean of three coefficients, 1:4:1, and so known better: to 0.71 of this where they know nothing of each other."""
+    """(6,) m and rad, of a node's coefficient about the trend; infinite where nothing is known. A spline's orientation
+    at a node is the mean of three coefficients, 1:4:1, and so known better: to 0.71 of this where they know nothing of
+    each other."""
     bias: Array
-    """Sigma of the trend's constant part; 0 where there is none."""
+    """(6,) m and rad, sigma of the trend's constant part; 0 where there is none."""
     drift: Array
-    """Sigma of the trend's linear part, at the ends of the pass; 0 where there is none."""
+    """(6,) m and rad, sigma of the trend's linear part, at the ends of the pass; 0 where there is none."""
     correlation_time: float = 0.0
     """s in which the departures from the trend forget themselves to 1/e; 0 for nodes that know nothing of each other"""
 

@@ -90,7 +90,7 @@ class ImageRays(Record):
     image: Index
     """(k,) image."""
     places: Array
-    """(k, 2) line, sample."""
+    """(k, 2) pixels, line and sample."""
     sigmas: Array
     """(k, 2) pixels, positive."""
     back_projected: Mask | None = None
@@ -163,7 +163,7 @@ class ProfileShifts(Record):
     """Unknown horizontal shifts, one per laser profile: to be added to its footprints' a-priori places."""
 
     names: tuple[str, ...]
-    """(p) profiles."""
+    """(p,) profiles."""
     profile: Index
     """(n,) profile of each ground point; -1 for none. Its points are constrained."""
     sigmas: Array

@@ -172,7 +172,7 @@ class SharedUnknown(Record):
     images: Index
     """(m,) images that share it, each once; none of what is of a profile."""
     sigmas: Array
-    """(kind.width,) a-priori, about zero, in the kind's unit; finite."""
+    """(w,) a-priori, about zero, in the unit of its kind; finite."""
     profile: str = ""
     """Laser profile (`ProfileShifts.names`) whose height or drift it is."""
 

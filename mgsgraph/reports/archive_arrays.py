@@ -209,12 +209,12 @@ def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
         if value is None and type(None) in options:
             return None
         options = tuple(option for option in options if option is not type(None))
-        if any(_element(option) for option in options):
+        if any(array_scalar(option) for option in options):
             return _array(value, options, where, arrays)
         if len(options) > 1:  # records, of which the value says which it is
             return _record(value, {kind.__name__: kind for kind in options}[value["kind"]], where, arrays)
         return from_arrays(value, options[0], where, arrays)
-    if _element(kind):
+    if array_scalar(kind):
         return _array(value, (kind,), where, arrays)
     if origin is tuple:
         if isinstance(value, dict):
@@ -229,7 +229,12 @@ def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
     return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
 
 
-def _element(kind: Any) -> Any:
+def kinds_of(kind: Any) -> tuple[type[Any], ...]:
+    """Records that may stand where a protocol is declared; none of any other type."""
+    return tuple(_KINDS[kind].values()) if kind in _KINDS else ()
+
+
+def array_scalar(kind: Any) -> Any:
     """Type of the numbers of an array's type; None of any other type."""
     if get_origin(kind) is np.ndarray:
         return get_args(get_args(kind)[1])[0]
@@ -238,7 +243,7 @@ def _element(kind: Any) -> Any:
 
 def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Arrays) -> np.ndarray:
     """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
-    array, scalars = arrays[value["array"]], tuple(map(_element, kinds))
+    array, scalars = arrays[value["array"]], tuple(map(array_scalar, kinds))
     if not issubclass(array.dtype.type, scalars):
         raise InputError(where, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _ANEW)
     return array
