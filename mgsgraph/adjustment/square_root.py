@@ -38,7 +38,8 @@ class SquareRoot:
     frontals: Index
     """(c,) how many of them are frontal."""
     rows: Array
-    """(t,) 1/m and 1/rad, rows [R T] of the cliques, flat: f rows of f + s numbers for f frontal and s other columns."""
+    """(t,) 1/m and 1/rad, rows [R T] of the cliques, flat: f rows of f + s numbers for f frontal and s other
+    columns."""
 
     def __post_init__(self) -> None:
         for name in ("first", "width", "members", "sizes", "frontals", "rows"):

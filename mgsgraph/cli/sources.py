@@ -345,8 +345,8 @@ def dem(
     """Match the images of SOLUTION (results of `mgsgraph adjust`, or a project) densely and write a terrain model.
 
     OUT then holds dem.tif (height, sigma, its parts by matching and by orientation, number of points), ortho.tif (an
-    image laid on it), dem.json, shots.csv (heights against laser shots that took no part in the adjustment) and a
-    figure.
+    image laid on it), dem.json, dem.stac.json (item of a STAC catalogue), shots.csv (heights against laser shots that
+    took no part in the adjustment) and a figure.
     """
     from typing import cast
 
