@@ -88,6 +88,13 @@ def a_case(folder: Path) -> dict[str, object]:
     return {}
 
 
+def adjusted(folder: Path) -> dict[str, object]:
+    a_case(folder)
+    words = ["adjust", str(folder / "CASE.toml"), "--out", str(folder / "RESULT"), "--no-figures"]
+    assert not group.main(words, standalone_mode=False)
+    return {}
+
+
 def a_network(folder: Path) -> dict[str, object]:
     a_case(folder)
     case = mgsgraph.read_case(folder / "CASE.toml")
@@ -120,10 +127,12 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
     "docs/cluster.md": (a_network, ""),
     "docs/dem.md": (a_result, "Dem("),
     "docs/exchange.md": (nothing, "PointId of 1 point (they are counted anew)"),
+    "docs/export.md": (adjusted, "Dimensions:"),
     "docs/incremental.md": (nothing, "Closing check"),
     "docs/jigsaw.md": (nothing, "network_without_laser.net"),
     "docs/matching.md": (pixels, "Matches("),
     "docs/review.md": (nothing, "5 of 20 tie points"),
+    "docs/solution_npz.md": (adjusted, "SIM/A"),
     "docs/strips.md": (nothing, "HRSC/01: "),
     "docs/two_steps.md": (nothing, "reduced by a factor"),
 }

@@ -20,6 +20,7 @@ from mgsgraph.geometry.body import Ellipsoid, naif_id, target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.map_shapes import geojson, map_bounds, map_polygon
 from mgsgraph.geometry.records import Array
+from mgsgraph.output.folders import DEM
 from mgsgraph.output.geotiff import MEDIA_TYPE
 from mgsgraph.units import DEG
 
@@ -92,9 +93,9 @@ def item(
         },
     }  # fmt: skip
     more = {
-        "record": ("dem.json", "application/json", "Settings, figures and sentences", "metadata"),
+        "record": (DEM, "application/json", "Settings, figures and sentences", "metadata"),
         "shots": ("shots.csv", "text/csv", "Laser shots that took no part, against the model", "metadata"),
-        "overview": ("dem.png", "image/png", "Relief, sigmas and checks", "overview"),
+        "overview": (Path(DEM).with_suffix(".png").name, "image/png", "Relief, sigmas and checks", "overview"),
     }
     for key, (name, kind, title, role) in more.items():
         if name in files:
