@@ -13,6 +13,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.starts import Minima
 from mgsgraph.analysis.nearby import posterior_of_points
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError
@@ -211,7 +212,10 @@ class Opened:
 
         def make() -> list[Array]:
             block = self.block()
-            found = network_footprints(block.network, block.places, lambda j: block.corrections[j])  # type: ignore[arg-type,return-value]
+            if self.solution is not None:
+                found = solution_connectivity(self.solution).footprints
+            else:
+                found = network_footprints(block.network, block.places, block.corrections.__getitem__)
             return [self.map_places(one.outline) if len(one.outline) else np.zeros((0, 2)) for one in found]
 
         return self.once("footprints", make)

@@ -73,10 +73,10 @@ class Figures:
 
         asked, linked = request.query_params, self._views.linked
         name = asked.get("image") or linked.block.images[0].name
-        image = linked.block.images[linked.block.number(name)]
+        image = linked.block.images[linked.block.network.image_number(name)]
         window = (
-            number_of(request, "line0", 0.0), number_of(request, "line1", float(image.lines)),
-            number_of(request, "sample0", 0.0), number_of(request, "sample1", float(image.samples)),
+            number_of(asked, "line0", 0.0), number_of(asked, "line1", float(image.lines)),
+            number_of(asked, "sample0", 0.0), number_of(asked, "sample1", float(image.samples)),
         )  # fmt: skip
         if not (window[0] < window[1] and window[2] < window[3]):
             raise InputError("figure of images", f"lines and samples {window}", "from smaller to larger ones")
@@ -88,7 +88,7 @@ class Figures:
         for other in others:
             if other in places:
                 every.append(self._view(other, _same_ground(places[other], window, middle), places[other]))
-        return images_sheet(every, number_of(request, "factor", 20.0), linked.block.adjusted)
+        return images_sheet(every, number_of(request.query_params, "factor", 20.0), linked.block.adjusted)
 
     def _view(
         self, name: str, window: tuple[float, float, float, float], predicted: Prediction | None
@@ -96,7 +96,7 @@ class Figures:
         from mgsgraph.figures.image_views import ImageView
 
         block = self._views.linked.block
-        j = block.number(name)
+        j = block.network.image_number(name)
         grey, contrast = None, (0.0, 1.0)
         extent = 0.0, float(block.images[j].samples), float(block.images[j].lines), 0.0
         if self._views.tiles.has(name):
