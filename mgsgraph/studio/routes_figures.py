@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from mgsgraph.figures.sheet import Sheet
 
 _TYPES = {"svg": "image/svg+xml", "png": "image/png", "pdf": "application/pdf"}
+_MATPLOTLIB = Lock()
+"""Its settings are one for all threads."""
 _MOST = 1200
 """Lines and samples of a picture in a figure; more are halved."""
 _MOST_IMAGES = 4
-_OF_SOLUTION = ("map", "residuals", "corrections", "orientation", "connectivity", "minima")
+_OF_SOLUTION = ("residuals", "corrections", "orientation", "connectivity", "minima")
 """Views of which a figure is what the results have."""
 
 
@@ -41,30 +43,18 @@ class Figures:
     """
 
     def __init__(self, scene: Pictured, views: Views) -> None:
-        self._scene, self._views, self._lock = scene, views, Lock()
+        self._scene, self._views = scene, views
         self._every: dict[str, Callable[[Request], Sheet]] = {
             "images": self._images, "footprints": self._footprints, "relief": self._relief, "heights": self._heights,
         }
 
-    def drawn(self, view: str, kind: str, request: Request) -> bytes:
-        """A view as a file; InputError where there is no such view, or nothing to be drawn."""
-        every = (*self._every, *_OF_SOLUTION)
-        if view not in every or kind not in _TYPES:
-            found, known = f"{view}.{kind}", f"one of {', '.join(every)} as {', '.join(_TYPES)}"
-            raise InputError("figure", found, known)
-        with self._lock:  # matplotlib's settings are one for all threads
-            sheet = self._every[view](request) if view in self._every else self._of_solution(view)
-            return self._encoded(sheet, kind)
-
-    def _encoded(self, sheet: "Sheet", kind: str) -> bytes:
-        from mgsgraph.figures.sheet import encoded
-
-        about: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
-        if kind == "pdf":
-            about = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
-        elif kind == "svg":
-            about |= {"Date": None, "Creator": "mgsgraph"}
-        return encoded(sheet, kind, metadata=about)
+    def sheet(self, view: str, request: Request) -> "Sheet":
+        """A view; InputError where there is no such view, or nothing to be drawn."""
+        if view in self._every:
+            return self._every[view](request)
+        if view in _OF_SOLUTION:
+            return self._of_solution(view)
+        raise InputError("figure", f"{view!r}"[:60], f"one of {', '.join((*self._every, *_OF_SOLUTION))}")
 
     # --- images
 
@@ -137,14 +127,13 @@ class Figures:
 
     def _of_solution(self, view: str) -> "Sheet":
         from mgsgraph.figures.adjacency import links_sheet
-        from mgsgraph.figures.ground_map import map_sheets
         from mgsgraph.figures.minima import minima_sheets
         from mgsgraph.figures.orientation import orientation_sheets
         from mgsgraph.figures.page import correction_sheets
         from mgsgraph.figures.residuals import residual_sheets
 
         drawn_by: dict[str, Callable[[Solution], Iterable[Sheet]]] = {
-            "minima": minima_sheets, "map": map_sheets, "residuals": residual_sheets, "corrections": correction_sheets,
+            "minima": minima_sheets, "residuals": residual_sheets, "corrections": correction_sheets,
             "orientation": orientation_sheets, "connectivity": lambda found: [links_sheet(found)],
         }  # fmt: skip
         solution = self._scene.solution
@@ -198,15 +187,31 @@ def _chosen(records: list[dict[str, Any]], key: str, wanted: str | None, what: s
     return found[0]
 
 
+def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
+    """A view, drawn by `make`, as an attachment with its caption; InputError of what can't be written."""
+    from mgsgraph.figures.sheet import encoded
+
+    if kind not in _TYPES:
+        raise InputError("figure", f"{view}.{kind}"[:60], f"one of {', '.join(_TYPES)}")
+    with _MATPLOTLIB:
+        sheet = make()
+        about: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
+        if kind == "pdf":
+            about = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
+        elif kind == "svg":
+            about |= {"Date": None, "Creator": "mgsgraph"}
+        data = encoded(sheet, kind, metadata=about)
+    return Response(data, media_type=_TYPES[kind], headers={
+        "Content-Disposition": f'attachment; filename="{view}.{kind}"', "Cache-Control": "no-store",
+    })  # fmt: skip
+
+
 def routes(scene: Pictured, views: Views) -> list[Route]:
     """The address of figures, for the server's list."""
     figures = Figures(scene, views)
 
     def figure(request: Request) -> Response:
         view, kind = request.path_params["view"], request.path_params["kind"]
-        data = figures.drawn(view, kind, request)
-        return Response(data, media_type=_TYPES[kind], headers={
-            "Content-Disposition": f'attachment; filename="{view}.{kind}"', "Cache-Control": "no-store",
-        })  # fmt: skip
+        return drawn(view, kind, lambda: figures.sheet(view, request))
 
     return [Route("/api/figure/{view:str}.{kind:str}", figure)]

@@ -21,6 +21,7 @@ from mgsgraph.reports.summary import statements
 from mgsgraph.studio.map_layers import longitude_latitude, relief_png, residual_vectors, sigma_cells
 from mgsgraph.studio.map_points import CLASSES, VALUES, map_points
 from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.routes_figures import drawn
 from mgsgraph.studio.views import number_of
 from mgsgraph.units import DEG
 
@@ -155,6 +156,14 @@ def routes(opened: Opened) -> list[Route]:
         longitude, latitude = longitude_latitude(opened, place)[0] / DEG
         return JSONResponse({"longitude_deg": longitude % 360.0, "latitude_deg": latitude})
 
+    def figure(request: Request) -> Response:
+        from mgsgraph.studio.map_figure import map_figure
+
+        asked, kind = request.query_params, request.path_params["kind"]
+        layers, value = asked.get("layers", "footprints,points").split(","), asked.get("value", "sigma")
+        box, size, kinds, factor = box_of(request), _size(request), _kinds(request), number_of(asked, "factor", 0.0)
+        return drawn("map", kind, lambda: map_figure(opened, box, size, value, kinds, layers, factor))
+
     def compared(request: Request) -> Response:
         other = request.query_params.get("other", "")
         if not other:
@@ -164,6 +173,6 @@ def routes(opened: Opened) -> list[Route]:
     every: list[tuple[str, Callable[[Request], Response]]] = [
         ("/api/scene", scene), ("/api/map/points", points), ("/api/map/relief.png", relief),
         ("/api/map/sigmas", sigmas), ("/api/map/residuals", residuals), ("/api/select", select),
-        ("/api/map/where", where), ("/api/compare", compared),
+        ("/api/map/where", where), ("/api/map/figure.{kind:str}", figure), ("/api/compare", compared),
     ]  # fmt: skip
     return [Route(path, endpoint) for path, endpoint in every]
