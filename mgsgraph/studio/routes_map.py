@@ -17,7 +17,6 @@ from mgsgraph.project.reading import results_of
 from mgsgraph.registration.measured import thinned
 from mgsgraph.reports.archive import read_solution
 from mgsgraph.reports.comparison import compare
-from mgsgraph.reports.summary import statements
 from mgsgraph.studio.map_layers import longitude_latitude, relief_png, residual_vectors, sigma_cells
 from mgsgraph.studio.map_points import CLASSES, VALUES, map_points
 from mgsgraph.studio.opened import Opened
@@ -32,34 +31,33 @@ _MOST_MOVED = 2000
 
 
 def scene_record(opened: Opened) -> dict[str, Any]:
-    """What is open: images with their outlines, classes of points, what can be drawn, as JSON."""
+    """What is open: images, classes of points, what can be drawn, as JSON."""
     block = opened.block()
-    outlines = opened.footprints()
-    most = None if len(outlines) <= _MOST_OUTLINES else _FEW_PLACES
     number = np.bincount(block.network.points.classes, minlength=len(PointClass))
     places = map_points(opened).plane
     known = places[np.all(np.isfinite(places), axis=1)]
-    corners = np.concatenate([known, *(one for one in outlines if len(one))])
+    corners = known if len(known) else np.concatenate([one for one in opened.footprints() if len(one)])
     return {
         "kind": opened.kind, "name": opened.name, "path": str(opened.path), "revision": opened.revision,
         "adjusted": block.adjusted, "warning": opened.warning,
         "body": {"equatorial_m": block.images[0].body.equatorial, "polar_m": block.images[0].body.polar},
         "images": [
             {"name": image.name, "lines": image.lines, "samples": image.samples,
-             "picture": opened.pictures.get(image.name) is not None,
-             "footprint_m": np.round(outline[thinned(len(outline), most)], 1).tolist()}
-            for image, outline in zip(block.images, outlines, strict=True)
+             "picture": opened.pictures.get(image.name) is not None}
+            for image in block.images
         ],
         "map": {"words": opened.map_words, "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]},
         "classes": [{"name": name, "count": int(count)} for name, count in zip(CLASSES, number, strict=True)],
         "values": [{"name": name, "title": title, "unit": unit} for name, (title, unit) in VALUES.items()],
         "terrain": block.terrain is not None,
-        "solution": opened.once("statements", lambda: _statements(opened)),
     }  # fmt: skip
 
 
-def _statements(opened: Opened) -> list[str]:
-    return [] if opened.solution is None else statements(opened.solution)
+def outlines_record(opened: Opened) -> dict[str, Any]:
+    """Outline (k, 2) of each image in m on the map, empty where it sees nothing of the body, as JSON."""
+    outlines = opened.footprints()
+    most = None if len(outlines) <= _MOST_OUTLINES else _FEW_PLACES
+    return {"outlines_m": [np.round(one[thinned(len(one), most)], 1).tolist() for one in outlines]}
 
 
 def box_of(request: Request) -> Array:
@@ -134,6 +132,9 @@ def routes(opened: Opened) -> list[Route]:
     def scene(_: Request) -> Response:
         return JSONResponse(scene_record(opened))
 
+    def outlines(_: Request) -> Response:
+        return JSONResponse(outlines_record(opened))
+
     def points(request: Request) -> Response:
         value = request.query_params.get("value", "sigma")
         return JSONResponse(map_points(opened).window(box_of(request), _size(request), value, _kinds(request)))
@@ -171,8 +172,9 @@ def routes(opened: Opened) -> list[Route]:
         return JSONResponse(comparison(opened, Path(other)))
 
     every: list[tuple[str, Callable[[Request], Response]]] = [
-        ("/api/scene", scene), ("/api/map/points", points), ("/api/map/relief.png", relief),
-        ("/api/map/sigmas", sigmas), ("/api/map/residuals", residuals), ("/api/select", select),
-        ("/api/map/where", where), ("/api/map/figure.{kind:str}", figure), ("/api/compare", compared),
+        ("/api/scene", scene), ("/api/map/outlines", outlines), ("/api/map/points", points),
+        ("/api/map/relief.png", relief), ("/api/map/sigmas", sigmas), ("/api/map/residuals", residuals),
+        ("/api/select", select), ("/api/map/where", where), ("/api/map/figure.{kind:str}", figure),
+        ("/api/compare", compared),
     ]  # fmt: skip
     return [Route(path, endpoint) for path, endpoint in every]

@@ -174,8 +174,11 @@ export class MapPanel {
   }
 
   whole() {
-    const [x0, y0, x1, y1] = this.app.scene.map.bounds_m, {clientWidth: w, clientHeight: h} = this.canvas;
+    const {clientWidth: w, clientHeight: h} = this.canvas;
     if (!w) return;
+    let [x0, y0, x1, y1] = this.app.scene.map.bounds_m;
+    for (const [x, y] of (this.outlines || []).flat()) [x0, y0, x1, y1] = [Math.min(x0, x), Math.min(y0, y), Math.max(x1, x), Math.max(y1, y)];
+    this.touchedOnce = false;
     this.view = {x: (x0 + x1) / 2, y: (y0 + y1) / 2, scale: 0.92 * Math.min(w / Math.max(x1 - x0, 1), h / Math.max(y1 - y0, 1))};
     this.ask();
   }
@@ -196,6 +199,7 @@ export class MapPanel {
   }
 
   touched() {
+    this.touchedOnce = true;
     this.draw();
     clearTimeout(this.rest);
     this.rest = setTimeout(() => this.ask(), REST);
@@ -226,6 +230,7 @@ export class MapPanel {
     this.words.textContent = `Map in ${scene.map.words}.`;
     this.fit();
     if (this.view && this.drawn === null) this.whole();
+    this.readOutlines();
   }
 
   changed(found) {
@@ -234,6 +239,7 @@ export class MapPanel {
       this.ask();
     }, error => this.app.say(error.message, 'error'));
     this.layers = {};
+    this.readOutlines();
     const list = make('ul', {className: 'moved-list'});
     for (const one of (found.moved || []).slice(0, 8)) {
       const words = one.sigmas === null ? 'new' : `${short(Math.hypot(...one.vector_m))} m, ${short(one.sigmas)} of its sigmas`;
@@ -294,6 +300,17 @@ export class MapPanel {
     this.shown[layer] = false;
     document.getElementById(`layer-${layer}`).checked = false;
     this.app.say(error.message, 'error');
+  }
+
+  // They come after the points, for it takes longer to find them; the window holds them then, unless it was moved meanwhile
+  async readOutlines() {
+    const found = await this.app.request('/api/map/outlines').catch(error => this.app.say(error.message, 'error'));
+    if (!found) return;
+    const first = !this.outlines;
+    this.outlines = found.outlines_m;
+    if (first && this.view && !this.touchedOnce) this.whole();
+    else this.render();
+    this.element.dataset.outlines = 'true';
   }
 
   async readRelief(asked, box) {

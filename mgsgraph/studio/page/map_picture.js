@@ -16,7 +16,7 @@ export class MapPicture {
     const {shown, layers, points, app, candidates} = this.map;
     if (shown.relief && layers.relief) this.drawRelief(pen, layers.relief);
     if (shown.sigmas && layers.sigmas) this.drawSigmas(pen, layers.sigmas);
-    if (shown.footprints) this.drawOutlines(pen);
+    if (shown.footprints && this.map.outlines) this.drawOutlines(pen);
     if (points && shown.points) points.form === 'cells' ? this.drawCells(pen) : this.drawMarks(pen);
     if (points?.form === 'points' && shown.ellipses) this.drawEllipses(pen);
     if (points && shown.moved) this.drawMoved(pen);
@@ -46,17 +46,17 @@ export class MapPicture {
   drawOutlines({context, x, y, ink, width, height}) {
     context.strokeStyle = ink;
     context.lineWidth = 1;
-    const few = this.map.app.scene.images.length <= 12;
+    const {outlines} = this.map, few = outlines.length <= 12;
     context.beginPath();
-    for (const {footprint_m: outline} of this.map.app.scene.images)
+    for (const outline of outlines)
       outline.forEach(([east, north], k) => (k ? context.lineTo(x(east), y(north)) : context.moveTo(x(east), y(north))));
     context.stroke();
     if (!few) return;
     context.fillStyle = ink;
-    for (const [k, {name, footprint_m: outline}] of this.map.app.scene.images.entries()) {
+    for (const [k, outline] of outlines.entries()) {
       const top = outline.reduce((best, one) => (one[1] > best[1] ? one : best), [0, -Infinity]);
       if (outline.length && x(top[0]) > 0 && x(top[0]) < width && y(top[1]) > 0 && y(top[1]) < height)
-        context.fillText(name, x(top[0]) + 4, y(top[1]) - 4 - 14 * (k % 3));
+        context.fillText(this.map.app.scene.images[k].name, x(top[0]) + 4, y(top[1]) - 4 - 14 * (k % 3));
     }
   }
 
