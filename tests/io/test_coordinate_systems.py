@@ -4,7 +4,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pyproj
 import pytest
 import rasterio
 from gis_files import tool
@@ -15,6 +14,7 @@ from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.io.coordinate_systems import authority_code, equal_area_crs, geographic_crs, wkt2
 from mgsgraph.output.geotiff import geotiff
 
+pyproj = pytest.importorskip("pyproj", reason="pyproj (of the extra [tables]) is not installed")
 BODIES = {
     (3396190.0, 3376200.0): ("IAU_2015:49900", "Mars (2015) - Sphere / Ocentric"),
     (1737400.0, 1737400.0): ("IAU_2015:30100", "Moon (2015) - Sphere / Ocentric"),
