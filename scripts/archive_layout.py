@@ -23,7 +23,10 @@ from mgsgraph.reports.archive import FORMAT
 from mgsgraph.reports.archive_arrays import array_scalar, kinds_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "solution_npz.md"
-HEAD = "| array | type | shape | unit | meaning |"
+HEAD = "| array | numbers | unit | meaning |"
+GROUPS = ("", "network", "network.images.*", "network.points", "network.rays", "network.ranges", "network.surface",
+          "network.passes.*", "network.stereo", "network.crossovers", "joint_covariance")  # fmt: skip
+"""Paths of records whose arrays have a table of their own; the longest one counts."""
 _SHAPE = re.compile(r"(\([^()]*(?:\([^()]*\))?[^()]*\))[:,]? *")
 _UNIT = re.compile(
     r"(m and rad squared|m and rad|1/m and 1/rad|pixels and pixels/m|rad/s|m/s|m\^2|m per m|pixels|rad|m|s)\b"
@@ -44,10 +47,16 @@ class Row(NamedTuple):
     meaning: str
 
     @property
+    def group(self) -> str:
+        """Which table it stands in."""
+        return max((one for one in GROUPS if not one or self.path.startswith(f"{one}.")), key=len)
+
+    @property
     def line(self) -> str:
-        """In the table."""
-        cells = (f"`{self.path}`", " or ".join(self.scalars), self.shape, self.unit, self.meaning.replace("|", "\\|"))
-        return f"| {' | '.join(cells)} |"
+        """In the table of its group."""
+        name = self.path.removeprefix(f"{self.group}.") if self.group else self.path
+        numbers = f"{' or '.join(self.scalars)} {self.shape}"
+        return f"| `{name}` | {numbers} | {self.unit} | {self.meaning.replace('|', chr(92) + '|')} |"
 
 
 def rows() -> list[Row]:
@@ -65,8 +74,13 @@ def rows() -> list[Row]:
 
 
 def table() -> list[str]:
-    """Markdown."""
-    return [HEAD, "|---|---|---|---|---|", *(row.line for row in rows())]
+    """Markdown: a heading and a table for each group that there is."""
+    found, lines = rows(), list[str]()
+    for group in GROUPS:
+        title = f"Arrays of `{group}`" if group else "Arrays of the solution itself"
+        mine = [row.line for row in found if row.group == group]
+        lines += [f"## {title}", "", HEAD, "|---|---|---|---|", *mine, ""]
+    return lines[:-1]
 
 
 def _walk(kind: Any, path: str, said: str) -> Iterator[tuple[str, str, str]]:
@@ -110,7 +124,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--page", action="store_true", help="write docs/solution_npz.md")
     if options.parse_args().page:
-        head, _, _ = PAGE.read_text(encoding="utf-8").partition(HEAD)
+        head, _, _ = PAGE.read_text(encoding="utf-8").partition("## Arrays of")
         PAGE.write_text(head + "\n".join(table()) + "\n", encoding="utf-8")
         return
     print("\n".join(table()))

@@ -38,12 +38,14 @@ class Row(NamedTuple):
 
 
 def page_rows() -> list[Row]:
-    text = PAGE.read_text(encoding="utf-8")
-    found = re.findall(r"^\| `([^`]+)` \| ([^|]+) \| \(([^|]*)\) \| ([^|]+) \| (.+) \|$", text, re.MULTILINE)
-    return [
-        Row(path, tuple(types.split(" or ")), tuple(one.strip() for one in shape.split(",") if one.strip()), unit, said)
-        for path, types, shape, unit, said in found
-    ]
+    found, group = list[Row](), ""
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        if line.startswith("## "):
+            group = f"{line.split('`')[1]}." if "`" in line else ""
+        if said := re.fullmatch(r"\| `([^`]+)` \| ([^|(]+) \(([^|]*)\) \| ([^|]+) \| (.+) \|", line):
+            shape = tuple(one.strip() for one in said[3].split(",") if one.strip())
+            found.append(Row(group + said[1], tuple(said[2].split(" or ")), shape, said[4], said[5]))
+    return found
 
 
 def solutions() -> dict[str, Callable[[Path], Solution]]:
