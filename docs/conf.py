@@ -22,7 +22,6 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
     "annotations",
-    "table_columns",
     "mathml",
 ]
 root_doc = "index"

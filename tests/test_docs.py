@@ -355,7 +355,8 @@ def test_the_api_page_has_every_public_name() -> None:
     assert sorted(named) == mgsgraph.__all__
 
 
-def test_pages_about_the_program_are_as_the_program_is() -> None:
+def test_pages_about_the_program_are_as_the_program_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "scripts")
     written = importlib.util.spec_from_file_location("pages", ROOT / "scripts" / "pages.py")
     assert written is not None
     assert written.loader is not None
