@@ -1,4 +1,4 @@
-"""What is in each column of the files of results, as the tables themselves say: for docs/files.md (scripts/pages.py)."""
+"""What is in each column of the files of results, as the tables say: for docs/files.md (scripts/pages.py)."""
 
 import tempfile
 from collections.abc import Iterator

@@ -57,7 +57,7 @@ def in_language(*languages: str) -> list[Any]:
 # --- which block is whose
 
 
-CHECKED = {"sh", "sh setup", "toml", "python", "text", "bibtex"}
+CHECKED = {"sh", "sh setup", "toml", "python", "text", "bibtex", "output"}
 """Languages of blocks that a test below takes; directives ({...}) are the build's."""
 
 
