@@ -22,6 +22,7 @@ WIDTH = 1040
 """px; pages show them 690 to 740 wide, and finer on fine screens."""
 FIGURES = {
     "story.jpg": "mgsgraph-demo/story.png",
+    "landing.jpg": "mgsgraph-demo/story.png",
     "profiles.png": "mgsgraph-demo/profiles_1.png",
     "discrepancy.png": "mgsgraph-demo/discrepancy.png",
     "closeups.jpg": "mgsgraph-demo/closeups.png",
@@ -35,7 +36,7 @@ FIGURES = {
     "curve.png": "sigmas/sigmas_E02-00665.png",
     "sigma_map.jpg": "sigmas/sigma_map.png",
 }
-CROPPED = {"closeups.jpg": (0.0, 0.075, 0.672, 0.885)}
+CROPPED = {"closeups.jpg": (0.0, 0.075, 0.672, 0.885), "landing.jpg": (0.0, 0.05, 1.0, 0.865)}
 """Shares of width and height: left, upper, right, lower."""
 PAGES = {"review.jpg": ("review.html", 820, 150), "report.jpg": ("report.html", 760, 0)}
 """Files, how much of them is shown, and from where on, px."""

@@ -57,8 +57,8 @@ def in_language(*languages: str) -> list[Any]:
 # --- which block is whose
 
 
-CHECKED = {"sh", "sh setup", "toml", "python", "text", "bibtex", "output"}
-"""Languages of blocks that a test below takes; directives ({...}) are the build's."""
+CHECKED = {"sh", "sh setup", "toml", "python", "text", "bibtex", "output", "none"}
+"""Languages of blocks that a test below takes; directives ({...}) are the build's, output and none (tables) are printed."""
 
 
 def test_no_block_is_left_out() -> None:
