@@ -8,7 +8,7 @@ from io import BytesIO
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, Request, sync_playwright
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 WIDTHS = {1280: (5, 0.4), 380: (10, 0.6)}
@@ -41,13 +41,15 @@ def main() -> None:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
         for width, (columns, scale) in WIDTHS.items():
             page = browser.new_page(viewport={"width": width, "height": 800})
-            asked: list[str] = []
-            page.on("request", lambda request: asked.append(request.url))
+            page.on("request", tell_outside)
             pictures = [picture_of(page, path, width, scale) for path in pages]
-            for address in {one for one in asked if not one.startswith(("file:", "data:"))}:
-                print(f"asked of the network: {address}")
             contact_sheets(pictures, columns, out / f"{width}")
         browser.close()
+
+
+def tell_outside(request: Request) -> None:
+    if not request.url.startswith(("file:", "data:")):
+        print(f"asked of the network: {request.url}")
 
 
 def picture_of(page: Page, path: Path, width: int, scale: float) -> Image.Image:
