@@ -408,3 +408,11 @@ def test_the_gallery_is_shown_whole() -> None:
     assert len(list((DOCS / "gallery").glob("*.py"))) >= 5
     linked = re.findall(r"auto_gallery/(\w+)\.rst", " ".join(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md")))
     assert all((DOCS / "gallery" / f"{name}.py").exists() for name in {*linked} - {"index"})
+
+
+def test_terms_are_in_order_and_have_a_source() -> None:
+    head, *terms = re.split(r"^## ", (DOCS / "glossary.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert len(terms) > 40
+    names = [re.sub(r"[^a-z0-9 ]", "", term.partition("\n")[0].lower()) for term in terms]
+    assert names == sorted(names)
+    assert not [term for term in terms if "*Source:*" not in " ".join(term.split())]
