@@ -11,11 +11,11 @@ from PIL import Image
 from playwright.sync_api import Page, Request, sync_playwright
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
-WIDTHS = {1280: (5, 0.4), 380: (10, 0.6)}
+WIDTHS = {1280: (4, 0.5), 380: (7, 0.75)}
 """px; pages in a row of a sheet, and their scale there."""
-_TALLEST = 3200
+_TALLEST = 2400
 """px of a page that are shown."""
-_SHEET = 5000
+_SHEET = 2600
 """px, height of a sheet."""
 _WIDER = """() => {
     const out = [];
