@@ -23,6 +23,7 @@ from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
+from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.reports.archive import ARCHIVE, read_solution
@@ -91,6 +92,7 @@ class Opened:
         self.kind: Kind = _kind(path)
         self.revision = 0
         self._lock, self._near_lock, self._changing = threading.RLock(), threading.Lock(), threading.Lock()
+        self._kept = KeptAdjustment()
         self._state: tuple[int, _Now] | None = None
         self._made: dict[str, object] = {}
         self._making: dict[str, threading.RLock] = {}
@@ -236,7 +238,7 @@ class Opened:
         if self.kind != "project":
             raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
         with self._changing:
-            with open_project(self.path, write=True) as project:
+            with open_project(self.path, write=True, kept=self._kept) as project:
                 found = act(project)
                 words = _words(project)
             self.revision, self._warning = self.revision + 1, words
