@@ -37,6 +37,13 @@ from mgsgraph.analysis.components import components_of
 print(components_of(linearised))
 
 # %%
+# The same as a picture: on the line the sigmas are honest, steeper they are too small.
+from mgsgraph.analysis.residual_tests import residual_statistics
+from mgsgraph.figures.quantiles import quantile_sheet
+
+quantiles = quantile_sheet(residual_statistics(solution), solution.name)
+
+# %%
 # Of what least was learnt: directions in which the sigma after is nearly the sigma before.
 from mgsgraph.analysis.weak import weak_directions
 
