@@ -411,7 +411,7 @@ def test_the_gallery_is_shown_whole() -> None:
 
 
 def test_terms_are_in_order_and_have_a_source() -> None:
-    head, *terms = re.split(r"^## ", (DOCS / "glossary.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    _, *terms = re.split(r"^## ", (DOCS / "glossary.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
     assert len(terms) > 40
     names = [re.sub(r"[^a-z0-9 ]", "", term.partition("\n")[0].lower()) for term in terms]
     assert names == sorted(names)
