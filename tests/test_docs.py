@@ -51,7 +51,8 @@ BLOCKS = [block for path in PAGES for block in blocks_of(path)]
 
 
 def in_language(*languages: str) -> list[Any]:
-    return [pytest.param(block, id=block.where) for block in BLOCKS if block.language in languages and block.page not in RUN]
+    mine = (block for block in BLOCKS if block.language in languages and block.page not in RUN)
+    return [pytest.param(block, id=block.where) for block in mine]
 
 
 # --- which block is whose
