@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 
+_MOST_COMPARED = 20_000
+"""Names among which those nearest to a misspelt one are sought."""
 Chosen = Union[slice, "NDArray[np.int64]", "NDArray[np.bool_]"]
 """Which names: a slice, numbers (m,) or marks (n,)."""
 
@@ -296,7 +298,8 @@ def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], 
     if isinstance(asked, str):
         if asked in numbers:
             return numbers[asked]
-        near, expected = get_close_matches(asked, numbers, n=3), "one of their names"
+        few = len(numbers) <= _MOST_COMPARED
+        near, expected = get_close_matches(asked, numbers, n=3) if few else [], "one of their names"
     else:
         if 0 <= index(asked) < len(numbers):
             return index(asked)

@@ -39,6 +39,7 @@ class App extends EventTarget {
     return found;
   }
   say(words) { this.said.push(words); }
+  place(at) { this.placed = at; }
   select(name) { this.selection = name; this.dispatchEvent(new Event('selected')); }
   async change(body) { this.changes.push(body); this.dispatchEvent(new Event('changed')); return {}; }
 }

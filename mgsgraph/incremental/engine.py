@@ -37,6 +37,8 @@ _LIKELY = 0.7 * NOTICEABLE
 """Sigmas by which a point has to move for its bundle to be written, or share by which its sigmas have to change."""
 _ANYWHERE = 1e3
 """m, sigma of a point's coordinate from which on its place is of no use as a beginning."""
+_MOST_TOGETHER = 60
+"""Unknowns whose joint covariance is asked for at a time."""
 _KEPT = 150_000
 """Points that stay laid out for the kernel between two changes (about 1 kB each)."""
 
@@ -91,6 +93,10 @@ class Engine:
         self._lay_nothing_out()
         self._plant()
         self._take_values()
+
+    def resume(self, store: StateStore) -> None:
+        """Read from now on from a store that holds the same state."""
+        self._store = store
 
     def _lay_nothing_out(self) -> None:
         self._sweeps = _Kept(_KEPT)
@@ -316,35 +322,40 @@ class Engine:
         Points move by no more of their sigmas than the unknowns of their bundle do of theirs (in Mahalanobis' sense):
         dp = A dx, and S_p is at least A S_x A'.
         """
-        reached, looked_at = dict[Members, Array](), dict[Members, Array]()
+        reached = dict[Members, Array]()
         start = {unknown for members in gone for unknown in members} & set(self.shared)
-        waiting = list(changed | {members for unknown in start for members in self._holding[unknown]})
+        waiting = changed | {members for unknown in start for members in self._holding[unknown]}
         seen = set(waiting)
         while waiting:
-            waiting.sort(key=len)  # large ones first: their covariance has that of their parts in it
-            members = waiting.pop()
-            system = self.systems[members]
-            joint = self._joint_within(system.unknowns, looked_at)
-            # new unknowns have moved from zero
-            step = np.concatenate([self.value[one] - before.get(one, 0.0) for one in system.unknowns])
-            if members not in changed and step @ np.linalg.solve(joint, step) < _REACH**2:
-                continue
-            reached[members] = joint
-            near = {other for unknown in system.unknowns for other in self._holding[unknown]} - seen
+            near = set[Members]()
+            for members, joint in self._joints(waiting):
+                unknowns = self.systems[members].unknowns
+                if members in changed or self._has_moved(unknowns, joint, before):
+                    reached[members] = joint
+                    near |= {other for unknown in unknowns for other in self._holding[unknown]}
+            waiting = near - seen
             seen |= near
-            waiting += near
         return reached
 
-    def _joint_within(self, unknowns: Members, known: dict[Members, Array]) -> Array:
-        """Joint covariance of some unknowns, out of one that is known where they all are in it."""
-        wanted = set(unknowns)
-        for names, joint in known.items():
-            if wanted.issubset(names):
-                place, columns = stretches(names, self.value), np.arange(joint.shape[0])
+    def _has_moved(self, unknowns: Members, joint: Array, before: Mapping[Unknown, Array]) -> bool:
+        """Whether unknowns have moved noticeably, of the joint covariance given."""
+        # new unknowns have moved from zero
+        step = np.concatenate([self.value[one] - before.get(one, 0.0) for one in unknowns])
+        # all of them together by no less than each of them, which is sooner found
+        parts = [*stretches(unknowns, self.value).values(), slice(None)]
+        return any(step[mine] @ np.linalg.solve(joint[mine, mine], step[mine]) >= _REACH**2 for mine in parts)
+
+    def _joints(self, bundles: Iterable[Members]) -> Iterator[tuple[Members, Array]]:
+        """Bundles with the joint covariance of their unknowns: out of that of many at a time, for which iSAM2 takes
+        hardly longer than for few.
+        """
+        for some in _gathered({members: self.systems[members].unknowns for members in sorted(bundles)}):
+            every = tuple(dict.fromkeys(unknown for unknowns in some.values() for unknown in unknowns))
+            joint, place = self.joint(every), stretches(every, self.value)
+            columns = np.arange(joint.shape[0])
+            for members, unknowns in some.items():
                 mine = np.concatenate([columns[place[unknown]] for unknown in unknowns])
-                return np.asarray(joint[np.ix_(mine, mine)])
-        known[unknowns] = self.joint(unknowns)
-        return known[unknowns]
+                yield members, joint[np.ix_(mine, mine)]
 
     def _note(self, reached: Mapping[Members, Array], new: Iterable[Unknown]) -> None:
         """Values and covariances of the unknowns reached, for the records of the store."""
@@ -426,6 +437,19 @@ class Engine:
             if moved:
                 found[members] = now if changed else replace(now, covariances=was.covariances)
         return found
+
+
+def _gathered(bundles: Mapping[Members, Members]) -> Iterator[dict[Members, Members]]:
+    """Bundles by what they feel, together as long as that is no more than `_MOST_TOGETHER` unknowns."""
+    some, felt = dict[Members, Members](), set[Unknown]()
+    for members, unknowns in bundles.items():
+        if some and len(felt.union(unknowns)) > _MOST_TOGETHER:
+            yield some
+            some, felt = {}, set()
+        some[members] = unknowns
+        felt.update(unknowns)
+    if some:
+        yield some
 
 
 def _noticeably(was: Bundle, now: Bundle) -> tuple[bool, bool]:

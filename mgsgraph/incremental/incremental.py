@@ -254,6 +254,11 @@ class IncrementalAdjustment(Record):
         changed = without(self.store, names, after, turned_bundles(self.store, before, after))
         return self._change("remove", list(names), [], *changed, after)
 
+    def resume(self, store: StateStore) -> None:
+        """Go on with a store that holds the same state, opened anew."""
+        self.store = store
+        self._engine.resume(store)
+
     def put_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
         """Put points as a network has them, with all of their rows, in the place of what they were before.
 

@@ -139,7 +139,7 @@ def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask |
 
 
 def network_footprints(
-    network: Network, places: Array, correction: Callable[[int], OrientationCorrection] | None = None
+    network: Network, places: Array, correction: Callable[[int], OrientationCorrection | None] | None = None
 ) -> tuple[Footprint, ...]:
     """Footprints of all images, each at the middle height of the points that it measures.
 
@@ -150,7 +150,7 @@ def network_footprints(
     places : (n, 3)
         m, of its ground points; NaN where unknown.
     correction : callable, optional
-        The orientation correction of an image; nominal when absent.
+        The orientation correction of an image, None for none; nominal when absent.
     """
     heights = geodetic(places, network.images[0].body)[:, 2]
     known = np.isfinite(heights)

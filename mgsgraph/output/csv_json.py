@@ -32,6 +32,17 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def vector(values: Array) -> list[Any] | None:
+    """A place or vector for JSON: null where one of its numbers is not known."""
+    found: list[Any] = values.tolist()
+    return found if np.all(np.isfinite(values)) else None
+
+
+def digits(values: Array, count: int = 6) -> list[float | None]:
+    """Numbers (n,) for JSON, of so many digits; null where there is none."""
+    return [float(f"{value:.{count}g}") if math.isfinite(value) else None for value in values.tolist()]
+
+
 def write_json(path: Path, record: Mapping[str, Any]) -> None:
     """Write a record as strict JSON, as `plain` makes it, which ends with its checksum."""
     path.write_text(record_text(plain(record)), encoding="utf-8", newline="\n")

@@ -48,7 +48,10 @@ def incremental(project: Project, settings: SolverSettings | None = None) -> Inc
     """From the state that the project holds, with its settings or others; points are always eliminated there, to the
     same result.
     """
-    return IncrementalAdjustment(replace(settings or project.settings.solver.settings, form="bundle"), project.store)
+    wanted = replace(settings or project.settings.solver.settings, form="bundle")
+    if project.kept is None:
+        return IncrementalAdjustment(wanted, project.store)
+    return project.kept.resumed(next(iter(project.changes(1)), None), wanted, project.store)
 
 
 def add(project: Project, addition: Addition) -> Impact | None:
@@ -195,6 +198,8 @@ def note(project: Project, verb: str, what: str, summary: dict[str, Any], impact
     number = project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
     message = "All unknowns came to rest." if impact.converged else "It did not come to rest; solve the project anew."
     project.record_incremental(impact.converged, message)
+    if project.kept is not None:
+        project.kept.noted(*project.changes(1))
     return number
 
 

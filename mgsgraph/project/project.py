@@ -21,6 +21,7 @@ from mgsgraph.geometry.twins import ImageTimes
 from mgsgraph.io.files import sha256_of, understood
 from mgsgraph.io.writing import writing_to
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
+from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.reports.archive_arrays import unpack_parts
@@ -108,10 +109,12 @@ class Project:
     folder : Path
     store : ProjectStore
         State of the adjustment.
+    kept : KeptAdjustment or None
+        Of a process that makes several changes.
     """
 
-    def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, connection: sqlite3.Connection, kept: KeptAdjustment | None = None) -> None:
+        self.folder, self.kept = folder, kept
         self.store = ProjectStore(connection, str(folder))
         self._connection = connection
 
@@ -382,7 +385,9 @@ class Project:
 
 
 @contextmanager
-def open_project(folder: str | Path, write: bool = False, thorough: bool = False) -> Iterator[Project]:
+def open_project(
+    folder: str | Path, write: bool = False, thorough: bool = False, kept: KeptAdjustment | None = None
+) -> Iterator[Project]:
     """Open a project for one change, or for reading; see `mgsgraph.project.connection.connected`.
 
     On any exception inside, nothing has changed.
@@ -395,13 +400,20 @@ def open_project(folder: str | Path, write: bool = False, thorough: bool = False
         For a change: no other process may change it meanwhile.
     thorough : bool
         Look through the whole file for damage first.
+    kept : KeptAdjustment, optional
+        The adjustment after this process' last change, for the next one.
     """
     path = Path(folder)
-    with connected(path, write, thorough) as connection:
-        project = Project(path, connection)
-        with understood(str(folder), A_PROJECT, ELSEWHERE):
-            project.store.require_whole()
-        yield project
+    try:
+        with connected(path, write, thorough) as connection:
+            project = Project(path, connection, kept)
+            with understood(str(folder), A_PROJECT, ELSEWHERE):
+                project.store.require_whole()
+            yield project
+    except BaseException:
+        if kept is not None:  # it may hold what the file does not
+            kept.forget()
+        raise
 
 
 def _require_free(target: Path, shown: str) -> None:

@@ -16,7 +16,7 @@ from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.errors import MgsgraphError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -110,17 +110,6 @@ class Block:
     def joint(self) -> JointCovariance | None:
         """Covariance of the shared unknowns, a-priori before any adjustment; None where of some nothing is known."""
         return self.joint_of()
-
-    @cached_property
-    def numbers(self) -> dict[str, int]:
-        """Number of each image by its name."""
-        return {image.name: j for j, image in enumerate(self.images)}
-
-    def number(self, image: str) -> int:
-        """Number of an image by its name; InputError where there is none."""
-        if image not in self.numbers:
-            raise InputError(f"image {image}", "not in this block", f"one of its {len(self.images)} images")
-        return self.numbers[image]
 
     @cached_property
     def rays_by_image(self) -> list[Index]:

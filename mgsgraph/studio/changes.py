@@ -14,6 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, from_geodetic
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.impact import Impact
+from mgsgraph.output.csv_json import vector
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited
 from mgsgraph.project.journal import Measure
@@ -146,14 +147,10 @@ def _moved(opened: Opened, impact: Impact, places: Array) -> list[dict[str, Any]
     vectors = np.einsum("nij,nj->ni", frames, moved.moves[order])
     plane = opened.map_places(places)
     return [
-        {"name": name, "map_m": _known(plane[k]), "vector_m": _known(vectors[k]),
+        {"name": name, "map_m": vector(plane[k]), "vector_m": vector(vectors[k]),
          "sigmas": None if new else float(moved.in_sigmas[order[k]])}
         for k, (name, new) in enumerate(zip(names, moved.new[order].tolist(), strict=True))
     ]  # fmt: skip
-
-
-def _known(values: np.ndarray) -> list[float] | None:
-    return [float(value) for value in values.tolist()] if np.all(np.isfinite(values)) else None
 
 
 def _text(asked: Mapping[str, Any], key: str) -> str:

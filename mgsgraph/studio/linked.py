@@ -101,7 +101,7 @@ class LinkedImages:
         NoGround
             A ray that goes by the body.
         """
-        number = self.block.number(image)
+        number = self.block.network.image_number(image)
         picture = self.block.images[number]
         size = np.array([picture.lines, picture.samples])
         place = np.array([line, sample])
@@ -109,7 +109,7 @@ class LinkedImages:
             inside = f"a place in its {picture.lines} x {picture.samples} pixels"
             raise InputError(f"image {image}", f"line {line:g}, sample {sample:g}", inside)
         ground = self.ground.under(number, line, sample)
-        kept = {self.block.number(name) for name in wanted} - {number}
+        kept = {self.block.network.image_number(name) for name in wanted} - {number}
         others = [j for j in self._about(ground.point) if j != number]
         found = (self._prediction(number, place, ground, j) for j in sorted({*others, *kept}))
         return ground, [one for one in found if one is not None and (one.inside or one.image in kept)]

@@ -12,6 +12,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.map_plane import places_at
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.output.csv_json import digits
+from mgsgraph.registration.measured import thinned
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened
 
@@ -79,7 +81,7 @@ def sigma_cells(opened: Opened) -> dict[str, Any]:
     outline = np.round(np.stack(corners, axis=1), 2)
     return {
         "title": "3-D sigma of a new point", "unit": "m", "low": low, "high": high, "sentence": grid.sentence,
-        "corners": outline.reshape(-1, 8).tolist(), "values": [float(f"{v:.5g}") for v in values.tolist()],
+        "corners": outline.reshape(-1, 8).tolist(), "values": digits(values),
     }  # fmt: skip
 
 
@@ -95,10 +97,10 @@ def residual_vectors(opened: Opened, image: str) -> dict[str, Any]:
     a point would have to move east and north for its residual to vanish, and the residuals (n, 2) in px.
     """
     block = opened.block()
-    j = block.number(image)
+    j = block.network.image_number(image)
     rays = block.rays_by_image[j]
     rays = rays[block.used[rays]]
-    rays = rays[np.linspace(0, rays.size - 1, min(rays.size, _MOST_VECTORS)).astype(np.int64)] if rays.size else rays
+    rays = rays[thinned(rays.size, _MOST_VECTORS)]
     points, measured = block.network.rays.point[rays], block.network.rays.places[rays]
     places = block.places[points]
     frames = east_north_up(np.where(np.isfinite(places), places, 1.0))

@@ -13,6 +13,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
+from mgsgraph.output.csv_json import digits, plain
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened
@@ -51,7 +52,7 @@ class MapPoints:
 
     @cached_property
     def classes(self) -> Index:
-        """(n,) PointClass."""
+        """(n,) values of `PointClass`."""
         return self.block.network.points.classes
 
     @cached_property
@@ -145,10 +146,10 @@ class MapPoints:
         ids = self.block.network.points.ids
         return {
             "form": "points", "names": [ids[i] for i in mine.tolist()], "classes": self.classes[mine].tolist(),
-            "x": _rounded(self.plane[mine, 0], 3), "y": _rounded(self.plane[mine, 1], 3),
-            "values": _known(values[mine]),
-            "moved": [_rounded(self.moved[mine, k], 4) for k in range(3)],
-            "covariance": [_known(self.local[mine, i, j]) for i, j in ((0, 0), (0, 1), (1, 1))],
+            "x": plain(np.round(self.plane[mine, 0], 3)), "y": plain(np.round(self.plane[mine, 1], 3)),
+            "values": digits(values[mine]),
+            "moved": plain(np.round(self.moved[mine].T, 4)),
+            "covariance": [digits(self.local[mine, i, j]) for i, j in ((0, 0), (0, 1), (1, 1))],
         }  # fmt: skip
 
     def _cells(self, mine: Index, values: Array, box: Array, size: tuple[float, float]) -> dict[str, Any]:
@@ -163,8 +164,8 @@ class MapPoints:
         some = np.flatnonzero(number)
         return {
             "form": "cells", "columns": columns, "rows": rows, "box": box.tolist(), "cells": some.tolist(),
-            "numbers": number[some].tolist(), "values": _known(middle[some]),
-            "moved": [_known(arrow[some]) for arrow in arrows],
+            "numbers": number[some].tolist(), "values": digits(middle[some]),
+            "moved": [digits(arrow[some]) for arrow in arrows],
         }  # fmt: skip
 
     # --- selections
@@ -176,16 +177,9 @@ class MapPoints:
         ids = self.block.network.points.ids
         return {
             "count": int(mine.size), "names": [ids[i] for i in first.tolist()], "order": VALUES[order][0],
-            "unit": VALUES[order][1], "values": _known(self.value(order)[first]),
+            "unit": VALUES[order][1], "values": digits(self.value(order)[first]),
             "places": self.plane[first].tolist(),
         }  # fmt: skip
-
-    def number(self, name: str) -> int:
-        """Number of a point by its name; InputError where there is none."""
-        (found,) = self.block.network.points.ids.find([name]).tolist()
-        if found < 0:
-            raise InputError(f"point {name}", "not in this block", f"one of its {len(self.classes)} points")
-        return int(found)
 
 
 def map_points(opened: Opened) -> MapPoints:
@@ -199,12 +193,3 @@ def _largest(values: Array, groups: Index, number: int) -> Array:
     known = np.isfinite(values)
     np.maximum.at(found, groups[known], values[known])
     return np.where(np.isfinite(found), found, np.nan)
-
-
-def _known(values: Array) -> list[float | None]:
-    """Numbers of six digits for JSON: null where there is none."""
-    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
-
-
-def _rounded(values: Array, decimals: int) -> list[float | None]:
-    return [value if np.isfinite(value) else None for value in np.round(values, decimals).tolist()]

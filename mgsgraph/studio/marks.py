@@ -8,6 +8,8 @@ from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
+from mgsgraph.output.csv_json import plain
+from mgsgraph.registration.measured import thinned
 from mgsgraph.studio.block import Block
 
 MOST_TIES = 20_000
@@ -32,7 +34,7 @@ def ties_of(block: Block, image: int) -> dict[str, Any]:
         no place; sigmas (m, 2) px; used (m); kinds (m) of points; count of all.
     """
     rays, network = block.rays_by_image[image], block.network
-    total, kept = rays.size, rays[_thinned(rays.size, MOST_TIES)]
+    total, kept = rays.size, rays[thinned(rays.size, MOST_TIES)]
     points, measured = network.rays.point[kept], network.rays.places[kept]
     predicted = projected(block, image, block.places[points], measured[:, 0])
     return {
@@ -72,7 +74,7 @@ def shots_of(block: Block, image: int) -> dict[str, Any]:
         before = projected(block, image, block.network.points.places[points], nominal=True)
         after = projected(block, image, block.places[points]) if block.adjusted else before
         mine = np.flatnonzero(_inside(block, image, before) | _inside(block, image, after))
-        mine = mine[_thinned(mine.size, MOST_SHOTS)]
+        mine = mine[thinned(mine.size, MOST_SHOTS)]
         if mine.size:
             mine = mine[_order(block.network.points.places[points[mine]])]
             profiles.append(_profile(block, name, points[mine], before[mine], after[mine]))
@@ -113,8 +115,8 @@ def _profile(block: Block, name: str, points: Index, before: Array, after: Array
     return {
         "name": name, "names": [block.network.points.ids[i] for i in points.tolist()],
         "before": _pairs(before), "after": _pairs(after), "along_m": along.tolist(),
-        "height_before_m": _values(_heights(block, archived)), "height_m": _values(_heights(block, ground)),
-        "sigma_m": _values(sigmas),
+        "height_before_m": plain(_heights(block, archived)), "height_m": plain(_heights(block, ground)),
+        "sigma_m": plain(sigmas),
     }  # fmt: skip
 
 
@@ -136,15 +138,6 @@ def _inside(block: Block, image: int, places: Array) -> Mask:
     picture = block.images[image]
     with np.errstate(invalid="ignore"):
         return np.asarray(np.all((places >= 0.0) & (places <= [picture.lines, picture.samples]), axis=1))
-
-
-def _thinned(size: int, most: int) -> Index:
-    return np.arange(size) if size <= most else np.linspace(0, size - 1, most).astype(np.int64)
-
-
-def _values(values: Array) -> list[float | None]:
-    """Numbers for JSON: null where there is none."""
-    return [value if np.isfinite(value) else None for value in values.tolist()]
 
 
 def _pairs(values: Array) -> list[list[float] | None]:

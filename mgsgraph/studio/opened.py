@@ -13,6 +13,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.starts import Minima
 from mgsgraph.analysis.nearby import posterior_of_points
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError
@@ -22,6 +23,7 @@ from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
+from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.reports.archive import ARCHIVE, read_solution
@@ -90,8 +92,10 @@ class Opened:
         self.kind: Kind = _kind(path)
         self.revision = 0
         self._lock, self._near_lock, self._changing = threading.RLock(), threading.Lock(), threading.Lock()
+        self._kept = KeptAdjustment()
         self._state: tuple[int, _Now] | None = None
-        self._asked: dict[str, object] = {}
+        self._made: dict[str, object] = {}
+        self._making: dict[str, threading.RLock] = {}
         self._near: tuple[int, str, About | None] | None = None
         now = self._now
         self._pictures, self._warning = now.pictures, now.warning
@@ -108,7 +112,7 @@ class Opened:
                 revision = self.revision
                 read = {"project": _project, "result": _result, "case": _of_case}[self.kind]
                 self._state = revision, read(self.path, self._case)
-                self._asked.clear()
+                self._made = {}
             return self._state[1]
 
     @property
@@ -120,9 +124,11 @@ class Opened:
         """What is made of the present state when it is first asked for, and kept until a change."""
         with self._lock:
             _ = self._now  # forgets what was made of an older one
-            if name not in self._asked:
-                self._asked[name] = make()
-            found: _Found = self._asked[name]  # type: ignore[assignment]  # one kind for a name
+            made, lock = self._made, self._making.setdefault(name, threading.RLock())
+        with lock:  # one that takes long does not keep others waiting
+            if name not in made:
+                made[name] = make()
+            found: _Found = made[name]  # type: ignore[assignment]  # one kind for a name
             return found
 
     @property
@@ -211,7 +217,10 @@ class Opened:
 
         def make() -> list[Array]:
             block = self.block()
-            found = network_footprints(block.network, block.places, lambda j: block.corrections[j])  # type: ignore[arg-type,return-value]
+            if self.solution is not None:
+                found = solution_connectivity(self.solution).footprints
+            else:
+                found = network_footprints(block.network, block.places, block.corrections.__getitem__)
             return [self.map_places(one.outline) if len(one.outline) else np.zeros((0, 2)) for one in found]
 
         return self.once("footprints", make)
@@ -229,7 +238,7 @@ class Opened:
         if self.kind != "project":
             raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
         with self._changing:
-            with open_project(self.path, write=True) as project:
+            with open_project(self.path, write=True, kept=self._kept) as project:
                 found = act(project)
                 words = _words(project)
             self.revision, self._warning = self.revision + 1, words

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from mgsgraph.analysis.companions import cross_covariances
-from mgsgraph.analysis.measures import MeasureKind, ScalarMeasures
+from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
@@ -16,6 +16,7 @@ from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.pictures import picture_size, read_picture_part
 from mgsgraph.network import PointClass
+from mgsgraph.output.csv_json import plain, vector
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.journal import Measure
 from mgsgraph.project.project import open_project
@@ -59,8 +60,8 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
     record |= {
         "class": PointClass(int(block.network.points.classes[found])).name.lower(),
         "kind": PointKind(int(block.network.points.kinds[found])).name.lower(),
-        "place": _place(block, block.places[found]), "map_m": _known(points.plane[found]),
-        "sigmas_m": _known(np.sqrt(np.diagonal(points.local[found]))), "moved_m": _known(points.moved[found]),
+        "place": _place(block, block.places[found]), "map_m": vector(points.plane[found]),
+        "sigmas_m": vector(np.sqrt(np.diagonal(points.local[found]))), "moved_m": vector(points.moved[found]),
         "rays": [_ray(opened, block, found, k) for k in rays.tolist()],
         "ranges": int(np.count_nonzero(block.network.ranges.point == found)),
     }  # fmt: skip
@@ -96,7 +97,7 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
     at = projected(block, image, block.places[point][None], rays.places[[ray], 0])[0]
     return {
         "image": block.images[image].name, "line": float(rays.places[ray, 0]), "sample": float(rays.places[ray, 1]),
-        "sigma_px": rays.sigmas[ray].tolist(), "residual_px": _known(rays.places[ray] - at), "predicted": _known(at),
+        "sigma_px": rays.sigmas[ray].tolist(), "residual_px": vector(rays.places[ray] - at), "predicted": vector(at),
         "used": bool(block.used[ray]),
         "picture": opened.pictures.get(block.images[image].name) is not None,
     }  # fmt: skip
@@ -121,8 +122,8 @@ def tests_of(opened: Opened, point: str) -> dict[str, Any]:
     InputError
         No such point; nothing adjusted.
     """
-    block, posterior, before = opened.about(point)
-    number = MapPoints(opened, block, before).number(point)
+    block, posterior, _ = opened.about(point)
+    number = block.network.point_number(point)
     if posterior is None:
         raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block: tests are of residuals")
     found = reliability(posterior.linearised)
@@ -132,14 +133,10 @@ def tests_of(opened: Opened, point: str) -> dict[str, Any]:
     for k in mine.tolist():
         name = block.images[int(every.image[k])].name
         of_image = rows.setdefault(name, {key: [None, None] for key in ("redundancy", "w", "detectable_px")})
-        for key, value in _test(every, k).items():
-            of_image[key][int(every.component[k])] = value
+        values = {"redundancy": every.redundancy[k], "w": every.test[k], "detectable_px": every.detectable[k]}
+        for key, value in values.items():
+            of_image[key][int(every.component[k])] = plain(value)
     return {"critical": found.critical, "alpha": found.levels.alpha, "rays": rows}
-
-
-def _test(every: ScalarMeasures, k: int) -> dict[str, float | None]:
-    values = {"redundancy": every.redundancy[k], "w": every.test[k], "detectable_px": every.detectable[k]}
-    return {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
 
 
 def correlations(opened: Opened, point: str) -> dict[str, Any]:
@@ -148,7 +145,7 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
     """
     block, posterior, before = opened.about(point)
     points = MapPoints(opened, block, before)
-    number = points.number(point)
+    number = block.network.point_number(point)
     if posterior is None:
         raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block")
     if not np.any(np.nan_to_num(points.local[number])):
@@ -193,7 +190,3 @@ def chip(path: Path, line: float, sample: float) -> bytes:
     file = BytesIO()
     picture.resize((_ENLARGED * wide, _ENLARGED * high), Image.Resampling.NEAREST).save(file, "png", compress_level=1)
     return file.getvalue()
-
-
-def _known(values: Array) -> list[float] | None:
-    return [float(value) for value in values.tolist()] if np.all(np.isfinite(values)) else None

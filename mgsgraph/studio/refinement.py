@@ -69,7 +69,7 @@ def refine(
     place, start = np.array(reference[1:]), np.array(search[1:])
     _, others = linked.under(*reference, wanted=(wanted,))
     block = linked.block
-    found = next((one for one in others if one.image == block.number(wanted)), None)
+    found = next((one for one in others if one.image == block.network.image_number(wanted)), None)
     if found is None:
         raise InputError(f"image {wanted}", f"the ground of {name} isn't in it", "a place of the same ground")
     reach = int(np.ceil(_REACH + np.abs(found.jacobian) @ np.array(_HALF)).max())
@@ -92,7 +92,7 @@ def _window(
     block: Block, pictures: Mapping[str, Path | None], image: str, place: Array, half: int
 ) -> tuple[SplinePicture, Array]:
     """Part of a picture around a place, and line and sample (2,) of its corner."""
-    path, record = pictures.get(image), block.images[block.number(image)]
+    path, record = pictures.get(image), block.images[block.network.image_number(image)]
     if path is None:
         raise InputError(f"image {image}", "no file of its pixels is known", remedy="measure without refinement")
     low = np.maximum(np.floor(place).astype(int) - half, 0)

@@ -17,8 +17,8 @@ from mgsgraph.adjustment.starts import Minima
 from mgsgraph.analysis.two_step_statistics import STAGES
 from mgsgraph.errors import require
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.geometry.records import Array
 from mgsgraph.io.files import read_bytes, read_json, understood
+from mgsgraph.output.csv_json import plain
 from mgsgraph.output.folders import COREGISTRATION
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.marks import shots_of
@@ -85,13 +85,6 @@ def _values(column: pa.ChunkedArray) -> Any:
     return column.to_pylist()
 
 
-def _known(values: Array) -> Any:
-    """Numbers (of any shape) for JSON, null for what is not known."""
-    found = values.astype(object)
-    found[~np.isfinite(values)] = None
-    return found.tolist()
-
-
 def relief_record(folder: Path, radius: float) -> dict[str, Any] | None:
     """Cost surfaces, profiles and sentences of a registration by relief; None where the folder has none. Distances
     along the tracks are those on a sphere of a radius (m).
@@ -133,7 +126,7 @@ def _cost(costs: dict[str, Any], name: str, state: str) -> dict[str, Any]:
     shifts = np.unique(costs["shift_east_m"][mine])
     square = misfits.reshape(shifts.size, -1)
     best = np.nanmin(square) if np.any(np.isfinite(square)) else np.nan
-    return {"shifts_m": shifts.tolist(), "misfit": _known(square), "best_misfit": best if np.isfinite(best) else None}
+    return {"shifts_m": shifts.tolist(), "misfit": plain(square), "best_misfit": plain(best)}
 
 
 def _shots(shots: dict[str, Any], name: str, radius: float) -> dict[str, Any]:
@@ -146,9 +139,9 @@ def _shots(shots: dict[str, Any], name: str, radius: float) -> dict[str, Any]:
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
     return {
         "names": [shots["shot"][k] for k in mine], "on_surface": [shots["on_surface"][k] for k in mine],
-        "along_m": along.tolist(), "height_m": _known(shots["height_m"][mine]),
-        **{f"above_surface_{state}_m": _known(shots[f"above_surface_{state}_m"][mine]) for state in _STATES},
-        "sigma_m": _known(shots["sigma_m"][mine]),
+        "along_m": along.tolist(), "height_m": plain(shots["height_m"][mine]),
+        **{f"above_surface_{state}_m": plain(shots[f"above_surface_{state}_m"][mine]) for state in _STATES},
+        "sigma_m": plain(shots["sigma_m"][mine]),
     }  # fmt: skip
 
 
@@ -162,8 +155,8 @@ def heights_record(folder: Path) -> dict[str, Any] | None:
     return {
         "longitude_deg": cells["longitude_deg"].tolist(), "latitude_deg": cells["latitude_deg"].tolist(),
         "points": cells["points"].tolist(), "stages": list(STAGES), "sentences": sentences,
-        "rms_m": [_known(cells[f"rms_{stage}_m"]) for stage in STAGES],
-        "mean_m": [_known(cells[f"mean_{stage}_m"]) for stage in STAGES],
+        "rms_m": [plain(cells[f"rms_{stage}_m"]) for stage in STAGES],
+        "mean_m": [plain(cells[f"mean_{stage}_m"]) for stage in STAGES],
     }  # fmt: skip
 
 

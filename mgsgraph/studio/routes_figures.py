@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from mgsgraph.figures.sheet import Sheet
 
 _TYPES = {"svg": "image/svg+xml", "png": "image/png", "pdf": "application/pdf"}
+_MATPLOTLIB = Lock()
+"""Its settings are one for all threads."""
 _MOST = 1200
 """Lines and samples of a picture in a figure; more are halved."""
 _MOST_IMAGES = 4
-_OF_SOLUTION = ("map", "residuals", "corrections", "orientation", "connectivity", "minima")
+_OF_SOLUTION = ("residuals", "corrections", "orientation", "connectivity", "minima")
 """Views of which a figure is what the results have."""
 
 
@@ -41,30 +43,18 @@ class Figures:
     """
 
     def __init__(self, scene: Pictured, views: Views) -> None:
-        self._scene, self._views, self._lock = scene, views, Lock()
+        self._scene, self._views = scene, views
         self._every: dict[str, Callable[[Request], Sheet]] = {
             "images": self._images, "footprints": self._footprints, "relief": self._relief, "heights": self._heights,
         }
 
-    def drawn(self, view: str, kind: str, request: Request) -> bytes:
-        """A view as a file; InputError where there is no such view, or nothing to be drawn."""
-        every = (*self._every, *_OF_SOLUTION)
-        if view not in every or kind not in _TYPES:
-            found, known = f"{view}.{kind}", f"one of {', '.join(every)} as {', '.join(_TYPES)}"
-            raise InputError("figure", found, known)
-        with self._lock:  # matplotlib's settings are one for all threads
-            sheet = self._every[view](request) if view in self._every else self._of_solution(view)
-            return self._encoded(sheet, kind)
-
-    def _encoded(self, sheet: "Sheet", kind: str) -> bytes:
-        from mgsgraph.figures.sheet import encoded
-
-        about: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
-        if kind == "pdf":
-            about = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
-        elif kind == "svg":
-            about |= {"Date": None, "Creator": "mgsgraph"}
-        return encoded(sheet, kind, metadata=about)
+    def sheet(self, view: str, request: Request) -> "Sheet":
+        """A view; InputError where there is no such view, or nothing to be drawn."""
+        if view in self._every:
+            return self._every[view](request)
+        if view in _OF_SOLUTION:
+            return self._of_solution(view)
+        raise InputError("figure", f"{view!r}"[:60], f"one of {', '.join((*self._every, *_OF_SOLUTION))}")
 
     # --- images
 
@@ -73,10 +63,10 @@ class Figures:
 
         asked, linked = request.query_params, self._views.linked
         name = asked.get("image") or linked.block.images[0].name
-        image = linked.block.images[linked.block.number(name)]
+        image = linked.block.images[linked.block.network.image_number(name)]
         window = (
-            number_of(request, "line0", 0.0), number_of(request, "line1", float(image.lines)),
-            number_of(request, "sample0", 0.0), number_of(request, "sample1", float(image.samples)),
+            number_of(asked, "line0", 0.0), number_of(asked, "line1", float(image.lines)),
+            number_of(asked, "sample0", 0.0), number_of(asked, "sample1", float(image.samples)),
         )  # fmt: skip
         if not (window[0] < window[1] and window[2] < window[3]):
             raise InputError("figure of images", f"lines and samples {window}", "from smaller to larger ones")
@@ -88,7 +78,7 @@ class Figures:
         for other in others:
             if other in places:
                 every.append(self._view(other, _same_ground(places[other], window, middle), places[other]))
-        return images_sheet(every, number_of(request, "factor", 20.0), linked.block.adjusted)
+        return images_sheet(every, number_of(request.query_params, "factor", 20.0), linked.block.adjusted)
 
     def _view(
         self, name: str, window: tuple[float, float, float, float], predicted: Prediction | None
@@ -96,7 +86,7 @@ class Figures:
         from mgsgraph.figures.image_views import ImageView
 
         block = self._views.linked.block
-        j = block.number(name)
+        j = block.network.image_number(name)
         grey, contrast = None, (0.0, 1.0)
         extent = 0.0, float(block.images[j].samples), float(block.images[j].lines), 0.0
         if self._views.tiles.has(name):
@@ -137,14 +127,13 @@ class Figures:
 
     def _of_solution(self, view: str) -> "Sheet":
         from mgsgraph.figures.adjacency import links_sheet
-        from mgsgraph.figures.ground_map import map_sheets
         from mgsgraph.figures.minima import minima_sheets
         from mgsgraph.figures.orientation import orientation_sheets
         from mgsgraph.figures.page import correction_sheets
         from mgsgraph.figures.residuals import residual_sheets
 
         drawn_by: dict[str, Callable[[Solution], Iterable[Sheet]]] = {
-            "minima": minima_sheets, "map": map_sheets, "residuals": residual_sheets, "corrections": correction_sheets,
+            "minima": minima_sheets, "residuals": residual_sheets, "corrections": correction_sheets,
             "orientation": orientation_sheets, "connectivity": lambda found: [links_sheet(found)],
         }  # fmt: skip
         solution = self._scene.solution
@@ -198,15 +187,31 @@ def _chosen(records: list[dict[str, Any]], key: str, wanted: str | None, what: s
     return found[0]
 
 
+def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
+    """A view, drawn by `make`, as an attachment with its caption; InputError of what can't be written."""
+    from mgsgraph.figures.sheet import encoded
+
+    if kind not in _TYPES:
+        raise InputError("figure", f"{view}.{kind}"[:60], f"one of {', '.join(_TYPES)}")
+    with _MATPLOTLIB:
+        sheet = make()
+        about: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
+        if kind == "pdf":
+            about = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
+        elif kind == "svg":
+            about |= {"Date": None, "Creator": "mgsgraph"}
+        data = encoded(sheet, kind, metadata=about)
+    return Response(data, media_type=_TYPES[kind], headers={
+        "Content-Disposition": f'attachment; filename="{view}.{kind}"', "Cache-Control": "no-store",
+    })  # fmt: skip
+
+
 def routes(scene: Pictured, views: Views) -> list[Route]:
     """The address of figures, for the server's list."""
     figures = Figures(scene, views)
 
     def figure(request: Request) -> Response:
         view, kind = request.path_params["view"], request.path_params["kind"]
-        data = figures.drawn(view, kind, request)
-        return Response(data, media_type=_TYPES[kind], headers={
-            "Content-Disposition": f'attachment; filename="{view}.{kind}"', "Cache-Control": "no-store",
-        })  # fmt: skip
+        return drawn(view, kind, lambda: figures.sheet(view, request))
 
     return [Route("/api/figure/{view:str}.{kind:str}", figure)]

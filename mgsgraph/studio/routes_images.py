@@ -21,14 +21,14 @@ def routes(scene: Pictured, views: Views | None = None) -> list[Route]:
     def tile(request: Request) -> Response:
         at = request.path_params
         asked = request.query_params
-        low, high = (number_of(request, key) if key in asked else None for key in ("low", "high"))
+        low, high = (number_of(request.query_params, key) if key in asked else None for key in ("low", "high"))
         data = views.tiles.tile(at["name"], at["level"], at["row"], at["column"], low, high)
         return Response(data, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
     def ground(request: Request) -> Response:
         wanted = [name for name in request.query_params.getlist("with") if name]
         linked = views.linked
-        at = number_of(request, "line"), number_of(request, "sample")
+        at = number_of(request.query_params, "line"), number_of(request.query_params, "sample")
         try:
             found, others = linked.under(request.path_params["name"], *at, wanted=wanted)
         except NoGround as error:  # no mistake of anybody's: limbs are looked at, too

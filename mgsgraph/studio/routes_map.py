@@ -12,69 +12,64 @@ from starlette.routing import Route
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import PointClass
+from mgsgraph.output.csv_json import digits
 from mgsgraph.project.reading import results_of
+from mgsgraph.registration.measured import thinned
 from mgsgraph.reports.archive import read_solution
 from mgsgraph.reports.comparison import compare
-from mgsgraph.reports.summary import statements
 from mgsgraph.studio.map_layers import longitude_latitude, relief_png, residual_vectors, sigma_cells
 from mgsgraph.studio.map_points import CLASSES, VALUES, map_points
 from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.routes_figures import drawn
 from mgsgraph.studio.views import number_of
 from mgsgraph.units import DEG
 
-_MOST_OUTLINES = 3000
-"""Images whose outlines have all their places; of more, five of each."""
+_MOST_OUTLINES, _FEW_PLACES = 3000, 5
+"""Images whose outlines have all their places; of more, so many of each."""
 _MOST_MOVED = 2000
 """Points of a comparison that are drawn."""
 
 
 def scene_record(opened: Opened) -> dict[str, Any]:
-    """What is open: images with their outlines, classes of points, what can be drawn, as JSON."""
+    """What is open: images, classes of points, what can be drawn, as JSON."""
     block = opened.block()
-    outlines = opened.footprints()
-    step = slice(None) if len(outlines) <= _MOST_OUTLINES else None
     number = np.bincount(block.network.points.classes, minlength=len(PointClass))
     places = map_points(opened).plane
     known = places[np.all(np.isfinite(places), axis=1)]
-    corners = np.concatenate([known, *(one for one in outlines if len(one))])
+    corners = known if len(known) else np.concatenate([one for one in opened.footprints() if len(one)])
     return {
         "kind": opened.kind, "name": opened.name, "path": str(opened.path), "revision": opened.revision,
         "adjusted": block.adjusted, "warning": opened.warning,
         "body": {"equatorial_m": block.images[0].body.equatorial, "polar_m": block.images[0].body.polar},
         "images": [
             {"name": image.name, "lines": image.lines, "samples": image.samples,
-             "picture": opened.pictures.get(image.name) is not None, "footprint_m": _outline(outline, step)}
-            for image, outline in zip(block.images, outlines, strict=True)
+             "picture": opened.pictures.get(image.name) is not None}
+            for image in block.images
         ],
         "map": {"words": opened.map_words, "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]},
         "classes": [{"name": name, "count": int(count)} for name, count in zip(CLASSES, number, strict=True)],
         "values": [{"name": name, "title": title, "unit": unit} for name, (title, unit) in VALUES.items()],
         "terrain": block.terrain is not None,
-        "solution": opened.once("statements", lambda: _statements(opened)),
     }  # fmt: skip
 
 
-def _statements(opened: Opened) -> list[str]:
-    return [] if opened.solution is None else statements(opened.solution)
-
-
-def _outline(outline: Array, step: slice | None) -> list[list[float]]:
-    if step is None and len(outline) > 5:
-        outline = outline[np.linspace(0, len(outline) - 1, 5).astype(np.int64)]
-    places: list[list[float]] = np.round(outline, 1).tolist()
-    return places
+def outlines_record(opened: Opened) -> dict[str, Any]:
+    """Outline (k, 2) of each image in m on the map, empty where it sees nothing of the body, as JSON."""
+    outlines = opened.footprints()
+    most = None if len(outlines) <= _MOST_OUTLINES else _FEW_PLACES
+    return {"outlines_m": [np.round(one[thinned(len(one), most)], 1).tolist() for one in outlines]}
 
 
 def box_of(request: Request) -> Array:
     """(4,) m on the map, x and y, low and high; InputError where they are none."""
-    box = np.array([number_of(request, key) for key in ("x0", "y0", "x1", "y1")])
+    box = np.array([number_of(request.query_params, key) for key in ("x0", "y0", "x1", "y1")])
     if not np.all(box[2:] > box[:2]):
         raise InputError("request, box", f"{box.tolist()}", "x0 < x1 and y0 < y1")
     return box
 
 
 def _size(request: Request) -> tuple[float, float]:
-    width, height = (float(np.clip(number_of(request, key, 800.0), 16.0, 8000.0)) for key in ("w", "h"))
+    width, height = (float(np.clip(number_of(request.query_params, key, 800.0), 16.0, 8000.0)) for key in ("w", "h"))
     return width, height
 
 
@@ -93,10 +88,7 @@ def selected(opened: Opened, asked: Mapping[str, str], box: Array | None, kinds:
     points, value = map_points(opened), asked.get("value", "sigma")
     mine = np.flatnonzero(kinds[points.classes]) if box is None else points.inside(box, kinds)
     if "least" in asked:
-        try:
-            least = float(asked["least"])
-        except ValueError:
-            raise InputError("request, least", repr(asked["least"])[:60], "a number") from None
+        least = number_of(asked, "least")
         with np.errstate(invalid="ignore"):
             mine = mine[points.value(value)[mine] >= least]
     return points.selection(mine, value)
@@ -112,8 +104,7 @@ def comparison(opened: Opened, other: Path) -> dict[str, Any]:
     found = compare(opened.solution, earlier, labels)
     points = found.points
     first = np.argsort(-np.linalg.norm(points.moved, axis=1), kind="stable")
-    every = np.linspace(0, max(first.size - 1, 0), min(first.size, _MOST_MOVED)).astype(np.int64)
-    mine = first[every] if first.size else first
+    mine = first[thinned(first.size, _MOST_MOVED)]
     ids = opened.solution.network.points.ids
     return {
         "other": str(other), "sentences": found.sentences,
@@ -122,7 +113,7 @@ def comparison(opened: Opened, other: Path) -> dict[str, Any]:
         "names": [ids[i] for i in points.rows[0][mine].tolist()],
         "places": np.round(opened.map_places(points.places[mine]), 2).tolist(),
         "moved": np.round(points.moved[mine], 4).tolist(),
-        "ratio": [float(f"{v:.5g}") if np.isfinite(v) else None for v in points.ratio[mine].tolist()],
+        "ratio": digits(points.ratio[mine]),
     }  # fmt: skip
 
 
@@ -140,6 +131,9 @@ def routes(opened: Opened) -> list[Route]:
 
     def scene(_: Request) -> Response:
         return JSONResponse(scene_record(opened))
+
+    def outlines(_: Request) -> Response:
+        return JSONResponse(outlines_record(opened))
 
     def points(request: Request) -> Response:
         value = request.query_params.get("value", "sigma")
@@ -159,9 +153,17 @@ def routes(opened: Opened) -> list[Route]:
         return JSONResponse(selected(opened, request.query_params, box, _kinds(request)))
 
     def where(request: Request) -> Response:
-        place = np.array([[number_of(request, "x"), number_of(request, "y")]])
+        place = np.array([[number_of(request.query_params, "x"), number_of(request.query_params, "y")]])
         longitude, latitude = longitude_latitude(opened, place)[0] / DEG
         return JSONResponse({"longitude_deg": longitude % 360.0, "latitude_deg": latitude})
+
+    def figure(request: Request) -> Response:
+        from mgsgraph.studio.map_figure import map_figure
+
+        asked, kind = request.query_params, request.path_params["kind"]
+        layers, value = asked.get("layers", "footprints,points").split(","), asked.get("value", "sigma")
+        box, size, kinds, factor = box_of(request), _size(request), _kinds(request), number_of(asked, "factor", 0.0)
+        return drawn("map", kind, lambda: map_figure(opened, box, size, value, kinds, layers, factor))
 
     def compared(request: Request) -> Response:
         other = request.query_params.get("other", "")
@@ -170,8 +172,9 @@ def routes(opened: Opened) -> list[Route]:
         return JSONResponse(comparison(opened, Path(other)))
 
     every: list[tuple[str, Callable[[Request], Response]]] = [
-        ("/api/scene", scene), ("/api/map/points", points), ("/api/map/relief.png", relief),
-        ("/api/map/sigmas", sigmas), ("/api/map/residuals", residuals), ("/api/select", select),
-        ("/api/map/where", where), ("/api/compare", compared),
+        ("/api/scene", scene), ("/api/map/outlines", outlines), ("/api/map/points", points),
+        ("/api/map/relief.png", relief), ("/api/map/sigmas", sigmas), ("/api/map/residuals", residuals),
+        ("/api/select", select), ("/api/map/where", where), ("/api/map/figure.{kind:str}", figure),
+        ("/api/compare", compared),
     ]  # fmt: skip
     return [Route(path, endpoint) for path, endpoint in every]

@@ -26,6 +26,11 @@ BROWSER = "x-browser"
 _Answer = Callable[[Any, str], dict[str, Any] | list[dict[str, Any]]]
 
 
+def browser_of(request: Request) -> str:
+    """Which browser asks; empty where it does not say."""
+    return request.headers.get(BROWSER, "")[:80]
+
+
 def state_record(opened: Opened, lock: EditLock, browser: str) -> dict[str, Any]:
     """Whether it may be changed, and why not, as JSON."""
     words = lock.words(browser)
@@ -58,9 +63,6 @@ def questions_of(asked: dict[str, Any]) -> Questions:
 def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     """Addresses of points, for the server's list."""
 
-    def browser_of(request: Request) -> str:
-        return request.headers.get(BROWSER, "")[:80]
-
     def state(request: Request) -> Response:
         return JSONResponse(state_record(opened, lock, browser_of(request)))
 
@@ -78,7 +80,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         path = opened.pictures.get(image)
         if path is None:
             raise InputError(f"image {image}", "no file of its pixels is known")
-        data = chip(path, number_of(request, "line"), number_of(request, "sample"))
+        data = chip(path, number_of(request.query_params, "line"), number_of(request.query_params, "sample"))
         return Response(data, media_type="image/png", headers={"Cache-Control": "private, max-age=3600"})
 
     def changed(asked: Any, browser: str) -> dict[str, Any]:
@@ -135,7 +137,6 @@ def _posted(answer: _Answer) -> Callable[[Request], Awaitable[Response]]:
             if len(body) > _LONGEST:
                 raise InputError("request", f"more than {_LONGEST} bytes", "a shorter one")
         asked = json_object(body, "request")
-        browser = request.headers.get(BROWSER, "")[:80]
-        return JSONResponse(await run_in_threadpool(answer, asked, browser))
+        return JSONResponse(await run_in_threadpool(answer, asked, browser_of(request)))
 
     return endpoint

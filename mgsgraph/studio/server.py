@@ -161,4 +161,5 @@ def _prepare(opened: Opened) -> None:
     with suppress(MgsgraphError):  # whoever asks for it hears of it
         routes_map.scene_record(opened)
         map_points(opened).value("sigma")
+        opened.footprints()
         opened.warm()

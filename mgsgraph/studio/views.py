@@ -6,7 +6,6 @@ from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
-from starlette.requests import Request
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -75,7 +74,7 @@ class Views:
     def image_record(self, name: str) -> dict[str, Any]:
         """Size, picture, ties and shots of an image; in place of a picture that can't be read, the sentence why."""
         block = self.linked.block
-        number = block.number(name)
+        number = block.network.image_number(name)
         picture: dict[str, Any] | None = None
         sentence = ""
         try:
@@ -90,9 +89,9 @@ class Views:
         }  # fmt: skip
 
 
-def number_of(request: Request, key: str, default: float | None = None) -> float:
+def number_of(asked: Mapping[str, str], key: str, default: float | None = None) -> float:
     """A finite number among what an address asks; InputError where it is none or missing."""
-    text = request.query_params.get(key)
+    text = asked.get(key)
     if text is None and default is not None:
         return default
     try:

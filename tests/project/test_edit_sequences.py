@@ -9,6 +9,7 @@ import sqlite3
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -35,6 +36,7 @@ from mgsgraph.project import edits
 from mgsgraph.project.addition import unknown_alone
 from mgsgraph.project.changes import remove, solve
 from mgsgraph.project.journal import Measure, PointState, all_set_aside, last_state
+from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
 from mgsgraph.project.status import status
@@ -253,15 +255,21 @@ class Editor:
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, 2**31), st.integers(3, 9))
+@given(st.integers(0, 2**31), st.lists(st.sampled_from(["keeping", "alone", "failing"]), min_size=3, max_size=9))
 def test_edits_end_at_batch_of_the_edited_network(
-    solved: Path, tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
+    solved: Path, tmp_path_factory: pytest.TempPathFactory, seed: int, ways: list[str]
 ) -> None:
+    """By a process that keeps its adjustment between edits, beside one that doesn't, and after edits that fail."""
     folder = Path(copytree(solved, tmp_path_factory.mktemp("one") / "project"))
-    editor = Editor(seed)
+    editor, kept = Editor(seed), KeptAdjustment()
     done = list[str]()
-    for _ in range(count):
-        with open_project(folder, write=True) as project:
+    for way in ways:
+        if way == "failing":
+            other = deepcopy(editor)
+            with suppress(RuntimeError), open_project(folder, write=True, kept=kept) as project:
+                other.step(project)
+                raise RuntimeError
+        with open_project(folder, write=True, kept=None if way == "alone" else kept) as project:
             done.append(editor.step(project))
     batch = adjust_network(expected_network(editor.ties), SETTINGS.solver.settings)
     with open_project(folder, write=True) as project:
@@ -305,6 +313,26 @@ def test_undo_gives_back_the_same_numbers(
         assert all_set_aside(project) == {}
         assert apart(adjusted(project), before) < 0.01
         assert sum(one.summary.get("kind") == "undo" for one in project.changes()) >= changed
+
+
+def test_an_adjustment_is_kept_until_another_process_changes_the_project(folder: Path) -> None:
+    name, (image, *_) = a_tie()
+    kept, line = KeptAdjustment(), _ties()[name].measures[image][0]
+
+    def moved(by: float, kept: KeptAdjustment | None) -> IncrementalAdjustment | None:
+        with open_project(folder, write=True, kept=kept) as project:
+            edits.move(project, name, image, line + by, 5.0)
+            return None if kept is None else kept._adjustment
+
+    first = moved(0.1, kept)
+    assert moved(0.2, kept) is first
+    moved(0.3, None)
+    second = moved(0.4, kept)
+    assert second is not first
+    assert moved(0.5, kept) is second
+    with pytest.raises(InputError), open_project(folder, write=True, kept=kept) as project:
+        edits.move(project, name, "nowhere", 1.0, 1.0)
+    assert moved(0.6, kept) is not second
 
 
 def test_one_edit_may_be_undone_by_its_number_while_others_stay(folder: Path) -> None:

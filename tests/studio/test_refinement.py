@@ -60,7 +60,7 @@ def test_a_click_goes_to_the_ground_of_the_reference(
 
 @pytest.mark.parametrize(("what", "said"), [
     ("file", "no file of its pixels"), ("edge", "too near to its edge|leaves the picture"),
-    ("image", "not in this block"), ("elsewhere", "isn't in it|no least-squares match"),
+    ("image", "image nobody: no such image"), ("elsewhere", "isn't in it|no least-squares match"),
 ])  # fmt: skip
 def test_what_cannot_be_refined_is_said(
     site: tuple[LinkedImages, dict[str, Path | None]], what: str, said: str

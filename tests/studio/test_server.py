@@ -142,7 +142,20 @@ def test_selections(browser_: Browser) -> None:
     assert every["names"][0] in near["names"]
 
 
+@pytest.mark.parametrize("kind", ["svg", "png", "pdf"])
+def test_the_window_of_the_map_is_a_figure(kind: str, browser_: Browser) -> None:
+    x0, y0, x1, y1 = browser_.json("/api/scene")["map"]["bounds_m"]
+    asked = f"x0={x0}&y0={y0}&x1={x1}&y1={y1}&w=800&h=600&value=moved_up&layers=footprints,points,ellipses,moved,relief"
+    status, heads, data = browser_.ask(f"/api/map/figure.{kind}?{asked}&factor=3")
+    assert status == 200, data[:300]
+    assert f"map.{kind}" in heads["content-disposition"]
+    assert data == browser_.ask(f"/api/map/figure.{kind}?{asked}&factor=3")[2]
+    assert data.lstrip()[:5] in (b"<?xml", b"%PDF-") or data.startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize("path", [
+    "/api/map/figure.gif?x0=0&y0=0&x1=1&y1=1", "/api/map/figure.svg?x0=0&y0=0&x1=1&y1=1&layers=nothing",
+    "/api/map/figure.svg?x0=0&y0=0&x1=1&y1=1&factor=-1",
     "/api/map/points?x0=0&y0=0&x1=0&y1=1", "/api/map/points?x0=a&y0=0&x1=1&y1=1", "/api/select?least=x",
     "/api/map/points?x0=0&y0=0&x1=1&y1=1&value=nothing", "/api/map/points?x0=0&y0=0&x1=1&y1=1&classes=nothing",
     "/api/map/residuals?image=nowhere", "/api/points/nobody", "/api/points/nobody/tests", "/api/images/nowhere",

@@ -1,5 +1,7 @@
 // What is drawn on an image's canvas: frame, ties with residuals, shots before and after, ellipses, the cross.
 
+import {roundBelow} from './plot.js';
+
 export const COLOURS = {
   tie: '#F0E442', rejected: '#FF7A45', before: '#E69F00', after: '#56B4E9', ellipse: '#FFFFFF', measured: '#00E5A0',
 };
@@ -152,8 +154,7 @@ export function drawCross(context, x, y, width, height) {
 // A bar of a round length on the ground, `metres` of which a CSS pixel to the right takes
 export function drawScale(context, metres, width, height) {
   if (!(metres > 0) || !Number.isFinite(metres)) return;
-  const most = metres * Math.min(160, width / 3), power = 10 ** Math.floor(Math.log10(most));
-  const length = [5, 2, 1].map(one => one * power).find(one => one <= most), pixels = length / metres;
+  const length = roundBelow(metres * Math.min(160, width / 3)), pixels = length / metres;
   const path = new Path2D(), x = 12, y = height - 12;
   path.moveTo(x, y - 6);
   path.lineTo(x, y);

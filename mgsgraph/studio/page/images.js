@@ -5,7 +5,7 @@ import {ofFrame, ofOther, upright} from './affine.js';
 import {drawLaser, nearestShot} from './laser_plot.js';
 import {Measuring} from './measuring.js';
 import {Pane} from './pane.js';
-import {make, short} from './plot.js';
+import {download, make, short} from './plot.js';
 
 const MOST = 4; // panes
 const SHOWN = [
@@ -380,10 +380,7 @@ export class Images {
       factor: this.shown.residuals ? this.factor.value : 0,
     });
     for (const pane of this.panes.slice(1)) asked.append('with', pane.name);
-    const link = make('a', {href: `/api/figure/images.${kind}?${asked}`, download: `images.${kind}`});
-    this.element.append(link);
-    link.click();
-    link.remove();
+    download(`/api/figure/images.${kind}?${asked}`, `images.${kind}`);
   }
 }
 

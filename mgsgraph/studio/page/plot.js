@@ -10,6 +10,20 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
+// Saves what an address gives as a file
+export function download(address, name) {
+  const link = make('a', {href: address, download: name});
+  document.body.append(link);
+  link.click();
+  link.remove();
+}
+
+// The largest of 1, 2 and 5 times a power of ten that a value holds
+export function roundBelow(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return [5, 2, 1].map(one => one * power).find(one => one <= value) || power;
+}
+
 // Round steps between two values, about `count` of them
 export function ticks(low, high, count) {
   const raw = (high - low) / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(raw));
