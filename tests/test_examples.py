@@ -1,7 +1,7 @@
 """Every example of the API page and every snippet of the cookbook runs, and prints what stands below it.
 
-Examples stand in the docstrings; what they have at hand is made by the first block of the API page. Numbers with a decimal
-point may differ by one in the last place that is shown: they go through other BLAS libraries.
+Examples stand in the docstrings; what they have at hand is made by the first block of the API page. Numbers with a
+decimal point may differ by one in the last place that is shown: they go through other BLAS libraries.
 """
 
 import contextlib
