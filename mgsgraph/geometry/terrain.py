@@ -139,9 +139,6 @@ class TerrainGrid(Record):
     >>> plain = TerrainGrid("a plain", np.full((4, 4), 3_390_000.0), 0.0, np.radians(2.0), step, step)
     >>> plain.at(np.array([[3.4e6, 3e4, 6e4]]))
     array([3390000.])
-    >>> np.degrees(plain.box).round(2)
-    array([[0. , 0.5],
-           [1.5, 2. ]])
     """
 
     source: str
