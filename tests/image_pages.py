@@ -41,7 +41,8 @@ class App extends EventTarget {
   say(words) { this.said.push(words); }
   place(at) { this.placed = at; }
   select(name) { this.selection = name; this.dispatchEvent(new Event('selected')); }
-  async change(body) { this.changes.push(body); this.dispatchEvent(new Event('changed')); return {}; }
+  async change(body) { this.changes.push(body); this.dispatchEvent(new CustomEvent('changed', {detail: {}}));
+    this.dispatchEvent(new Event('renewed')); return {}; }
 }
 const app = window.app = new App();
 app.scene = await app.request('/api/scene');

@@ -24,7 +24,7 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 LINES = 300
 """Of the images with pixels."""
 _NUMBER = re.compile(r"-?\d+(?:\.\d*)?(?:e[+-]?\d+)?")
-_BLOCK = re.compile(r"^```(python|text)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_BLOCK = re.compile(r"^```(python|output)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 class Rounded(doctest.OutputChecker):
@@ -145,7 +145,7 @@ def cooked(request: pytest.FixtureRequest) -> list[tuple[str, str, str]]:
     """Each snippet with what it should print and what it prints, one after the other, in one session."""
     names, found, parts = dict(request.getfixturevalue("with_pixels")), [], blocks(COOKBOOK)
     for (language, text), (kind, want) in zip(parts[::2], parts[1::2], strict=True):
-        assert (language, kind) == ("python", "text"), text
+        assert (language, kind) == ("python", "output"), text
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
             exec(compile(text, COOKBOOK.name, "exec"), names)

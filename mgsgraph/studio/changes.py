@@ -17,7 +17,7 @@ from mgsgraph.incremental.impact import Impact
 from mgsgraph.output.csv_json import vector
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited
-from mgsgraph.project.journal import Measure
+from mgsgraph.project.journal import Measure, PointState
 from mgsgraph.project.project import Project
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
@@ -68,13 +68,15 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
     began, kind = time.perf_counter(), _text(asked, "kind")
     if kind not in _KINDS:
         raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
-    edited, moved = opened.change(lambda project: _with_moved(project, _KINDS[kind](project, asked)))
+    (edited, moved), state = opened.change(lambda project: _carried_out(project, kind, asked))
     sentences = [edited.sentence]
     if edited.impact is not None:
         sentences += edited.impact.sentences
     return {
         "kind": edited.kind, "point": edited.point, "revision": opened.revision, "sentences": sentences,
         "moved": [] if edited.impact is None else _moved(opened, edited.impact, moved),
+        "measures": [{"image": one.image, "line": one.line, "sample": one.sample,
+                      "sigma_px": [one.sigma_line, one.sigma_sample]} for one in (state.measures if state else ())],
         "seconds": round(time.perf_counter() - began, 3),
     }  # fmt: skip
 
@@ -122,6 +124,14 @@ _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
     "remove": lambda project, asked: edits.remove_point(project, _text(asked, "point")),
     "undo": lambda project, asked: edits.undo(project),
 }
+
+
+def _carried_out(
+    project: Project, kind: str, asked: Mapping[str, Any]
+) -> tuple[tuple[Edited, Array], PointState | None]:
+    """A change, what it moved, and the point as it is now; None for one that is no longer there."""
+    done = _with_moved(project, _KINDS[kind](project, asked))
+    return done, edits.point_state(project, done[0].point)
 
 
 def _with_moved(project: Project, edited: Edited) -> tuple[Edited, Array]:

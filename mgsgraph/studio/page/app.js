@@ -1,11 +1,14 @@
 // What all panels share: what is open, the selected point, requests, changes, and the line that says what happened.
 // Events: "opened" (the scene is there), "selected" (a point), "placed" (a place in an image), "changed" (a change was
-// stored; event.detail says what).
+// stored; event.detail says what), "renewed" (what the whole block says is to be read anew: at once, or where that takes
+// long, when no other change has come for a while).
+
+const SOON = 700, CALM = 2500; // ms
 
 export class App extends EventTarget {
   constructor(saying) {
     super();
-    Object.assign(this, {saying, scene: null, selection: '', placed: null, last: null, browser: crypto.randomUUID(), busy: 0});
+    Object.assign(this, {saying, scene: null, selection: '', placed: null, last: null, browser: crypto.randomUUID(), busy: 0, reading: 0});
   }
 
   async open() {
@@ -45,7 +48,21 @@ export class App extends EventTarget {
     Object.assign(open, {revision: found.revision, writable: found.writable ?? open.writable, lock: found.lock ?? open.lock});
     this.say(found.sentences.join(' '));
     this.emit('changed', found);
+    clearTimeout(this.calm);
+    if (this.reading > SOON) this.calm = setTimeout(() => this.renew(), CALM);
+    else this.renew();
     return found;
+  }
+
+  async renew() {
+    const began = performance.now();
+    try {
+      Object.assign(this.scene, await this.request('/api/scene'));
+    } catch (error) {
+      this.say(error.message, 'error');
+    }
+    this.reading = performance.now() - began;
+    this.emit('renewed');
   }
 
   async undo() {

@@ -23,7 +23,8 @@ export class Images {
     this.build();
     this.measuring = new Measuring(app, this, this.dialogPlace);
     app.addEventListener('opened', () => this.open());
-    app.addEventListener('changed', () => this.refresh());
+    app.addEventListener('changed', event => this.changed(event.detail));
+    app.addEventListener('renewed', () => this.refresh());
     app.addEventListener('selected', () => this.showPoint(app.selection));
     element.addEventListener('keydown', event => this.key(event));
     new ResizeObserver(() => this.fitted() && this.request()).observe(element);
@@ -134,6 +135,20 @@ export class Images {
     if (!this.fitted()) this.whole();
     this.ask();
     this.drawProfile();
+    this.request();
+  }
+
+  // The point's measures as they are now, until all is read anew
+  changed({point, measures} = {}) {
+    for (const {name, image} of this.panes) {
+      if (!measures || !image) continue;
+      const {ties} = image, now = measures.find(one => one.image === name), columns = ['names', 'measured', 'residuals', 'sigmas', 'used', 'kinds'];
+      let k = ties.names.indexOf(point);
+      if (k >= 0 && !now) columns.forEach(key => ties[key].splice(k, 1));
+      if (!now) continue;
+      if (k < 0) k = ties.names.length;
+      [point, [now.line, now.sample], null, now.sigma_px, true, ties.kinds[k] || 'tie'].forEach((value, c) => { ties[columns[c]][k] = value; });
+    }
     this.request();
   }
 

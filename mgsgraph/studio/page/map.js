@@ -23,6 +23,7 @@ export class MapPanel {
     this.build();
     app.addEventListener('opened', () => this.open());
     app.addEventListener('changed', event => this.changed(event.detail));
+    app.addEventListener('renewed', () => { this.layers = {}; this.readOutlines(); this.ask(); });
     app.addEventListener('selected', () => this.selection.mark());
     app.addEventListener('candidates', event => { this.candidates = event.detail; this.render(); });
     app.addEventListener('shown', event => { if (event.detail === 'map') { this.fit(); this.ask(); } });
@@ -234,12 +235,6 @@ export class MapPanel {
   }
 
   changed(found) {
-    this.app.request('/api/scene').then(scene => {
-      Object.assign(this.app.scene, scene);
-      this.ask();
-    }, error => this.app.say(error.message, 'error'));
-    this.layers = {};
-    this.readOutlines();
     const list = make('ul', {className: 'moved-list'});
     for (const one of (found.moved || []).slice(0, 8)) {
       const words = one.sigmas === null ? 'new' : `${short(Math.hypot(...one.vector_m))} m, ${short(one.sigmas)} of its sigmas`;

@@ -157,8 +157,14 @@ export class MapPicture {
   }
 
   drawChange(pen) {
-    const moved = this.map.app.last.moved.filter(one => one.map_m && one.vector_m);
+    const {last} = this.map.app, moved = last.moved.filter(one => one.map_m && one.vector_m);
     pen.context.strokeStyle = pen.moved;
+    pen.context.lineWidth = 2;
+    for (const one of last.moved.filter(one => one.map_m && one.sigmas === null)) {
+      pen.context.beginPath();
+      pen.context.arc(pen.x(one.map_m[0]), pen.y(one.map_m[1]), 5, 0, 2 * Math.PI);
+      pen.context.stroke();
+    }
     this.changeFactor = this.arrows(pen, moved.map(one => one.map_m), moved.map(one => one.vector_m), 60);
   }
 

@@ -10,7 +10,7 @@ export class Registration {
     Object.assign(this, {app, element, record: null, revision: null});
     element.classList.add('registration');
     app.addEventListener('opened', () => this.load());
-    app.addEventListener('changed', () => this.load());
+    app.addEventListener('renewed', () => this.load());
     new ResizeObserver(() => this.draw()).observe(element);
     new IntersectionObserver(() => this.load()).observe(element);
     if (app.scene) this.load();
