@@ -22,8 +22,8 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
     "annotations",
-    "table_columns",
     "mathml",
+    "sources",
 ]
 root_doc = "index"
 exclude_patterns = ["extensions", "gallery"]
@@ -65,7 +65,6 @@ sphinx_gallery_conf = {
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_signature": False,
-    "notebook_extensions": set(),
     "show_memory": False,
     "write_computation_times": False,
     "min_reported_time": 1e9,

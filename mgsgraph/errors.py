@@ -26,7 +26,16 @@ def one_line(text: str, longest: int = _LONGEST_PART) -> str:
 
 
 class MgsgraphError(Exception):
-    """Anything the program says about its input or its result; the command line prints it as one line."""
+    """Anything the program says about its input or its result; the command line prints it as one line.
+
+    Examples
+    --------
+    >>> try:
+    ...     mgsgraph.read_case("absent.toml")
+    ... except mgsgraph.MgsgraphError as error:
+    ...     print(error)
+    absent.toml: no such file; check the path; a case file's are relative to it
+    """
 
 
 class InputError(MgsgraphError, ValueError):
@@ -42,6 +51,14 @@ class InputError(MgsgraphError, ValueError):
         What would have been right; left out when the finding says it.
     remedy : str
         What the user can do.
+
+    Examples
+    --------
+    >>> try:
+    ...     posterior.point("TIE99999")
+    ... except mgsgraph.InputError as error:
+    ...     print(error.where, "|", error.found)
+    point TIE99999 | no such point among 28
     """
 
     def __init__(self, where: str, found: str, expected: str = "", remedy: str = "") -> None:

@@ -35,7 +35,16 @@ class PointKind(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TiePoints(Record):
-    """Ground points and their measures in images, struct of arrays."""
+    """Ground points and their measures in images, struct of arrays.
+
+    Examples
+    --------
+    >>> ties = case.ties
+    >>> print(ties)
+    TiePoints(20 points (20 free), 40 measures, from pair/network.pvl)
+    >>> len(ties.chosen(np.arange(5)).ids)
+    5
+    """
 
     source: str
     """File they come from, for messages."""

@@ -1,5 +1,5 @@
 """Write what pages say of the program itself, as plain text that reads everywhere: every verb with its options
-(docs/commands.md), every table and key of a case file (docs/case_file.md).
+(docs/commands.md), every table and key of a case file (docs/case_file.md), every column of the results (docs/files.md).
 
 `python scripts/pages.py` writes them; a test (tests/test_docs.py) holds them true.
 """
@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 import click
+from file_columns import columns_markdown
 
 from mgsgraph.case.keys import keys_markdown
 from mgsgraph.cli import group
@@ -23,16 +24,21 @@ input is one line on standard error and exit status 2; 0 is done, 1 not converge
 there, a folder that holds anything else is refused.
 """
 _KEYS = "<!-- keys: written by scripts/pages.py -->\n"
+_COLUMNS = "<!-- columns: written by scripts/pages.py -->\n"
 
 
 def pages() -> dict[Path, str]:
     """What should stand in each page."""
-    case_file = DOCS / "case_file.md"
-    written_by_hand = case_file.read_text(encoding="utf-8").partition(_KEYS)[0]
     return {
         DOCS / "commands.md": _COMMANDS + commands_markdown(),
-        case_file: f"{written_by_hand}{_KEYS}\n{keys_markdown()}",
+        DOCS / "case_file.md": f"{_by_hand('case_file.md', _KEYS)}\n{keys_markdown()}",
+        DOCS / "files.md": _by_hand("files.md", _COLUMNS) + columns_markdown(),
     }
+
+
+def _by_hand(page: str, mark: str) -> str:
+    """What stands in a page down to the mark."""
+    return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[:2])
 
 
 def commands_markdown() -> str:

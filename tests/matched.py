@@ -34,17 +34,17 @@ DISTURBED = OrientationCorrection(np.array([[60.0, -80.0, 20.0, 1e-4, -1.5e-4, 2
 
 
 @once
-def site() -> SimulatedSite:
+def site(lines: int = LINES) -> SimulatedSite:
     """The pair, both images cut after their first lines, which show the same ground, and rendered."""
     whole = plain_site("gusev", 1, "published")
-    first, second = (_cut(whole, image, k) for k, image in enumerate(whole.images))
+    first, second = (_cut(whole, image, k, lines) for k, image in enumerate(whole.images))
     return replace(whole, images=(first, second))
 
 
-def _cut(whole: SimulatedSite, image: SimulatedImage, seed: int) -> SimulatedImage:
-    true = replace(image.true, lines=LINES)
+def _cut(whole: SimulatedSite, image: SimulatedImage, seed: int, lines: int) -> SimulatedImage:
+    true = replace(image.true, lines=lines)
     pixels = render(true, whole.terrain, None, image.sun, np.random.default_rng(seed))
-    return replace(image, true=true, nominal=replace(image.nominal, lines=LINES), pixels=pixels)
+    return replace(image, true=true, nominal=replace(image.nominal, lines=lines), pixels=pixels)
 
 
 @cache

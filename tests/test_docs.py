@@ -57,14 +57,16 @@ def in_language(*languages: str) -> list[Any]:
 # --- which block is whose
 
 
-CHECKED = {"sh", "sh setup", "toml", "python", "text", "bibtex"}
-"""Languages of blocks that a test below takes; directives ({...}) are the build's."""
+CHECKED = {"sh", "sh setup", "toml", "python", "text", "bibtex", "output", "none"}
+"""Languages of blocks that a test below takes; directives ({...}) are the build's; output, none: what is printed."""
+RUN = ("docs/api.md", "docs/cookbook.md")
+"""Pages whose Python runs in `test_examples`, and is compared with what it prints."""
 
 
 def test_no_block_is_left_out() -> None:
     left = [block.where for block in BLOCKS if block.language not in CHECKED and not block.language.startswith("{")]
     assert not left
-    assert not [block.where for block in BLOCKS if block.language == "python" and block.page not in PYTHON]
+    assert not [block.where for block in BLOCKS if block.language == "python" and block.page not in {*PYTHON, *RUN}]
     for path in PAGES:  # blocks by indentation are for formulas and what is printed
         outside = re.sub(r"^( *)```.*?^\1``` *$", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
         code = r"^ {4,}(mgsgraph |pip |python3? |import |format = |\[+\w+\]+ *$)"
@@ -183,6 +185,19 @@ def test_shell_lines_are_commands_that_there_are(block: Block) -> None:
         program = words[0].removeprefix(".venv/bin/")
         assert program in PROGRAMS, f"{block.where}: {program}"
         PROGRAMS[program](words[1:], comment)
+
+
+TABLES = {"docs/gpu.md", "docs/strips.md", "docs/whole_road.md"}
+"""Pages that show it in tables: measured times, what is said without a GPU, spacings of nodes."""
+
+
+WITH_COMMANDS = {block.page for block in BLOCKS if block.language == "sh" and re.search("^mgsgraph ", block.text, re.M)}
+
+
+@pytest.mark.parametrize("page", sorted(WITH_COMMANDS - TABLES - {"README.md"}))
+def test_a_page_with_commands_shows_what_comes_out(page: str) -> None:
+    printed = [block for block in BLOCKS if block.page == page and block.language in {"output", "none"}]
+    assert printed or "```{figure}" in (ROOT / page).read_text(encoding="utf-8")
 
 
 def of_mgsgraph(words: Sequence[str], comment: str) -> None:
@@ -364,7 +379,8 @@ def test_the_api_page_has_every_public_name() -> None:
     assert sorted(named) == mgsgraph.__all__
 
 
-def test_pages_about_the_program_are_as_the_program_is() -> None:
+def test_pages_about_the_program_are_as_the_program_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "scripts")
     written = importlib.util.spec_from_file_location("pages", ROOT / "scripts" / "pages.py")
     assert written is not None
     assert written.loader is not None
@@ -402,4 +418,12 @@ def test_the_theory_links_each_equation_to_functions_that_are_there() -> None:
 def test_the_gallery_is_shown_whole() -> None:
     assert len(list((DOCS / "gallery").glob("*.py"))) >= 5
     linked = re.findall(r"auto_gallery/(\w+)\.rst", " ".join(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md")))
-    assert all((DOCS / "gallery" / f"{name}.py").exists() for name in linked)
+    assert all((DOCS / "gallery" / f"{name}.py").exists() for name in {*linked} - {"index"})
+
+
+def test_terms_are_in_order_and_have_a_source() -> None:
+    _, *terms = re.split(r"^## ", (DOCS / "glossary.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert len(terms) > 40
+    names = [re.sub(r"[^a-z0-9 ]", "", term.partition("\n")[0].lower()) for term in terms]
+    assert names == sorted(names)
+    assert not [term for term in terms if "*Source:*" not in " ".join(term.split())]

@@ -67,6 +67,13 @@ def adjust_network(
         worker; no GPU, or one with too little memory, where one is asked for.
     SolverError
         The cluster has gone.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.SolverSettings(loss="huber")
+    >>> robust = mgsgraph.adjust_network(network, settings, "with Huber's loss")
+    >>> robust.converged, round(robust.sigma0, 2)
+    (True, 1.1)
     """
     clock = Clock()
     if cluster is not None:
@@ -102,8 +109,9 @@ class Adjustment:
 
     Examples
     --------
-    >>> case = mgsgraph.read_case("case.toml")  # doctest: +SKIP
-    >>> solution = mgsgraph.Adjustment.batch(case.network)  # doctest: +SKIP
+    >>> solution = mgsgraph.Adjustment.batch(network)
+    >>> solution.converged, solution.fit.degrees_of_freedom
+    (True, 60)
     """
 
     @staticmethod

@@ -49,7 +49,14 @@ _STUCK = f"Stopped: no step lowers the cost although the linear model promises i
 
 @dataclass(frozen=True, slots=True)
 class Iteration(Record):
-    """One step that was tried."""
+    """One step that was tried.
+
+    Examples
+    --------
+    >>> first = solution.history[0]
+    >>> first.number, first.accepted, round(first.cost, 1)
+    (1, True, 44.9)
+    """
 
     number: int
     """Counted from 1."""

@@ -32,7 +32,15 @@ MOST_POINTS, MOST_UNKNOWNS = 5_000, 1_000
 
 @dataclass(frozen=True, slots=True)
 class Linearity(Record):
-    """What draws from the ellipsoid say of it."""
+    """What draws from the ellipsoid say of it.
+
+    Examples
+    --------
+    >>> solution.linearity.linear
+    True
+    >>> round(solution.linearity.ratio, 2)
+    1.0
+    """
 
     ratio: float
     """Mean of L / q over the draws; infinite where one of them sees a point from behind."""

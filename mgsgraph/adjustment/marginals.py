@@ -89,7 +89,16 @@ def carried(covariance: Array, columns: Index, sigmas: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointCovariance(Record):
-    """Joint covariance of the shared unknowns, for sigma0 = 1: the blocks that matter, and any other on demand."""
+    """Joint covariance of the shared unknowns, for sigma0 = 1: the blocks that matter, and any other on demand.
+
+    Examples
+    --------
+    >>> joint = solution.joint_covariance
+    >>> joint.block(0, 1).shape
+    (18, 18)
+    >>> joint.of([0, 1]).shape
+    (36, 36)
+    """
 
     square_root: SquareRoot
     """Of the information; says which variables there are."""

@@ -37,7 +37,16 @@ ABSURD = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Fit(Record):
-    """Global figures of merit."""
+    """Global figures of merit.
+
+    Examples
+    --------
+    >>> fit = solution.fit
+    >>> fit.observations, fit.unknowns, fit.degrees_of_freedom
+    (180, 120, 60)
+    >>> round(fit.sigma0, 2), fit.absurd
+    (1.22, False)
+    """
 
     squares: float
     """Weighted sum of squares of all rows."""

@@ -24,7 +24,14 @@ LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.68
 
 @dataclass(frozen=True, slots=True)
 class SolverSettings(Record):
-    """Choices of one adjustment."""
+    """Choices of one adjustment.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.SolverSettings(reject=4.0, max_iterations=50)
+    >>> settings.reject, settings.form, settings.loss
+    (4.0, 'bundle', 'none')
+    """
 
     form: Form = "bundle"
     """bundle: points eliminated inside their factors; explicit: one factor per row set, points are variables."""

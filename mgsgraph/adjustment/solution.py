@@ -38,7 +38,18 @@ _TOGETHER = 1024
 
 @dataclass(frozen=True, eq=False)
 class Solution(Record):
-    """Adjusted orientation, ground points, residuals and covariances of one network."""
+    """Adjusted orientation, ground points, residuals and covariances of one network.
+
+    Examples
+    --------
+    >>> number = solution.network.point_number("TIE00001")
+    >>> solution.places[number].round(0), solution.sigmas[number].round(1)
+    (array([ 176989., 3383345.,  236273.]), array([ 6.2, 21.7,  7.6]))
+    >>> solution.correction("SIM/A").coefficients[0].shape
+    (6,)
+    >>> solution.converged, round(solution.sigma0, 2)
+    (True, 1.22)
+    """
 
     name: str
     """What the case is called."""
@@ -303,7 +314,20 @@ def _frames() -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationProfile(Record):
-    """Exterior orientation of images at some of their lines, before and after, with sigmas; image after image."""
+    """Exterior orientation of images at some of their lines, before and after, with sigmas; image after image.
+
+    Examples
+    --------
+    >>> profile = mgsgraph.orientation_profile(solution, "SIM/A", places=3)
+    >>> profile.position_sigma.round(0)
+    array([[24.,  5., 24.],
+           [24.,  4., 24.],
+           [24.,  5., 24.]])
+    >>> np.degrees(profile.angle_differences).round(3)
+    array([[-0.08 , -0.009,  0.079],
+           [-0.075, -0.009,  0.073],
+           [-0.07 , -0.009,  0.068]])
+    """
 
     lines: Array
     """(n,) line coordinate."""
@@ -334,7 +358,16 @@ class OrientationProfile(Record):
 
 
 def orientation_profile(solution: Solution, image: str | int, places: int = 31) -> OrientationProfile:
-    """Exterior orientation of one image at evenly spaced lines from its first to its last (the papers' 31 samples)."""
+    """Exterior orientation of one image at evenly spaced lines from its first to its last (the papers' 31 samples).
+
+    Examples
+    --------
+    >>> profile = mgsgraph.orientation_profile(solution, "SIM/A", places=3)
+    >>> profile.lines
+    array([   0., 2500., 5000.])
+    >>> np.linalg.norm(profile.position_after - profile.position_before, axis=1).round(0)
+    array([47., 47., 47.])
+    """
     return orientation_profiles(solution, [image], places)
 
 

@@ -37,7 +37,7 @@ _EXPECTED = (
 def read_altimetry_cloud(
     path: Path, body: Ellipsoid | None = None, version: str | None = None
 ) -> AltimetryCloud:
-    """Read the ground returns of an altimeter.
+    r"""Read the ground returns of an altimeter.
 
     Parameters
     ----------
@@ -54,6 +54,13 @@ def read_altimetry_cloud(
         With file and line or record: a column that is missing, a value that is no number or out of range, a radius
         whose unit can't be known, radii of another body, an id twice; a file that is empty, cut short, of an unknown
         format, or without ground returns.
+
+    Examples
+    --------
+    >>> from mgsgraph.altimetry.cloud import read_altimetry_cloud
+    >>> _ = Path("cloud.csv").write_text("longitude_deg,latitude_deg,height_m,id,profile\n87.1,4.2,-3700.0,1,9000\n")
+    >>> print(read_altimetry_cloud(Path("cloud.csv"), network.images[0].body))
+    AltimetryCloud(1 shots, 1 profiles, from cloud.csv)
     """
     content, packed = unpacked(read_bytes(path), path)
     table = None if b"\0" in content or not content or content.isspace() else table_of(content, path)

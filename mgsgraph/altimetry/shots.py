@@ -44,6 +44,13 @@ def read_shots(
         With file and line or record: a file that is missing, empty, cut short or of an unknown format; a column that is
         missing; a value that is no number or can't be; radii in no unit in which they are the body's, ranges in another
         than the way from the spacecraft, where the file has that.
+
+    Examples
+    --------
+    >>> from mgsgraph.altimetry.shots import read_shots
+    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> print(shots)
+    AltimeterShots(MOLA: 280 shots, 272 on the ground, 1 orbits)
     """
     return shots_of(*unpacked(read_bytes(path), path), path, clock_bias, version)
 

@@ -262,6 +262,12 @@ def components_of(solution: Solution | Linearised, grouping: Grouping | None = N
     ----------
     grouping : Grouping, optional
         `group_rows` when absent.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.components import components_of
+    >>> print(components_of(solution).sentences[0])
+    tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
     """
     at = (solution if isinstance(solution, Linearised) else at_solution(solution)).of_estimator()
     found = group_redundancy(at, grouping or group_rows(at.network))
@@ -297,6 +303,12 @@ def iterated_components(
         By which factors of the last pass may differ from one.
 
     Raises what `adjust_network` raises.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.components import iterated_components
+    >>> print(iterated_components(network, mgsgraph.SolverSettings()).sentences[0])
+    tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
     """
     if most < 1 or not tolerance > 0.0:
         raise InputError("variance components", f"{most} passes, tolerance {tolerance}", "at least 1, above zero")

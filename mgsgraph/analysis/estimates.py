@@ -22,7 +22,16 @@ from mgsgraph.units import DEG, MRAD
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quantity(Record):
-    """m numbers that follow from the unknowns."""
+    """m numbers that follow from the unknowns.
+
+    Examples
+    --------
+    >>> height = posterior.of_point("TIE00001")
+    >>> up = height.values / np.linalg.norm(height.values)
+    >>> radius = height.through(("radius",), ("m",), np.array([np.linalg.norm(height.values)]), up[None])
+    >>> posterior.joint([radius]).sigmas.round(0)
+    array([22.])
+    """
 
     names: tuple[str, ...]
     """(m,) what they are."""
@@ -86,7 +95,17 @@ def _roots(covariance: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate(Record):
-    """m numbers with their joint covariance, for sigma0 = 1."""
+    """m numbers with their joint covariance, for sigma0 = 1.
+
+    Examples
+    --------
+    >>> both = posterior.joint([posterior.of_point("TIE00001"), posterior.of_point("TIE00002")])
+    >>> both.names
+    ('X of point TIE00001', 'Y of point TIE00001', 'Z of point TIE00001', 'X of point TIE00002', 'Y of point
+    TIE00002', 'Z of point TIE00002')
+    >>> both.sigmas.round(0)
+    array([ 6., 22.,  8.,  6., 23.,  8.])
+    """
 
     names: tuple[str, ...]
     """(m,) what they are."""
@@ -122,7 +141,16 @@ class Estimate(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorEllipsoid(Record):
-    """Surface within which the truth lies with a probability, in the local frame east, north, up."""
+    """Surface within which the truth lies with a probability, in the local frame east, north, up.
+
+    Examples
+    --------
+    >>> ellipsoid = posterior.point("TIE00001").ellipsoid(0.95)
+    >>> ellipsoid.semi_axes.round(0)
+    array([61., 21., 15.])
+    >>> np.degrees(ellipsoid.elevations).round(0)
+    array([80.,  1., 10.])
+    """
 
     probability: float
     """Probability that the truth lies inside."""
@@ -160,7 +188,16 @@ def error_ellipsoid(covariance: Array, probability: float) -> ErrorEllipsoid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionEstimate(Record):
-    """Position of a ground point."""
+    """Position of a ground point.
+
+    Examples
+    --------
+    >>> point = posterior.point("TIE00001")
+    >>> print(point)
+    PositionEstimate('TIE00001', sigma east 6.73 m, north 7.39 m, up 21.5 m)
+    >>> np.sqrt(np.diagonal(point.east_north_up)).round(0)
+    array([ 7.,  7., 22.])
+    """
 
     name: str
     """Name of the point."""
@@ -205,7 +242,16 @@ class PositionEstimate(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Difference(Record):
-    """From one point to another; what the two share cancels."""
+    """From one point to another; what the two share cancels.
+
+    Examples
+    --------
+    >>> difference = posterior.difference("TIE00001", "TIE00002")
+    >>> print(f"{difference.height:.1f} +- {difference.height_sigma:.1f} m over {difference.distance:.0f} m")
+    -60.4 +- 16.3 m over 5047 m
+    >>> difference.chance < 0.01
+    True
+    """
 
     first: str
     """Name of the point it begins at."""
@@ -290,7 +336,14 @@ class Difference(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate(Record):
-    """Exterior orientation of an image at a line."""
+    """Exterior orientation of an image at a line.
+
+    Examples
+    --------
+    >>> print(posterior.pose("SIM/A", line=2500.0))
+    PoseEstimate('SIM/A', line 2500, sigma along 23.7 m, across 23.7 m, radial 3.53 m; roll 0.0627, pitch 0.0629,
+    yaw 0.0999 mrad)
+    """
 
     image: str
     """Name of the image."""
@@ -335,7 +388,13 @@ class PoseEstimate(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelEstimate(Record):
-    """Where a ground point falls in an image."""
+    """Where a ground point falls in an image.
+
+    Examples
+    --------
+    >>> print(posterior.projection("TIE00001", "SIM/B"))
+    PixelEstimate(point 'TIE00001' in image 'SIM/B': line 2384.47 sigma 0.69 px, sample 577.91 sigma 1 px)
+    """
 
     point: str
     """Name of the point."""

@@ -41,7 +41,15 @@ _LAYOUTS = 10
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodRatio(Record):
-    """Given values of some unknowns against the best ones."""
+    """Given values of some unknowns against the best ones.
+
+    Examples
+    --------
+    >>> nominal = np.zeros_like(solution.coefficients[0])
+    >>> ratio = posterior.likelihood.ratio({"SIM/A": nominal})
+    >>> print(f"chi-square {ratio.squares:.0f} with {ratio.degrees} degrees of freedom: p < 0.001 is {ratio.p < 0.001}")
+    chi-square 350 with 18 degrees of freedom: p < 0.001 is True
+    """
 
     squares: float
     """Twice the cost's rise."""
@@ -53,7 +61,14 @@ class LikelihoodRatio(Record):
 
 @dataclass(frozen=True, slots=True)
 class Profile(Record):
-    """One unknown, in the terms of the flight, by its likelihood."""
+    """One unknown, in the terms of the flight, by its likelihood.
+
+    Examples
+    --------
+    >>> (roll,) = posterior.likelihood.profiles("SIM/A", "constant roll")
+    >>> roll.unit, round(roll.ratio, 2)
+    ('rad', 1.0)
+    """
 
     owner: str
     """Image, shift or shared unknown."""
@@ -76,7 +91,14 @@ class Profile(Record):
 
 
 def linearity_of(at: Linearised) -> Linearity | None:
-    """Whether the covariance where a network was solved may be used for joint statements."""
+    """Whether the covariance where a network was solved may be used for joint statements.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.likelihood import linearity_of
+    >>> linearity_of(posterior.linearised).linear
+    True
+    """
     graph = BundleGraph(at.layout, at.rows)
     found = graph.reduction(at.orientation, SYSTEM, at.points)
     return linearity(graph, found, at.of_estimator().joint.square_root)
@@ -95,6 +117,13 @@ class Likelihood(Record):
     InputError
         Where unknowns are considered: the cost says nothing of them; and where a robust loss is no likelihood of
         normal errors.
+
+    Examples
+    --------
+    >>> (roll,) = posterior.likelihood.profiles("SIM/A", "constant roll")
+    >>> low, high = roll.intervals[1]
+    >>> print(f"sigma {1e3 * roll.sigma:.3f} mrad; with 95 % between {1e3 * low:.2f} and {1e3 * high:.2f} mrad")
+    sigma 0.063 mrad; with 95 % between -0.08 and 0.17 mrad
     """
 
     def __init__(self, at: Linearised) -> None:

@@ -138,6 +138,16 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
         At its solution.
     levels : Levels, optional
         Sizes of the tests; Baarda's customary ones when absent.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.reliability import reliability
+    >>> found = reliability(solution)
+    >>> print(found)
+    Reliability(180 measures, 60.0 degrees of freedom, 0 tests over 3.29, 12 measures uncontrolled)
+    >>> worst = np.argsort(-np.abs(found.measures.test))[:2]
+    >>> print(found.names(worst), found.measures.test[worst].round(1))
+    ['sample of point SHOT00004 in image SIM/B', 'a-priori x of point SHOT00008'] [-3.1  3. ]
     """
     at, levels = (of if isinstance(of, Linearised) else at_solution(of)).of_estimator(), levels or Levels()
     points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)

@@ -106,6 +106,13 @@ def snoop(
         What to call the adjustment in reports.
     progress : callable
         Called with every removal.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.snooping import snoop
+    >>> found = snoop(network)
+    >>> len(found.removals), found.complete
+    (0, True)
     """
     settings, levels = settings or SolverSettings(), levels or Levels()
     if settings.loss != "none":

@@ -36,7 +36,14 @@ _DRIFT_DEGREE = 6
 
 
 class EffectKind(StrEnum):
-    """What an effect is."""
+    """What an effect is.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.systematic import EffectKind
+    >>> EffectKind.JITTER.value
+    'jitter'
+    """
 
     JITTER = "jitter"
     """Image residuals vary with time, once and more along the image."""

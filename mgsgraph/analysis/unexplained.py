@@ -49,7 +49,18 @@ _FINE = 9
 
 @dataclass(frozen=True, slots=True)
 class Effect(Record):
-    """An effect that residuals show and the adjustment has no unknown for."""
+    """An effect that residuals show and the adjustment has no unknown for.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.systematic import EffectKind
+    >>> from mgsgraph.analysis.unexplained import Effect
+    >>> kind, term = EffectKind.JITTER, "[[strips]] images = ['SIM/A']"
+    >>> effect = Effect(kind, "image SIM/A", 1e-9, 1.2, "px", term, 0.1, "line and sample", 1.9, 60.0, 4)
+    >>> print(effect.sentence)
+    image SIM/A: line and sample residuals vary with time (period 1.9 s, 1.2 px, p = 1e-09): jitter; [[strips]]
+    images = ['SIM/A']
+    """
 
     kind: EffectKind
     """What it is."""
@@ -135,7 +146,7 @@ class Unexplained(Record):
 
 
 def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
-    """What residuals show and the adjustment has no unknown for.
+    r"""What residuals show and the adjustment has no unknown for.
 
     Parameters
     ----------
@@ -143,6 +154,13 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
         At its solution.
     level : float
         Probability that a run on good data names anything.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.unexplained import unexplained
+    >>> found = unexplained(solution)
+    >>> print(*found.sentences, sep="\n")
+    203 tests of the residuals by time, sample, slope, height and neighbours find nothing.
     """
     if not 0.0 < level < 1.0:
         raise InputError("tests of the residuals, level", f"{level}", "a probability between 0 and 1")
@@ -151,7 +169,14 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
 
 
 def named_effects(of: Solution | Linearised, level: float = LEVEL) -> tuple[Effect, ...]:
-    """The named effects of `unexplained`, clearest first."""
+    """The named effects of `unexplained`, clearest first.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.unexplained import named_effects
+    >>> named_effects(solution)
+    ()
+    """
     return unexplained(of, level).effects
 
 

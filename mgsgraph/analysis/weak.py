@@ -85,6 +85,16 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
     ------
     InputError
         When `count` is not positive, or all orientation was held.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.weak import weak_directions
+    >>> for direction in weak_directions(solution, 2):
+    ...     print(direction)
+    constant along-track position against pitch of image SIM/B (100 %): one sigma is 24.2 m against 0.0593 mrad,
+    1.00 of what was known before
+    constant across-track position against roll of image SIM/B (100 %): one sigma is 24.7 m against 0.0565 mrad,
+    1.00 of what was known before
     """
     layout = lay_out(solution.network, solution.settings, solution.places)
     return weakest(layout, solution.joint_covariance, count)

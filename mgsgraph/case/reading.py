@@ -52,7 +52,17 @@ _FAR_APART = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case(Record):
-    """Everything that an adjustment starts from."""
+    """Everything that an adjustment starts from.
+
+    Examples
+    --------
+    >>> print(case.name, case.path.name)
+    simulated pair case.toml
+    >>> print(case.network)
+    Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges)
+    >>> case.settings.loss
+    'none'
+    """
 
     name: str
     """What it is called."""
@@ -106,6 +116,12 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     ------
     InputError
         With the place, the finding and the remedy.
+
+    Examples
+    --------
+    >>> case = mgsgraph.read_case("pair/case.toml", laser=False)
+    >>> print(case.network)
+    Network(2 images, 20 points (20 tie), 40 rays, 0 ranges)
     """
     path = Path(path)
     wanted = decode(path)
@@ -252,6 +268,13 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
 def adjust(case: Case, progress: "Callable[[Iteration], None]" = lambda _: None) -> "Solution":
     """Adjust a case, strengths of processes that it wants estimated found on the way; see
     `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.process_strengths.estimated_strengths`.
+
+    Examples
+    --------
+    >>> solution = mgsgraph.adjust(case)
+    >>> print(solution)
+    Solution('simulated pair', converged after 5 iterations, cost 449.199 -> 44.8741, sigma0 1.223, 60 degrees of
+    freedom; Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges))
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.analysis.process_strengths import estimated_strengths

@@ -53,6 +53,12 @@ def read_scene(
     ------
     InputError
         As `read_case`; an image without pixels; no height of the ground.
+
+    Examples
+    --------
+    >>> name, scene = mgsgraph.read_scene("gusev/case.toml")
+    >>> name, [picture.pixels.shape for picture in scene.pictures]
+    ('Gusev Crater', [(300, 1024), (300, 1024)])
     """
     path = Path(path)
     _require_sound(height, height_sigma)

@@ -34,7 +34,14 @@ Heights = Literal["sphere", "areoid"]
 
 @dataclass(frozen=True, slots=True)
 class DemSettings(Record):
-    """Choices of a terrain model."""
+    """Choices of a terrain model.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.DemSettings(post=25.0, heights="areoid")
+    >>> settings.post, settings.heights
+    (25.0, 'areoid')
+    """
 
     post: float | None = None
     """m between its posts; as the matches' when None."""
@@ -75,7 +82,18 @@ class MatchedPair(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dem(Record):
-    """A terrain model, what it was made from, and how it was checked."""
+    """A terrain model, what it was made from, and how it was checked.
+
+    Examples
+    --------
+    >>> print(dem)
+    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.938 km^2 with heights, 0 check shots)
+    >>> height, sigma = np.nanmedian(dem.heights), np.nanmedian(dem.model.sigmas)
+    >>> print(f"{height:.0f} +- {sigma:.0f} m")
+    -3972 +- 5 m
+    >>> dem.heights.shape, dem.model.sigmas.shape
+    ((24, 61), (24, 61))
+    """
 
     name: str
     """Of the case."""

@@ -62,6 +62,14 @@ def make_dem(
     InputError
         As `read_scene`; images that were not adjusted; no overlap or no parallax to make a terrain model from; heights
         above an areoid that the case doesn't have; a folder that can't be written or holds something else.
+
+    Examples
+    --------
+    >>> case = mgsgraph.read_case("gusev/case.toml", ties=Path("matches/network.pvl"))
+    >>> settings = mgsgraph.DemSettings(post=50.0, spacing=30.0)
+    >>> dem = mgsgraph.make_dem(mgsgraph.adjust(case), "gusev/case.toml", "dem", settings, figures=False)
+    >>> print(dem)
+    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.938 km^2 with heights, 0 check shots)
     """
     settings, path = settings or DemSettings(), Path(case)
     require_replaceable(out, DEM)

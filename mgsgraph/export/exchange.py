@@ -294,6 +294,14 @@ def convert(
     ------
     InputError
         With the place, the finding and the remedy; nothing is written then.
+
+    Examples
+    --------
+    >>> made = mgsgraph.convert("pair/network.pvl", "network.csv")
+    >>> len(made.network.points), [path.name for path in made.written]
+    (20, ['network.csv'])
+    >>> made.lost[0]
+    'NetworkId, TargetName, UserName, Created, LastModified and Description of the network'
     """
     setting, selection = setting or ExchangeSetting(), selection or Selection()
     paths, output = _listed(inputs), Path(output)

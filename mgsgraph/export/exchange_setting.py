@@ -21,7 +21,14 @@ _SAID = "--target, --radii, --case"
 
 @dataclass(frozen=True, slots=True)
 class ExchangeSetting(Record):
-    """What files don't say of themselves."""
+    """What files don't say of themselves.
+
+    Examples
+    --------
+    >>> setting = mgsgraph.ExchangeSetting(target="Mars", renamed={"SIM/A": "E02-00665"})
+    >>> mgsgraph.convert("pair/network.pvl", "renamed.net", setting).written[0].name
+    'renamed.net'
+    """
 
     sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     """Lines and samples of images by their names."""

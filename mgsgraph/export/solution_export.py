@@ -107,6 +107,14 @@ def export_solution(
     InputError
         No solution there, or one of another version; settings that the target has no use for; what the product can't
         hold, which is named; a folder that can't be written; a file that doesn't come back.
+
+    Examples
+    --------
+    >>> done = mgsgraph.export_solution("RESULT", "csm", "csm")
+    >>> print(*done.files)
+    SIM_A.adjusted_state.json SIM_A.json SIM_B.adjusted_state.json SIM_B.json
+    >>> done.largest < 1e-6  # pixels: read back and compared
+    True
     """
     path, out, settings = Path(path), Path(out), settings or ExportSettings()
     target = target_of(target)

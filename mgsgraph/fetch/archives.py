@@ -17,7 +17,16 @@ _SCHEMES = ("https", "http")
 
 @dataclass(frozen=True, slots=True)
 class Archives(Record):
-    """Addresses (http or https) under which the archives' own layout begins; each ends in a slash."""
+    """Addresses (http or https) under which the archives' own layout begins; each ends in a slash.
+
+    Examples
+    --------
+    >>> archives = mgsgraph.Archives(kernels="https://mirror.example.org/naif/")
+    >>> archives.kernels
+    'https://mirror.example.org/naif/'
+    >>> mgsgraph.Archives.under("http://localhost:8000").pedr
+    'http://localhost:8000/pedr/'
+    """
 
     images: str = "https://planetarydata.jpl.nasa.gov/img/data/mgs-m-moc-na_wa-2-sdp-l0-v1.0/"
     """MOC standard data products: volumes mgsc_NNNN/ (PDS Imaging node)."""

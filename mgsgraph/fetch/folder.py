@@ -109,7 +109,7 @@ def fetch_images(
     progress: Progress = lambda done, total: None,
     say: Callable[[str], None] = lambda sentence: None,
 ) -> Fetched:
-    """Fetch all that the adjustment of some images needs; the same call again brings only what is not there.
+    r"""Fetch all that the adjustment of some images needs; the same call again brings only what is not there.
 
     Parameters
     ----------
@@ -136,6 +136,16 @@ def fetch_images(
     ------
     InputError
         Anything that can go wrong, one line; what has come is kept, and the same call goes on.
+
+    Examples
+    --------
+    >>> fetched = mgsgraph.fetch_images(["E02/00665", "E02/01453"], "data", archives=mirror)
+    >>> print(*fetched.sentences, sep="\n")
+    E02/00665: 2001-03-08T12:52:54.00, orbit 8933, mgs_ext1.bsp, mgs_sc_ext1.bc, ap18933l.b
+    E02/01453: 2001-03-17T18:39:14.00, orbit 9043, mgs_ext1.bsp, mgs_sc_ext1.bc, ap19043l.b
+    24 files fetched, 67.1 MB; 0 were here already
+    >>> fetched.commands()[0]
+    'mgsgraph init data/project --case data/case.toml'
     """
     products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
     volumes, archives = volumes_of(volumes), archives or Archives()

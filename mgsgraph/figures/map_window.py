@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +11,6 @@ from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
-from PIL import Image
 
 from mgsgraph.figures.ground_map import frame, map_axes
 from mgsgraph.figures.sheet import (
@@ -69,8 +67,8 @@ class MapWindow:
     """(n, 3) m^2, east, east and north, north, for ellipses; None for none."""
     moved: Array | None
     """(n, 2) m, corrections east and north; None for none."""
-    relief: bytes | None
-    """Picture of the shaded relief in the box; None for none."""
+    relief: Array | None
+    """(rows, columns) light on the ground in the box, 0 to 1, from the north; None for none."""
     factor: float
     """Enlargement of ellipses and corrections; 0 for round ones that suit."""
 
@@ -87,10 +85,12 @@ def window_sheet(shown: MapWindow) -> Sheet:
     map_axes(panel, low, high, shown.centre)
     if shown.relief is not None:
         x0, y0, x1, y1 = (shown.box / KM).tolist()
-        panel.imshow(Image.open(BytesIO(shown.relief)), extent=(x0, x1, y0, y1), zorder=1)
+        panel.imshow(
+            np.ma.masked_invalid(shown.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1
+        )
     _draw_outlines(panel, shown.outlines, low, high)
-    colours = ScalarMappable(Normalize(*shown.scale), "coolwarm" if shown.scale[0] == -shown.scale[1] else "viridis")
-    handles = _draw_points(panel, shown, colours)
+    norm, cmap = Normalize(*shown.scale), "coolwarm" if shown.scale[0] == -shown.scale[1] else "viridis"
+    handles = _draw_points(panel, shown, norm, cmap)
     if shown.covariances is not None:
         panel.add_collection(_ellipses(panel, shown, factors[0]), autolim=False)
         label = f"95 % ellipses × {factors[0]:g}"
@@ -99,7 +99,7 @@ def window_sheet(shown: MapWindow) -> Sheet:
         _arrows(panel, shown, factors[1])
         handles.append(Line2D([], [], color=INK, label=f"corrections × {factors[1]:g}"))
     place = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
-    bar = sheet.figure.colorbar(colours, cax=place, extend="both", ticks=MaxNLocator(5))
+    bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=place, extend="both", ticks=MaxNLocator(5))
     bar.set_label(f"{title} ({unit})")
     panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.0 + 0.1 / width, 1.0), borderaxespad=0.0)
     return sheet
@@ -117,13 +117,13 @@ def _draw_outlines(panel: Axes, outlines: dict[str, Array], low: Array, high: Ar
             panel.annotate(name, tuple(top), (2, 2 + 9 * (k % 3)), textcoords="offset points", size=7, clip_on=True)
 
 
-def _draw_points(panel: Axes, shown: MapWindow, colours: ScalarMappable) -> list[Line2D]:
+def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> list[Line2D]:
     """Points by the mark of their class, or cells; handles of the marks."""
     if shown.classes is None:
         x0, y0, x1, y1 = (shown.box / KM).tolist()
         panel.imshow(
-            np.ma.masked_invalid(shown.values), extent=(x0, x1, y0, y1), origin="lower", cmap=colours.cmap,
-            norm=colours.norm, interpolation="nearest", zorder=3,
+            np.ma.masked_invalid(shown.values), extent=(x0, x1, y0, y1), origin="lower", cmap=cmap,
+            norm=norm, interpolation="nearest", zorder=3,
         )  # fmt: skip
         return []
     handles = []
@@ -135,8 +135,8 @@ def _draw_points(panel: Axes, shown: MapWindow, colours: ScalarMappable) -> list
             marker, size = CLASS_MARKER[kind], 14.0 if len(shown.places) <= 1500 else 5.0
             panel.scatter(x[~known], y[~known], c=SOFT, s=size, marker=marker, lw=0.0, zorder=3)
             panel.scatter(
-                x[known], y[known], c=shown.values[mine[known]], s=size, marker=marker, cmap=colours.cmap,
-                norm=colours.norm, lw=0.0, zorder=3,
+                x[known], y[known], c=shown.values[mine[known]], s=size, marker=marker, cmap=cmap,
+                norm=norm, lw=0.0, zorder=3,
             )  # fmt: skip
             handles.append(Line2D([], [], ls="", marker=marker, ms=4.5, color=SOFT, label=CLASS_NAME[kind]))
     return handles

@@ -57,7 +57,7 @@ def story_sheet(
         f"{number(round(apart[0]))} m): what laser and images share, relief does not see."
     )
     title = f"MOLA and MOC before and after registration by relief: {short(profile.name, 20)}"
-    sheet = new_sheet("story", 9.6, 5.2, title, caption)
+    sheet = new_sheet("story", 7.6, 5.2, title, caption)
     panels = sheet.figure.subplot_mosaic([["before", "map"], ["after", "map"]], width_ratios=[1.45, 1.0])
     mine = _steepest(profile)
     body = registration.solution.network.images[0].body

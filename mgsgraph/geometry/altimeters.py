@@ -24,7 +24,14 @@ def _flight(first: str, last: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Altimeter(Record):
-    """One instrument; NaN where nothing published says."""
+    """One instrument; NaN where nothing published says.
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.altimeters import MOLA
+    >>> MOLA.name, MOLA.footprint
+    ('MOLA', 168.0)
+    """
 
     name: str
     """As archives call it."""

@@ -82,7 +82,16 @@ def footprint_covariances(footprints: Array, horizontal: float, vertical: float 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserProfile(Record):
-    """Laser shots, struct of arrays; the footprints' covariances are a-priori knowledge of the ground points."""
+    """Laser shots, struct of arrays; the footprints' covariances are a-priori knowledge of the ground points.
+
+    Examples
+    --------
+    >>> laser = pair.laser
+    >>> print(laser)
+    LaserProfile(8 shots, 16 image measures, from simulated pair)
+    >>> laser.ids[0], float(laser.ranges[0].round(1))
+    ('SHOT00001', 379871.6)
+    """
 
     source: str
     """File they come from, for messages."""
@@ -139,7 +148,18 @@ class LaserProfile(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AltimeterShots(Record):
-    """Altimeter shots as their archive holds them, struct of arrays; NaN where a source doesn't say."""
+    """Altimeter shots as their archive holds them, struct of arrays; NaN where a source doesn't say.
+
+    Examples
+    --------
+    >>> from mgsgraph.altimetry.shots import read_shots
+    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> shots.altimeter.name, shots.profile_names()[0], int(shots.ground.sum())
+    ('MOLA', '18933', 272)
+    >>> near = shots.chosen(np.arange(10))
+    >>> near.footprints.shape, near.ranges[:2].round(0)
+    ((10, 3), array([382739., 382739.]))
+    """
 
     source: str
     """File they come from, for messages."""
@@ -324,7 +344,16 @@ def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AltimetryCloud(Record):
-    """Ground returns of a laser altimeter, profile by profile, struct of arrays: control that needs no image."""
+    r"""Ground returns of a laser altimeter, profile by profile, struct of arrays: control that needs no image.
+
+    Examples
+    --------
+    >>> from mgsgraph.altimetry.cloud import read_altimetry_cloud
+    >>> _ = Path("cloud.csv").write_text("x_m,y_m,z_m,id,profile\n171000.0,3382000.0,248000.0,1,9000\n")
+    >>> cloud = read_altimetry_cloud(Path("cloud.csv"), network.images[0].body)
+    >>> cloud.profiles, cloud.points.shape
+    (('9000',), (1, 3))
+    """
 
     source: str
     """File they come from, for messages."""

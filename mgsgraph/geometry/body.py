@@ -13,7 +13,15 @@ from mgsgraph.units import KM
 
 @dataclass(frozen=True, slots=True)
 class Ellipsoid(Record):
-    """Reference ellipsoid of revolution, centred on the body-fixed frame, polar axis along +Z."""
+    """Reference ellipsoid of revolution, centred on the body-fixed frame, polar axis along +Z.
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.body import Ellipsoid
+    >>> mars = Ellipsoid(3_396_190.0, 3_376_200.0)
+    >>> mars.radius(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    array([3396190., 3376200.])
+    """
 
     equatorial: float
     """m, equatorial radius."""

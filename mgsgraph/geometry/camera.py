@@ -17,6 +17,14 @@ class InteriorOrientation(Record):
 
     Detector pixel = image sample * summing + first; focal-plane place = affine map of (detector line, detector sample)
     relative to the principal point; then the distortion is taken off.
+
+    Examples
+    --------
+    >>> interior = network.images[0].interior
+    >>> place, _ = interior.focal_plane(np.array([0.5, 512.0]))
+    >>> interior.focal_length, (1e3 * place).round(3)
+    (3.5, array([[  0.   , -13.299],
+           [  0.   ,   0.   ]]))
     """
 
     focal_length: float

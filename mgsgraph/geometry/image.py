@@ -36,7 +36,16 @@ polynomials of the optics mean nothing)."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineTiming(Record):
-    """Time of each line, with one constant line period per segment."""
+    """Time of each line, with one constant line period per segment.
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.image import LineTiming
+    >>> timing = LineTiming(np.array([0.0]), np.array([-2.0]), np.array([2e-3]))
+    >>> seconds, period = timing.at(np.array([0.0, 1000.0]))
+    >>> seconds, timing.lines(seconds)
+    (array([-2.,  0.]), array([   0., 1000.]))
+    """
 
     first_lines: Array
     """(s,) line coordinate at which each segment begins (0.0 is the top edge of the image), increasing."""
@@ -102,7 +111,16 @@ class ExteriorOrientation(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PushbroomImage(Record):
-    """A line-scanner image with everything that its geometry needs."""
+    """A line-scanner image with everything that its geometry needs.
+
+    Examples
+    --------
+    >>> image = network.images[0]
+    >>> ground, _ = image.image_to_ground(np.array([2500.0]), np.array([512.0]), 100.0)
+    >>> pixel, _ = image.ground_to_image(ground)
+    >>> pixel.round(6)
+    array([[2500.,  512.]])
+    """
 
     name: str
     """By which networks and shots refer to it (ISIS serial number, product id)."""

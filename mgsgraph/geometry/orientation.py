@@ -62,7 +62,15 @@ class Moments(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationPrior(Record):
-    """What is known of one image's orientation corrections beforehand: zero mean, and a sigma for each coefficient."""
+    """What is known of one image's orientation corrections beforehand: zero mean, and a sigma for each coefficient.
+
+    Examples
+    --------
+    >>> constant = np.array([50.0, 50.0, 50.0, 1e-4, 1e-4, 1e-4])
+    >>> prior = mgsgraph.OrientationPrior(np.stack([constant, 0.1 * constant]))
+    >>> prior.degree
+    1
+    """
 
     sigmas: Array
     """(degree + 1, 6) m and rad; infinite where nothing is known."""
@@ -84,7 +92,17 @@ class OrientationPrior(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationCorrection(Record):
-    """Coefficients of one image's orientation corrections."""
+    """Coefficients of one image's orientation corrections.
+
+    Examples
+    --------
+    >>> correction = solution.correction("SIM/A")
+    >>> correction.coefficients.shape, correction.angles
+    ((3, 6), 'camera')
+    >>> place, _ = network.images[0].ground_to_image(solution.places[:1], correction)
+    >>> (network.rays.places[0] - place[0]).round(2)
+    array([-0.79,  0.  ])
+    """
 
     coefficients: Array
     """(d, 6) m and rad: of a polynomial of the normalised line, constant term first, and then of the orientation images

@@ -29,7 +29,15 @@ _EVEN = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationImages(Record):
-    """The nodes of one strip, and the basis between them."""
+    """The nodes of one strip, and the basis between them.
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.orientation_images import OrientationImages
+    >>> nodes = OrientationImages("lagrange", 0.0, np.arange(0.0, 50.0, 10.0))
+    >>> len(nodes), nodes.coverage, nodes.spacing
+    (5, (0.0, 40.0), 10.0)
+    """
 
     basis: Basis
     """Lagrange's third-order polynomials, or the uniform cubic B-spline."""

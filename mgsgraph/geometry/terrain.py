@@ -130,7 +130,16 @@ def window(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TerrainGrid(Record):
-    """Posts at equal steps of longitude and planetocentric latitude; rows go south, columns go east."""
+    """Posts at equal steps of longitude and planetocentric latitude; rows go south, columns go east.
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.terrain import TerrainGrid
+    >>> step = np.radians(0.5)
+    >>> plain = TerrainGrid("a plain", np.full((4, 4), 3_390_000.0), 0.0, np.radians(2.0), step, step)
+    >>> plain.at(np.array([[3.4e6, 3e4, 6e4]]))
+    array([3390000.])
+    """
 
     source: str
     """File it comes from, for messages."""

@@ -105,7 +105,16 @@ class AttitudeTable(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose(Record):
-    """Position and attitude of a camera at n moments, with their rates (per second, or per line where so said)."""
+    """Position and attitude of a camera at n moments, with their rates (per second, or per line where so said).
+
+    Examples
+    --------
+    >>> pose = network.images[0].pose(np.array([0.0, 5000.0]))
+    >>> pose.position.shape, pose.matrix.shape
+    ((2, 3), (2, 3, 3))
+    >>> np.linalg.norm(pose.velocity, axis=1).round(2)
+    array([4.91, 4.91])
+    """
 
     position: Array
     """(n, 3) m, body-fixed, perspective centre."""
@@ -130,7 +139,16 @@ class Pose(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory(Record):
-    """Position and attitude of one camera over its image, and the body's rotation meanwhile."""
+    """Position and attitude of one camera over its image, and the body's rotation meanwhile.
+
+    Examples
+    --------
+    >>> trajectory = network.images[0].trajectory
+    >>> trajectory.coverage
+    (-4.5, 4.5)
+    >>> trajectory.pose(np.array([0.0])).position.round(-3)
+    array([[ 197000., 3762000.,  263000.]])
+    """
 
     epoch: float
     """s TDB past J2000 from which all times of the tables count."""

@@ -68,7 +68,14 @@ class MovedPoints(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Impact(Record):
-    """What adding or removing images, or editing points, has done to the rest."""
+    """What adding or removing images, or editing points, has done to the rest.
+
+    Examples
+    --------
+    >>> adjustment = mgsgraph.IncrementalAdjustment.of(solution)
+    >>> print(adjustment.remove("SIM/B").sentences[0])
+    1 image reached; most moved is SIM/A: 0.092 of its sigmas, 3.2 m on the ground.
+    """
 
     verb: str
     """add, remove, or what was done to points."""

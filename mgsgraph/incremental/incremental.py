@@ -74,6 +74,13 @@ class IncrementalAdjustment(Record):
         Measurement model and loss; the defaults when absent. Blunders are sought by batch alone (`close`).
     store : StateStore, optional
         Where the state lies; in memory when absent.
+
+    Examples
+    --------
+    >>> adjustment = mgsgraph.IncrementalAdjustment.of(solution)
+    >>> impact = adjustment.remove("SIM/B")
+    >>> adjustment.images, adjustment.covariance("SIM/A").shape
+    (['SIM/A'], (18, 18))
     """
 
     def __init__(self, settings: SolverSettings | None = None, store: StateStore | None = None) -> None:

@@ -89,6 +89,14 @@ def match_into(
 
     Tiles that are done are kept beside it until then: the same call after an interruption goes on. `name` is that of
     the case, `workers` the number of tiles at a time; without `figures` only tables and networks are written.
+
+    Examples
+    --------
+    >>> name, scene = mgsgraph.read_scene("gusev/case.toml")
+    >>> settings = mgsgraph.MatchSettings(cells=20, features=1000)
+    >>> matches = mgsgraph.match_into(name, scene, Path("matches"), settings, figures=False)
+    >>> print(matches)
+    Matches(58 points in 24 of 24 cells)
     """
     store = KeptTiles(out, digest(scene, settings))
     try:

@@ -77,7 +77,17 @@ class LeastSquaresSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastSquaresMatches(Record):
-    """What became of each match; numbers are NaN where it has not converged."""
+    """What became of each match; numbers are NaN where it has not converged.
+
+    Examples
+    --------
+    >>> from mgsgraph.matching.least_squares import match_least_squares
+    >>> from mgsgraph.matching.spline import SplinePicture
+    >>> picture = SplinePicture.of(np.random.default_rng(1).normal(128.0, 30.0, (60, 60)))
+    >>> found = match_least_squares(picture, picture, [[30.5, 30.5]], [[30.5, 30.5]], np.eye(2)[None], (10, 10))
+    >>> found.converged, found.pixels.round(3), found.correlation.round(3)
+    (array([ True]), array([[30.5, 30.5]]), array([1.]))
+    """
 
     status: Index
     """(n,) MatchStatus."""
@@ -189,6 +199,18 @@ def match_least_squares(
     InputError
         If arrays differ in length or hold NaN, an anchor is no centre of a pixel, an A has no inverse, a direction no
         length, or the window is smaller than 7 x 7 or has fewer pixels of weight than there are unknowns.
+
+    Examples
+    --------
+    >>> from mgsgraph.matching.least_squares import match_least_squares
+    >>> from mgsgraph.matching.spline import SplinePicture
+    >>> line, sample = np.mgrid[:60, :60]
+    >>> def waves(x, y):
+    ...     return SplinePicture.of(128.0 + 40.0 * np.sin(0.4 * x + 0.2 * y) + 30.0 * np.cos(0.1 * x - 0.5 * y))
+    >>> first, second = waves(line, sample), waves(line + 0.4, sample - 0.7)
+    >>> found = match_least_squares(first, second, [[30.5, 30.5]], [[30.5, 30.5]], np.eye(2)[None], (10, 10))
+    >>> found.pixels.round(2)
+    array([[30.1, 31.2]])
     """
     settings = settings or LeastSquaresSettings()
     where = "least-squares matching"

@@ -20,7 +20,14 @@ def method_of(name: str) -> Method:
 
 @dataclass(frozen=True, slots=True)
 class MatchSettings(Record):
-    """How images are matched."""
+    """How images are matched.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.MatchSettings(cells=20, per_cell=4)
+    >>> settings.method, settings.cells * settings.per_cell
+    ('sift', 80)
+    """
 
     method: Method = "sift"
     """At features, or at the nodes of a regular grid."""

@@ -42,7 +42,17 @@ def _kept(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
 
 @dataclass(frozen=True, eq=False)
 class Network(Record):
-    """Images, ground points, rays and ranges with their sigmas; the whole input of an adjustment."""
+    """Images, ground points, rays and ranges with their sigmas; the whole input of an adjustment.
+
+    Examples
+    --------
+    >>> print(network)
+    Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges)
+    >>> network.image_number("SIM/B"), network.point_number("TIE00002")
+    (1, 1)
+    >>> int(np.count_nonzero(network.ray_counts == 2))
+    28
+    """
 
     images: tuple[PushbroomImage, ...]
     """All images, of one body."""

@@ -41,6 +41,13 @@ def observed(
     ------
     InputError
         When a measure names another image or lies outside its image, or a point is measured twice in an image.
+
+    Examples
+    --------
+    >>> from mgsgraph.network.observations import observed
+    >>> images = {image.name: mgsgraph.KnownImage(image, pair.settings.noise.prior) for image in pair.images}
+    >>> print(observed(images, [pair.ties, pair.laser], tie_sigma=0.5))
+    Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges)
     """
     parts = [
         _of_ties(images, one, tie_sigma) if isinstance(one, TiePoints) else _of_shots(images, one, shot_sigma)

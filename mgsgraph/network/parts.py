@@ -24,7 +24,15 @@ from mgsgraph.ties import PointKind
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownImage(Record):
-    """An image that takes part."""
+    """An image that takes part.
+
+    Examples
+    --------
+    >>> first = mgsgraph.KnownImage(network.images[0], network.priors[0])
+    >>> control = mgsgraph.KnownImage(network.images[1], network.priors[1], held=True)
+    >>> first.image.name, control.held
+    ('SIM/A', True)
+    """
 
     image: PushbroomImage
     """Its geometry."""

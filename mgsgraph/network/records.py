@@ -45,7 +45,15 @@ class PointClass(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPoints(Record):
-    """All ground points of a network."""
+    """All ground points of a network.
+
+    Examples
+    --------
+    >>> from mgsgraph.network import PointClass
+    >>> points = network.points
+    >>> len(points), points.ids[0], int(np.sum(points.classes == PointClass.LASER))
+    (28, 'TIE00001', 8)
+    """
 
     ids: Names
     """(n) names, each once; made of any sequence of them."""
@@ -83,7 +91,15 @@ class GroundPoints(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageRays(Record):
-    """Image coordinates of points: one ray each."""
+    """Image coordinates of points: one ray each.
+
+    Examples
+    --------
+    >>> rays = network.rays
+    >>> seen = rays.image == network.image_number("SIM/B")
+    >>> rays.places[seen].shape, rays.sigmas[seen].max().item()
+    ((28, 2), 5.0)
+    """
 
     point: Index
     """(k,) ground point."""
@@ -108,7 +124,14 @@ class ImageRays(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranges(Record):
-    """Laser ranges, each from the place of one image's camera at the shot's time."""
+    """Laser ranges, each from the place of one image's camera at the shot's time.
+
+    Examples
+    --------
+    >>> ranges = network.ranges
+    >>> ranges.values.round(0)[:2], ranges.sigmas[:2]
+    (array([379872., 379951.]), array([1., 1.]))
+    """
 
     point: Index
     """(r,) ground point."""
@@ -177,7 +200,18 @@ class ProfileShifts(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface(Record):
-    """A terrain model as control: chosen points lie on it."""
+    """A terrain model as control: chosen points lie on it.
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.terrain import TerrainGrid
+    >>> from mgsgraph.network import Surface
+    >>> step = np.radians(0.5)
+    >>> plain = TerrainGrid("a plain", np.full((9, 9), 3_390_000.0), np.radians(85.0), np.radians(6.0), step, step)
+    >>> surface = Surface(plain, np.full(len(network.points), 20.0), shift_sigma=100.0, height_sigma=10.0)
+    >>> [term.name for term in surface.terms]
+    ['east shift', 'north shift', 'upward shift']
+    """
 
     grid: TerrainGrid
     """Radii."""

@@ -35,7 +35,15 @@ _NO_DRIFT = 1e-3
 
 
 class SharedKind(StrEnum):
-    """What an unknown is."""
+    """What an unknown is.
+
+    Examples
+    --------
+    >>> from mgsgraph.network import SharedKind
+    >>> bias = SharedKind("range bias")
+    >>> bias.unit, bias.width, bias.acts_on_ranges
+    ('m', 1, True)
+    """
 
     ATTITUDE_TIME = "attitude-time bias"
     """s: attitude at time t is the nominal one of t + bias."""
@@ -163,7 +171,16 @@ class SharedKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedUnknown(Record):
-    """One unknown that several images share: of a camera, an orbit, an altimeter."""
+    """One unknown that several images share: of a camera, an orbit, an altimeter.
+
+    Examples
+    --------
+    >>> from mgsgraph.network import SharedKind, SharedUnknown
+    >>> clock = SharedUnknown("clock", SharedKind.ATTITUDE_TIME, np.array([0, 1]), np.array([0.1]))
+    >>> print(clock)
+    SharedUnknown(name='clock', kind=<SharedKind.ATTITUDE_TIME: 'attitude-time bias'>, images=[0, 1], sigmas=[0.1],
+    profile='')
+    """
 
     name: str
     """What to call it in reports, each once."""

@@ -7,7 +7,6 @@ from mgsgraph.incremental.state import StateStore
 
 if TYPE_CHECKING:
     from mgsgraph.incremental.incremental import IncrementalAdjustment
-    from mgsgraph.project.project import Change
 
 
 class KeptAdjustment:
@@ -15,13 +14,11 @@ class KeptAdjustment:
 
     def __init__(self) -> None:
         self._adjustment: IncrementalAdjustment | None = None
-        self._after: Change | None = None
+        self._after: object = None
 
-    def resumed(
-        self, after: "Change | None", settings: SolverSettings, store: StateStore
-    ) -> "IncrementalAdjustment":
-        """The adjustment of a project whose last change is `after`: the one that is kept, if it has made that change
-        itself and has the same settings, else one that begins with what the store holds.
+    def resumed(self, after: object, settings: SolverSettings, store: StateStore) -> "IncrementalAdjustment":
+        """The adjustment of a project whose last change, as its history has it, is `after`: the one that is kept, if it
+        has made that change itself and has the same settings, else one that begins with what the store holds.
         """
         from mgsgraph.incremental.incremental import IncrementalAdjustment
 
@@ -33,8 +30,8 @@ class KeptAdjustment:
         self._after = None  # until the change that comes is noted
         return kept
 
-    def noted(self, change: "Change") -> None:
-        """What the adjustment holds is what the project is after a change."""
+    def noted(self, change: object) -> None:
+        """What the adjustment holds is what the project is after a change, as its history has it."""
         self._after = change
 
     def forget(self) -> None:

@@ -36,7 +36,18 @@ class Crossing(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShotsOverImages(Record):
-    """Shots (n) and images (m): who lies over whom."""
+    """Shots (n) and images (m): who lies over whom.
+
+    Examples
+    --------
+    >>> from mgsgraph.altimetry.shots import read_shots
+    >>> from mgsgraph.registration.crossings import shots_over_images
+    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> over = shots_over_images([image.nominal for image in site.images], shots)
+    >>> crossing = over.crossings()[0]
+    >>> crossing.image, crossing.profile, crossing.inside, crossing.simultaneous
+    ('E02-00665', '18933', 5, 4)
+    """
 
     images: tuple[PushbroomImage, ...]
     """(m) images."""
@@ -96,6 +107,15 @@ def shots_over_images(
         Of the images' orientation; none when absent.
     margin : float
         pixels by which a footprint may lie outside of an image.
+
+    Examples
+    --------
+    >>> from mgsgraph.altimetry.shots import read_shots
+    >>> from mgsgraph.registration.crossings import shots_over_images
+    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> over = shots_over_images([image.nominal for image in site.images], shots)
+    >>> over.inside.sum(axis=1), over.chosen.size
+    (array([5, 5]), 7)
     """
     inside = points_in_images(images, shots.footprints, margin, corrections)
     seconds = np.stack([seconds_from_image(image, shots.times) for image in images])

@@ -212,6 +212,12 @@ def points_in_images(
     -------
     (m, n)
         True where a point's pixel lies in the image or its margin.
+
+    Examples
+    --------
+    >>> from mgsgraph.registration.footprints import points_in_images
+    >>> points_in_images(network.images, solution.places).sum(axis=1)
+    array([28, 28])
     """
     inside = np.zeros((len(images), points.shape[0]), dtype=bool)
     for j, (image, correction) in enumerate(zip(images, corrections or [None] * len(images), strict=True)):

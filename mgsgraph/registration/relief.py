@@ -122,6 +122,14 @@ def register_by_relief(
     ------
     InputError
         Where there are no profiles, no pixels, no overlap, or no profile has shots enough on the surface.
+
+    Examples
+    --------
+    >>> registration = mgsgraph.register_by_relief(relief, mgsgraph.ReliefSettings(reach=600.0), before=before)
+    >>> [profile.name for profile in registration.profiles]
+    ['ap18933l', 'ap19043l']
+    >>> registration.solution.converged
+    True
     """
     settings, solver = settings or ReliefSettings(), solver or case.settings
     _require_profiles(case)

@@ -58,6 +58,12 @@ def write_coregistration(
     ------
     InputError
         If the folder holds anything else, or can't be written.
+
+    Examples
+    --------
+    >>> files = mgsgraph.write_coregistration(registration, "coregistered", figures=False)
+    >>> [name for name in files if name.endswith(".csv")]
+    ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv', 'profiles.csv', 'shots.csv', 'costs.csv']
     """
     with fresh_folder(folder) as aside:
         return write_coregistration_into(registration, aside, figures, case, networks)

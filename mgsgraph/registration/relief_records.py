@@ -21,7 +21,14 @@ MOST_REACH = 20_000.0
 
 @dataclass(frozen=True, slots=True)
 class ReliefSettings(Record):
-    """How laser and images are registered by relief."""
+    """How laser and images are registered by relief.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.ReliefSettings(reach=500.0, terrain="spline")
+    >>> settings.reach, settings.crossovers
+    (500.0, True)
+    """
 
     footprint: float | None = None
     """m, diameter on the ground of all shots; that of each profile's altimeter (`Case.footprints`) when None."""
@@ -76,7 +83,16 @@ class ProfileState(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReliefProfile(Record):
-    """One laser profile, or one terrain model, against the stereo surface."""
+    """One laser profile, or one terrain model, against the stereo surface.
+
+    Examples
+    --------
+    >>> profile = registration.profiles[0]
+    >>> print(f"{profile.taken.sum()} shots: {profile.rms_before:.0f} m before, {profile.rms_after:.1f} m after")
+    114 shots: 839 m before, 1.0 m after
+    >>> np.sqrt(np.diagonal(profile.covariance)).round(1)
+    array([62.5, 62.6])
+    """
 
     name: str
     """Of the profile or the model."""
@@ -120,7 +136,17 @@ class ReliefProfile(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReliefRegistration(Record):
-    """Laser and images, registered."""
+    """Laser and images, registered.
+
+    Examples
+    --------
+    >>> for profile in registration.profiles:
+    ...     print(f"{profile.name}: shifted by {np.hypot(*profile.shift):.0f} m")
+    ap18933l: shifted by 180 m
+    ap19043l: shifted by 62 m
+    >>> registration.solution.shifts.shape
+    (2, 2)
+    """
 
     name: str
     """Of the case."""

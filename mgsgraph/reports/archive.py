@@ -52,6 +52,12 @@ def read_solution(path: str | Path) -> Solution:
     ------
     InputError
         If there is no archive, or it is damaged, foreign, or of a format that this version doesn't know.
+
+    Examples
+    --------
+    >>> print(mgsgraph.read_solution("RESULT"))
+    Solution('simulated pair', converged after 5 iterations, cost 449.199 -> 44.8741, sigma0 1.223, 60 degrees of
+    freedom; Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges))
     """
     path = Path(path)
     path = path / ARCHIVE if path.is_dir() else path

@@ -63,6 +63,11 @@ def write_report(
     ------
     InputError
         If `path` is no HTML file or can't be written, the case is another one, or nothing can be compared.
+
+    Examples
+    --------
+    >>> mgsgraph.write_report(solution, "report.html").name
+    'report.html'
     """
     path = require_page(path)
     write_page(_TEMPLATE, _content(solution, case, earlier, inputs or {}) | {"lead": lead}, path)

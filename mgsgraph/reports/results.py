@@ -79,6 +79,12 @@ def write_results(
     ------
     InputError
         If the folder holds anything else, or can't be written.
+
+    Examples
+    --------
+    >>> files = mgsgraph.write_results(solution, "RESULT", figures=False, case="pair/case.toml")
+    >>> [name for name in files if name.endswith(".csv")]
+    ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv']
     """
     with fresh_folder(folder) as aside:
         return write_into(solution, aside, figures, case, networks, tables)

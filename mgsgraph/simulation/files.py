@@ -131,6 +131,12 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
     ------
     InputError
         If the folder can't be written, or there is no such weighting.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation.files import write_site
+    >>> write_site(site, Path("gusev-as-published"), weighting="papers").name
+    'case_papers.toml'
     """
     if weighting not in get_args(Weighting):
         raise InputError("simulated site, weighting", repr(weighting), " or ".join(CASE_FILES))

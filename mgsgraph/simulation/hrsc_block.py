@@ -227,6 +227,13 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     ------
     InputError
         Where strips are too narrow or short for the points asked for.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=60e3, points=30, terrain=None), seed=1)
+    >>> print(block.network)
+    Network(10 images, 30 points (30 tie), 149 rays, 0 ranges)
     """
     settings = settings or BlockSettings()
     require_count("simulated block, seed", seed, 0)

@@ -43,7 +43,15 @@ _NO_OVERLAP = "take longer images, a smaller off_nadir or smaller position and a
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairSettings(Record):
-    """What pair to simulate."""
+    """What pair to simulate.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation.pair import PairSettings
+    >>> settings = PairSettings(lines=3000, off_nadir=np.radians(15.0), ties=40)
+    >>> settings.lines, settings.samples
+    (3000, 1024)
+    """
 
     lines: int = 5000
     """Lines of each image."""
@@ -75,7 +83,16 @@ class PairSettings(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedPair(Record):
-    """A simulated stereo pair: what an adjustment is given, and the truth it should find."""
+    """A simulated stereo pair: what an adjustment is given, and the truth it should find.
+
+    Examples
+    --------
+    >>> pair.images[0].name, len(pair.ties.ids), len(pair.laser.ids)
+    ('SIM/A', 20, 8)
+    >>> off = solution.places[:20] - pair.true_ties
+    >>> np.sqrt(np.mean(off**2, axis=0)).round(0)
+    array([ 3., 11.,  6.])
+    """
 
     settings: PairSettings
     """What was asked for."""
@@ -124,6 +141,13 @@ def simulate_pair(
     ------
     InputError
         Where the images do not share enough ground for the ties and shots asked for.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation.pair import PairSettings, simulate_pair
+    >>> print(simulate_pair(PairSettings(ties=5, shots=3), seed=2))
+    SimulatedPair(SIM/A, SIM/B; TiePoints(5 points (5 free), 10 measures, from simulated pair); LaserProfile(3
+    shots, 6 image measures, from simulated pair); seed 2)
     """
     settings = settings or PairSettings()
     require_seed("simulated pair", seed)

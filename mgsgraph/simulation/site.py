@@ -197,6 +197,14 @@ def simulate_site(
     ------
     InputError
         If there is no such site, or the images do not share enough ground.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation.site import SimulationOptions, simulate_site
+    >>> simulated = simulate_site("gusev", seed=2, options=SimulationOptions(pictures=False))
+    >>> print(simulated)
+    SimulatedSite(Gusev Crater: E02-00665, E02-01453; TiePoints(154 points (154 free), 308 measures, from simulated
+    site); 272 and 250 ground shots; seed 2)
     """
     settings = site if isinstance(site, SiteSettings) else site_settings(site)
     options = options or SimulationOptions()

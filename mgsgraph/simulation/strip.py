@@ -155,6 +155,13 @@ def simulate_strip(settings: StripSettings | None = None, seed: int = 1) -> Simu
     ------
     InputError
         Where images do not share enough ground for the ties asked for, or the strip would reach the pole.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation.strip import StripSettings, simulate_strip
+    >>> strip = simulate_strip(StripSettings(images=3, ties=10), seed=1)
+    >>> [image.name for image in strip.images]
+    ['STRIP/000N', 'STRIP/001X', 'STRIP/002N']
     """
     settings = settings or StripSettings()
     require_seed("simulated strip", seed)

@@ -10,7 +10,7 @@ from mgsgraph.figures.map_window import MapWindow, window_sheet
 from mgsgraph.figures.registration_views import known
 from mgsgraph.figures.sheet import Sheet
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.studio.map_layers import relief_png
+from mgsgraph.studio.map_layers import shaded_relief
 from mgsgraph.studio.map_points import map_points
 from mgsgraph.studio.opened import Opened
 
@@ -63,7 +63,7 @@ def map_figure(
         *_points(record, layers), (record["title"], record["unit"]), (low, high), record["count"],
         np.array(record["classes"], dtype=np.int64) if record["form"] == "points" else None,
         _covariances(record, layers), _moved(record, layers),
-        relief_png(opened, box, size) if terrain and "relief" in layers else None, factor,
+        shaded_relief(opened, box, size) if terrain and "relief" in layers else None, factor,
     )  # fmt: skip
     return window_sheet(shown)
 

@@ -29,8 +29,18 @@ _STEP = 1.0
 
 
 def relief_png(opened: Opened, box: Array, size: tuple[float, float]) -> bytes:
-    """Shaded relief of the terrain model in a box (4,) of x and y, low and high, in m on the map; transparent where the
-    model says nothing.
+    """`shaded_relief` as a picture, transparent where the model says nothing."""
+    light = shaded_relief(opened, box, size)
+    known = np.isfinite(light)
+    grey = np.where(known, 40.0 + 200.0 * np.nan_to_num(light), 0.0).astype(np.uint8)
+    file = BytesIO()
+    Image.merge("LA", [Image.fromarray(grey), Image.fromarray(known.astype(np.uint8) * 255)]).save(file, "png")
+    return file.getvalue()
+
+
+def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Array:
+    """Light (rows, columns), 0 to 1, on the terrain model in a box (4,) of x and y, low and high, in m on the map, from
+    the north downwards; NaN where the model says nothing.
 
     Raises
     ------
@@ -47,12 +57,7 @@ def relief_png(opened: Opened, box: Array, size: tuple[float, float]) -> bytes:
     heights = terrain.at(places_at(plane, opened.centre)).reshape(rows, columns)
     down, right = np.gradient(heights, (box[3] - box[1]) / rows, (box[2] - box[0]) / columns)
     normal = np.stack([-right, down, np.ones_like(right)], axis=-1)  # rows go southward
-    light = np.clip(normal @ _SUN / np.linalg.norm(normal, axis=-1), 0.0, 1.0)
-    known = np.isfinite(light)
-    grey = np.where(known, 40.0 + 200.0 * np.nan_to_num(light), 0.0).astype(np.uint8)
-    file = BytesIO()
-    Image.merge("LA", [Image.fromarray(grey), Image.fromarray(known.astype(np.uint8) * 255)]).save(file, "png")
-    return file.getvalue()
+    return np.asarray(np.clip(normal @ _SUN / np.linalg.norm(normal, axis=-1), 0.0, 1.0))
 
 
 def _pixels(size: tuple[float, float]) -> tuple[int, int]:

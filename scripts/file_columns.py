@@ -1,4 +1,4 @@
-"""The directive `table-columns`: what is in each column of the files of results, as the tables themselves say."""
+"""What is in each column of the files of results, as the tables say: for docs/files.md (scripts/pages.py)."""
 
 import tempfile
 from collections.abc import Iterator
@@ -7,10 +7,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from docutils import nodes
-from docutils.statemachine import StringList
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import components_of
@@ -64,15 +60,9 @@ reject = 4.0
 """What a small simulated case gets, so that every table has something in it."""
 
 
-class TableColumns(SphinxDirective):
+def columns_markdown() -> str:
     """A section for each file."""
-
-    def run(self) -> list[nodes.Node]:
-        """Sections, made of Markdown as the page around them is."""
-        lines = [line for file, table in _tables() for line in _section(file, table)]
-        holder = nodes.container()
-        self.state.nested_parse(StringList(lines, source="mgsgraph.output.table"), 0, holder, match_titles=True)
-        return holder.children
+    return "\n".join(line for file, table in _tables() for line in _section(file, table)) + "\n"
 
 
 def _solution() -> Solution:
@@ -152,9 +142,3 @@ def _row(column: Column) -> str:
     names = ", ".join(f"`{one.name()}`" for one in column.split)
     unit = column.unit if isinstance(column.unit, str) else "in `unit`"
     return f"| {names} | {unit} | {column.meaning} |".replace("|  |", "| |")
-
-
-def setup(app: Sphinx) -> dict[str, bool]:
-    """Sphinx's entry point."""
-    app.add_directive("table-columns", TableColumns)
-    return {"parallel_read_safe": True}

@@ -1,0 +1,56 @@
+"""
+An analysis
+===========
+
+What :doc:`/analysis` asks of a result, in Python: what the adjustment cannot explain, whether the sigmas are honest,
+what may be a blunder, what is weak. One measure of this pair is off by eight pixels, which nobody knows beforehand.
+"""
+
+from dataclasses import replace
+
+from mgsgraph import Adjustment, KnownImage, Posterior
+from mgsgraph.network.observations import observed
+from mgsgraph.simulation.pair import simulate_pair
+
+pair = simulate_pair(seed=5)
+measures = pair.ties.measures.copy()
+measures[40, 0] += 8.0
+ties = replace(pair.ties, measures=measures)
+images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
+solution = Adjustment.batch(observed(images, [ties, pair.laser], shot_sigma=pair.settings.noise.shot_image))
+linearised = Posterior.of(solution).linearised
+print(solution)
+
+# %%
+# What may be a blunder: w-tests and minimal detectable errors of every measure, the most suspicious first.
+from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.suspects import suspects
+from mgsgraph.reports.reliability import reliability_text
+
+found = reliability(linearised)
+print(reliability_text(found, suspects(found, 3)))
+
+# %%
+# Are the sigmas of each group honest?
+from mgsgraph.analysis.components import components_of
+
+print(components_of(linearised))
+
+# %%
+# The same as a picture: on the line the sigmas are honest, steeper they are too small.
+from mgsgraph.analysis.residual_tests import residual_statistics
+from mgsgraph.figures.quantiles import quantile_sheet
+
+quantiles = quantile_sheet(residual_statistics(solution), solution.name)
+
+# %%
+# Of what least was learnt: directions in which the sigma after is nearly the sigma before.
+from mgsgraph.analysis.weak import weak_directions
+
+print(*(one.sentence for one in weak_directions(solution, 3)), sep="\n")
+
+# %%
+# Is there anything that the adjustment cannot explain, with its size and the key of the case file that takes it in?
+from mgsgraph.analysis.unexplained import unexplained
+
+print(*unexplained(linearised).sentences, sep="\n")
