@@ -322,6 +322,7 @@ def test_any_projection_has_the_same_posts_and_the_same_adjustment(case_file: Pa
         ('radius = "a.img"\nareoid = "b.img"\ntopography = "c.img"', "both areoid and topography"),
         ('radius = "a.tif"\nareoid = "b.img"\nreference_radius_m = 3396000.0', "both areoid and reference_radius_m"),
         ('radius = "a.tif"\nreference_radius_m = 1.0\nreference_ellipsoid_m = [3.4e6, 3.3e6]', "both reference"),
+        ('radius = "a.img"\nreference_radius_m = 3396190.0', "a.img: a MEGDR grid, beside reference_radius_m"),
         ('radius = "a.img"\ntilt_sigma_mrad = -1.0', "tilt_sigma_mrad"),
         ('radius = "a.img"\npost_step_deg = 3.0', "post_step_deg"),
     ],

@@ -135,6 +135,10 @@ class _Files(NamedTuple):
 
         entry, sigmas = self.entry, (self.entry.vertical_sigma_m, self.entry.planimetric_sigma_m)
         if path.suffix.lower() in (".img", ".lbl"):
+            for key in ("reference_radius_m", "reference_ellipsoid_m"):
+                if getattr(entry, key) is not None:
+                    expected = "heights of a GeoTIFF above it"
+                    raise InputError(str(path), f"a MEGDR grid, beside {key}", expected, f"take {key} out")
             grid = read_megdr(path, *sigmas, near=self.near)
             if grid is not None and grid.kind != kind:
                 raise InputError(str(path), f"a grid of {grid.kind}", f"one of {kind}", f"MEGDR's {_MEGDR[kind]} files")
