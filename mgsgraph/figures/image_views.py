@@ -152,7 +152,8 @@ def _caption(views: Sequence[ImageView], factor: float, adjusted: bool) -> str:
     if any(one.predicted is not None for one in views):
         known = "posterior" if adjusted else "a-priori"
         text += (
-            f"; white ellipses hold the place of the first image's middle with a probability of 95 %, by the {known} "
+            "; ellipses (white on the pictures, with a dot) hold the place of the first image's middle with a "
+            f"probability of 95 %, by the {known} "
             "covariance of both orientations and the sigma of the ground's height"
         )
     return text + ("." if adjusted else "; the block has not been adjusted.")

@@ -23,6 +23,7 @@ from mgsgraph.figures.sheet import (
     number,
     plain_style,
     round_figure,
+    short,
 )
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
@@ -44,6 +45,8 @@ _ELLIPSE, _ARROW = 0.03, 0.06
 class MapWindow:
     """What a window of the map shows; m on the map."""
 
+    name: str
+    """Of the block."""
     centre: Array
     """(3,) m, body-fixed, where the map has its zero."""
     box: Array
@@ -80,7 +83,8 @@ def window_sheet(shown: MapWindow) -> Sheet:
     longest = float((shown.box[2:] - shown.box[:2]).max())
     factors = _factor(shown, _radii(shown), _ELLIPSE * longest), _factor(shown, _lengths(shown), _ARROW * longest)
     title, unit = shown.quantity
-    sheet = new_sheet("map", width + 3.0, height + 0.69, f"Map: {title}", _caption(shown, factors), band=0.0)
+    name = f"{short(shown.name, 40)}: {title}"
+    sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(shown, factors), band=0.0)
     panel: Axes = sheet.panels()[0, 0]
     map_axes(panel, low, high, shown.centre)
     if shown.relief is not None:
@@ -136,7 +140,7 @@ def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> l
             panel.scatter(x[~known], y[~known], c=SOFT, s=size, marker=marker, lw=0.0, zorder=3)
             panel.scatter(
                 x[known], y[known], c=shown.values[mine[known]], s=size, marker=marker, cmap=cmap,
-                norm=norm, lw=0.0, zorder=3,
+                norm=norm, lw=0.25, edgecolors=INK, zorder=3,
             )  # fmt: skip
             handles.append(Line2D([], [], ls="", marker=marker, ms=4.5, color=SOFT, label=CLASS_NAME[kind]))
     return handles
@@ -200,7 +204,7 @@ def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
     what = f"medians of {cells} cells" if shown.classes is None else "one by one"
     words = [
         f"{shown.count} points in this window, {what}, coloured by {title} in {unit}; colours end at the 2 % and 98 % "
-        f"quantiles of the block, {number(shown.scale[0])} and {number(shown.scale[1])}."
+        f"quantiles of the block, {number(shown.scale[0])} and {number(shown.scale[1])}. Sigmas are for sigma0 = 1."
     ]
     if shown.covariances is not None:
         drawn = _some(shown.covariances).size

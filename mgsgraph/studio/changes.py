@@ -38,12 +38,19 @@ class EditLock:
             return ""
         return f"Another browser has been changing this project since {self._since}; here it can be read only."
 
-    def require(self, browser: str) -> None:
-        """Give a browser the lock, where no other one has it; InputError where one has."""
+    def require(self, browser: str) -> bool:
+        """Give a browser the lock, where no other one has it; whether it had it before. InputError where one has."""
         if words := self.words(browser):
-            raise InputError("studio", words.rstrip("."), remedy="take over, if it is yours")
-        if not self._holder:
-            self.take(browser)
+            raise InputError("studio", words.rstrip("."), remedy="Take over, if it is yours")
+        if held := self._holder == browser:
+            return held
+        self.take(browser)
+        return False
+
+    def release(self, browser: str) -> None:
+        """Take it from a browser."""
+        if self._holder == browser:
+            self._holder = ""
 
     def take(self, browser: str) -> None:
         """Give it the lock, whoever had it."""

@@ -59,7 +59,8 @@ def map_figure(
     names = [image.name for image in opened.block().images]
     terrain = opened.block().terrain is not None
     shown = MapWindow(
-        opened.centre, box, dict(zip(names, opened.footprints(), strict=True)) if "footprints" in layers else {},
+        opened.name, opened.centre, box,
+        dict(zip(names, opened.footprints(), strict=True)) if "footprints" in layers else {},
         *_points(record, layers), (record["title"], record["unit"]), (low, high), record["count"],
         np.array(record["classes"], dtype=np.int64) if record["form"] == "points" else None,
         _covariances(record, layers), _moved(record, layers),

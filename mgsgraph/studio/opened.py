@@ -97,8 +97,10 @@ class Opened:
         self._made: dict[str, object] = {}
         self._making: dict[str, threading.RLock] = {}
         self._near: tuple[int, str, About | None] | None = None
+        self._seen = _mark(path)
         now = self._now
-        self._pictures, self._warning = now.pictures, now.warning
+        self._pictures: Mapping[str, Path | None] | None = now.pictures
+        self._warning = now.warning
         self.centre = _centre(now.block)
         """(3,) m, body-fixed, where the map has its zero."""
 
@@ -149,6 +151,8 @@ class Opened:
     @property
     def pictures(self) -> Mapping[str, Path | None]:
         """File of each image's pixels, by its name."""
+        if self._pictures is None:
+            self._pictures = self._now.pictures
         return self._pictures  # no change of a point changes them
 
     @property
@@ -241,8 +245,21 @@ class Opened:
             with open_project(self.path, write=True, kept=self._kept) as project:
                 found = act(project)
                 words = _words(project)
-            self.revision, self._warning = self.revision + 1, words
+            self.revision, self._warning, self._seen = self.revision + 1, words, _mark(self.path)
         return found
+
+    def notice(self) -> None:
+        """Look whether another process has changed the project since, which is read anew then."""
+        if self.kind != "project" or not self._changing.acquire(blocking=False):
+            return
+        try:
+            mark = _mark(self.path)
+            if mark != self._seen:
+                with suppress(MgsgraphError), open_project(self.path) as project:  # it may be changing just now
+                    self.revision, self._warning, self._seen = self.revision + 1, _words(project), mark
+                    self._pictures = None
+        finally:
+            self._changing.release()
 
     def warm(self) -> None:
         """Ask for one point, so that what is compiled and loaded is there when a person asks for the first."""
@@ -267,6 +284,14 @@ def near_points(network: Network, places: Array, point: str) -> Index | None:
     mine = np.flatnonzero(shared & np.all(np.isfinite(places), axis=1))
     away = np.linalg.norm(places[mine] - places[number], axis=1)
     return np.sort(mine[np.argsort(away, kind="stable")[:_MOST_NEAR]])
+
+
+def _mark(path: Path) -> tuple[int, int] | None:
+    """By what a change of a project's file is seen."""
+    with suppress(OSError):
+        found = (path / FILE).stat()
+        return found.st_mtime_ns, found.st_size
+    return None
 
 
 def _kind(path: Path) -> Kind:
@@ -340,4 +365,4 @@ def _words(project: Project) -> str:
         return f"Nothing has been adjusted yet: mgsgraph solve {project.folder}"
     if project.last_results() is None:
         return ""
-    return f"Adjusted by iSAM2 since the last batch solution; of everything at once: mgsgraph solve {project.folder}"
+    return f"Changed since its last batch solution (adjusted by iSAM2); for a new one: mgsgraph solve {project.folder}"

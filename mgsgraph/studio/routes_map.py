@@ -95,11 +95,14 @@ def selected(opened: Opened, asked: Mapping[str, str], box: Array | None, kinds:
 
 
 def comparison(opened: Opened, other: Path) -> dict[str, Any]:
-    """What is open against other results, as `mgsgraph compare` says it, and how far points moved on the map."""
+    """What is open against other results, as `mgsgraph compare` says it, and how far points moved on the map; their
+    folder may be named as it is within the project.
+    """
+    within = opened.path / other
+    earlier = read_solution(results_of(within if within.exists() and not other.exists() else other).folder)
     if opened.solution is None:
-        remedy = f"adjust everything first: mgsgraph solve {opened.path}"
-        raise InputError(str(opened.path), "no batch solution of it as it is now", remedy=remedy)
-    earlier = read_solution(results_of(other).folder)
+        found, remedy = "changed since its last batch solution", f"for a new one: mgsgraph solve {opened.path}"
+        raise InputError(str(opened.path), found, "a batch solution of it as it is now", remedy)
     labels = (other.name or str(other), "this one")
     found = compare(opened.solution, earlier, labels)
     points = found.points

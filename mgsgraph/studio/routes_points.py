@@ -9,7 +9,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from mgsgraph.analysis.posterior import Pixel
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.io.files import json_object
 from mgsgraph.reports.answers import Questions, answered
 from mgsgraph.studio.changes import EditLock, change
@@ -32,7 +32,8 @@ def browser_of(request: Request) -> str:
 
 
 def state_record(opened: Opened, lock: EditLock, browser: str) -> dict[str, Any]:
-    """Whether it may be changed, and why not, as JSON."""
+    """Whether it may be changed, and why not, as JSON; what another process has changed is noticed."""
+    opened.notice()
     words = lock.words(browser)
     return {
         "revision": opened.revision, "writable": opened.kind == "project" and not words, "lock": words,
@@ -88,8 +89,13 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
             lock.take(browser)
             return state_record(opened, lock, browser) | {"sentences": ["This browser changes the project now."],
                                                           "moved": []}  # fmt: skip
-        lock.require(browser)
-        return change(opened, asked) | {"writable": True, "lock": ""}
+        held = lock.require(browser)
+        try:
+            return change(opened, asked) | {"writable": True, "lock": ""}
+        except MgsgraphError:
+            if not held:  # what was refused keeps nobody out
+                lock.release(browser)
+            raise
 
     def refined(asked: Any, _: str) -> dict[str, Any]:
         try:

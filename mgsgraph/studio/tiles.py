@@ -266,6 +266,10 @@ class Tiles:
         self._lock = threading.Lock()
         self._of_image = {name: threading.RLock() for name in self._pictures}
 
+    def knows(self, image: str) -> bool:
+        """Whether it is one of the images."""
+        return image in self._pictures
+
     def has(self, image: str) -> bool:
         """Whether a file is known of an image's pixels."""
         return self._pictures.get(image, (None, 0, 0))[0] is not None

@@ -58,8 +58,7 @@ class Views:
 
     def __init__(self, scene: Pictured) -> None:
         self.scene = scene
-        images, pictures = scene.block().images, scene.pictures
-        self.tiles = Tiles({one.name: (pictures.get(one.name), one.lines, one.samples) for one in images})
+        self.tiles = _tiles(scene)
         self._linked: tuple[int, LinkedImages] | None = None
         self._lock = Lock()
 
@@ -69,6 +68,8 @@ class Views:
         with self._lock:
             if self._linked is None or self._linked[0] != self.scene.revision:
                 self._linked = self.scene.revision, LinkedImages(self.scene.block())
+                if not all(map(self.tiles.knows, (one.name for one in self.scene.block().images))):
+                    self.tiles = _tiles(self.scene)  # another process has added images
             return self._linked[1]
 
     def image_record(self, name: str) -> dict[str, Any]:
@@ -87,6 +88,11 @@ class Views:
             "revision": self.scene.revision, "adjusted": block.adjusted,
             "ties": ties_of(block, number), "shots": shots_of(block, number),
         }  # fmt: skip
+
+
+def _tiles(scene: Pictured) -> Tiles:
+    images, pictures = scene.block().images, scene.pictures
+    return Tiles({one.name: (pictures.get(one.name), one.lines, one.samples) for one in images})
 
 
 def number_of(asked: Mapping[str, str], key: str, default: float | None = None) -> float:

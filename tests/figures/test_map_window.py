@@ -18,7 +18,7 @@ def window(n: int = 12) -> MapWindow:
     places = random.uniform(-1e4, 1e4, (n, 2))
     covariances = np.column_stack([np.full(n, 9.0), np.zeros(n), np.full(n, 4.0)])
     return MapWindow(
-        NORTH_POLE, np.array([-1e4, -1e4, 1e4, 1e4]), {"one": places[:4]}, places, np.arange(float(n)),
+        "block", NORTH_POLE, np.array([-1e4, -1e4, 1e4, 1e4]), {"one": places[:4]}, places, np.arange(float(n)),
         ("3-D sigma", "m"), (0.0, float(n)), n, np.full(n, int(PointClass.TIE)), covariances,
         np.tile([3.0, -4.0], (n, 1)), None, 50.0,
     )  # fmt: skip

@@ -187,14 +187,14 @@ def test_a_second_browser_is_told(page: Callable[..., Page]) -> None:
     assert one.run(change, name) == ""
     sentence = other.run(change, name)
     assert sentence
-    other.run("studio.request('/api/state').then(state => { Object.assign(studio.scene, state); })")
-    other.run("name => studio.select(name)", name)
-    other.show("3")
+    other.run("studio.notice()")
     other.tab.get_by_role("button", name="Take over").click()
     other.until("studio.scene.writable")
     other.run("document.activeElement.blur()")
     other.tab.keyboard.press("u")
     other.until("studio.last.kind === 'undo'")
+    other.tab.reload()
+    other.until("studio.scene && studio.scene.writable")
 
 
 def _click(seen: Page, pane: int, line: float, sample: float) -> None:

@@ -23,6 +23,7 @@ from mgsgraph.project.project import open_project
 from mgsgraph.reports.archive import read_solution
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.studio.changes import EditLock
 
 
 def command(*words: object) -> None:
@@ -244,6 +245,28 @@ def test_another_process_has_the_project(running: Studio, browser_: Browser) -> 
     with open_project(path, write=True):
         sentence = browser_.refused("/api/changes", {"kind": "reject", "point": name, "image": ray["image"]})
     assert "another" in sentence
+
+
+def test_what_another_process_has_changed_is_noticed(browser_: Browser) -> None:
+    scene = browser_.json("/api/scene")
+    with open_project(Path(scene["path"]), write=True) as project:
+        project.record("check", "by another process", {})
+    found = browser_.json("/api/state")
+    assert found["revision"] > scene["revision"]
+    assert found["warning"]
+    assert browser_.json("/api/scene")["revision"] == found["revision"]
+    assert browser_.json("/api/state")["revision"] == found["revision"]
+
+
+def test_a_refused_change_keeps_nobody_out() -> None:
+    lock = EditLock()
+    assert not lock.require("one")
+    assert lock.require("one")
+    assert lock.words("two")
+    lock.release("two")
+    assert lock.words("two")
+    lock.release("one")
+    assert not lock.words("two")
 
 
 def test_questions_are_answered_as_by_the_command(browser_: Browser, solved: Path) -> None:

@@ -3,12 +3,25 @@
 // stored; event.detail says what), "renewed" (what the whole block says is to be read anew: at once, or where that takes
 // long, when no other change has come for a while).
 
-const SOON = 700, CALM = 2500; // ms
+const SOON = 700, CALM = 2500, LOOK = 5000; // ms
+
+// The same for all tabs and visits of a browser
+function identity() {
+  try {
+    if (!localStorage.browser) localStorage.browser = crypto.randomUUID();
+    return localStorage.browser;
+  } catch {
+    return crypto.randomUUID(); // a browser that keeps nothing
+  }
+}
 
 export class App extends EventTarget {
   constructor(saying) {
     super();
-    Object.assign(this, {saying, scene: null, selection: '', placed: null, last: null, browser: crypto.randomUUID(), busy: 0, reading: 0});
+    Object.assign(this, {saying, scene: null, selection: '', placed: null, last: null, browser: identity(), busy: 0, reading: 0});
+    const look = () => { if (!document.hidden) this.notice(); };
+    setInterval(look, LOOK);
+    window.addEventListener('focus', look);
   }
 
   async open() {
@@ -42,7 +55,8 @@ export class App extends EventTarget {
 
   // Store a change; resolves with what it did
   async change(body) {
-    const found = await this.request('/api/changes', body);
+    this.busy += 1;
+    const found = await this.request('/api/changes', body).finally(() => { this.busy -= 1; });
     this.last = found;
     const open = this.scene;
     Object.assign(open, {revision: found.revision, writable: found.writable ?? open.writable, lock: found.lock ?? open.lock});
@@ -52,6 +66,16 @@ export class App extends EventTarget {
     if (this.reading > SOON) this.calm = setTimeout(() => this.renew(), CALM);
     else this.renew();
     return found;
+  }
+
+  // Whether another process, or another browser, has changed the project
+  async notice() {
+    if (!this.scene || this.scene.kind !== 'project' || this.busy) return;
+    const {revision, lock} = this.scene, found = await this.request('/api/state').catch(() => null);
+    if (!found || this.busy || (found.revision === revision && found.lock === lock)) return;
+    Object.assign(this.scene, found);
+    if (found.revision === revision) this.emit('renewed');
+    else await this.renew();
   }
 
   async renew() {

@@ -34,17 +34,18 @@ export class Comparison {
     } catch (error) {
       return this.app.say(error.message, 'error');
     }
+    this.app.say('');
     const {sentences, tables} = this.record, list = make('ul');
     list.append(...sentences.map(textContent => make('li', {textContent})));
     this.canvases = [['how far points moved horizontally (m)', one => Math.hypot(one.moved[0], one.moved[1]), false],
       ['how far points moved upward (m)', one => one.moved[2], true],
-      ['3-D sigma over the other solution’s, logarithm of base 2', one => (one.ratio === null ? null : Math.log2(one.ratio)), true]].map(([title, of, signed]) => {
+      ['3-D sigma over the other solution’s, logarithm of base 2', one => (one.ratio === null ? null : Math.log2(one.ratio)), true, 0.05]].map(([title, of, signed, least = 0]) => {
       const canvas = make('canvas', {className: 'diagram'});
       canvas.style.height = '300px';
       canvas.style.width = '100%';
       canvas.setAttribute('role', 'img');
       const words = make('p', {className: 'caption'});
-      return {canvas, of, signed, title, words, figure: make('figure', {}, canvas, words)};
+      return {canvas, of, signed, title, words, least, figure: make('figure', {}, canvas, words)};
     });
     this.found.replaceChildren(list, make('div', {className: 'diagram-row'}, ...this.canvases.map(one => one.figure)), ...tables.map(table));
     this.draw();
@@ -57,10 +58,10 @@ export class Comparison {
     const points = names.map((name, k) => ({name, place: places[k], moved: moved[k], ratio: ratio[k]}));
     const range = k => [Math.min(...places.map(one => one[k])) / 1000, Math.max(...places.map(one => one[k])) / 1000];
     const [x, y] = [range(0), range(1)].map(([a, b]) => [a - 0.05 * (b - a || 1), b + 0.05 * (b - a || 1)]);
-    for (const {canvas, of, signed, title, words} of this.canvases) {
+    for (const {canvas, of, signed, title, words, least} of this.canvases) {
       const values = points.map(of), known = values.filter(one => one !== null).map(Math.abs).sort((a, b) => a - b);
-      const most = known[Math.floor(0.98 * (known.length - 1))] || 1, colours = palette(signed);
-      const drawn = axes(canvas, {x, y, xLabel: 'km east', yLabel: 'km north'});
+      const most = Math.max(known[Math.floor(0.98 * (known.length - 1))] || 1, least), colours = palette(signed);
+      const drawn = axes(canvas, {x, y, xLabel: 'km east', yLabel: 'km north', equal: true});
       points.forEach((one, k) => {
         if (values[k] === null) return;
         const share = signed ? 0.5 + 0.5 * values[k] / most : values[k] / most;

@@ -16,7 +16,7 @@ const KEYS = [
   ['1 … 6', 'the six views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
   ['map: arrows, + −, 0', 'move, zoom, whole block'], ['map: c', 'select the point nearest to the middle'],
   ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'],
-  ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'the next image'],
+  ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'to the next tool, then the next image'],
   ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
   ['Escape', 'close what is open'],
 ];
@@ -56,6 +56,7 @@ export async function show(key) {
   one.made ??= import(one.module).then(module => module.panel(app, one.element));
   await one.made;
   app.emit('shown', key);
+  if (key === 'map' && document.activeElement === document.body) one.element.view.canvas.focus({preventScroll: true});
 }
 app.show = show;
 
@@ -83,6 +84,7 @@ function help() {
 }
 byId('help').addEventListener('click', help);
 byId('undo').addEventListener('click', () => app.undo());
+byId('take').addEventListener('click', () => app.change({kind: 'take over'}).catch(error => app.say(error.message, 'error')));
 
 function about() {
   const {scene} = app, count = scene.classes.filter(one => one.count).map(one => `${one.count} ${one.name} points`);
@@ -90,12 +92,14 @@ function about() {
   document.title = `${scene.name} – mgsgraph studio`;
   const words = {project: 'Project', result: 'Results', case: 'Case'}[scene.kind];
   byId('about').textContent = `${words} ${scene.path}: ${scene.images.length} images, ${count.join(', ') || 'no points'}`;
-  const warning = [scene.warning, scene.lock].filter(Boolean).join(' ');
-  byId('warning').textContent = warning;
-  byId('warning').hidden = !warning;
+  byId('warning').textContent = scene.warning;
+  byId('warning').hidden = !scene.warning;
+  byId('locked').firstElementChild.textContent = scene.lock || '';
+  byId('locked').hidden = !scene.lock;
   byId('undo').hidden = scene.kind !== 'project';
 }
 app.addEventListener('opened', about);
+app.addEventListener('renewed', about);
 app.addEventListener('changed', async () => {
   const fresh = await app.request('/api/state');
   Object.assign(app.scene, fresh);

@@ -224,7 +224,7 @@ export class MapPicture {
       context.fillRect(5 * k, 0, 5, 14);
     });
     const most = Math.max(Math.abs(points.low), Math.abs(points.high)), ends = this.signed() ? [-most, most] : [points.low, points.high];
-    const form = points.form === 'cells' ? `${points.count} points in the window, medians of cells` : `${points.count} points in the window`;
+    const form = points.form === 'cells' ? `${points.count} points in and around the window, medians of cells` : `${points.count} points in and around the window`;
     const factors = [
       this.map.shown.ellipses && points.form === 'points' && `ellipses × ${short(this.ellipseFactor)}`,
       this.map.shown.moved && `corrections × ${short(this.movedFactor)}`,

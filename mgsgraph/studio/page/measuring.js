@@ -20,7 +20,7 @@ export class Measuring {
     }
     this.running = true;
     this.places.clear();
-    this.name = make('input', {type: 'text', value: this.app.selection || this.freeName(), maxLength: 200});
+    this.name = make('input', {type: 'text', value: this.freeName(), maxLength: 200});
     this.refine = make('input', {type: 'checkbox', checked: true});
     this.list = make('ul', {className: 'measured-places'});
     this.sentence = make('p', {className: 'caption'});

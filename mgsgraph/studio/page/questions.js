@@ -31,7 +31,7 @@ export class Questions {
       make('div', {className: 'tools'},
         row('Ground points', this.points, button('How well known?', () => this.askPoints()), button('Is the height difference real?', () => this.askPair())),
         row('Place in an image', make('label', {}, 'image ', this.image), make('label', {}, 'line ', this.line), make('label', {}, 'sample ', this.sample),
-          button('Orientation at this line', () => this.ask({poses: [[this.image.value, this.number(this.line)]]})),
+          button('Orientation at this line', () => this.askPose()),
           button('Where is the selected point?', () => this.ask({projections: [[app.selection, this.image.value]]})),
           button('Add as a ray', () => this.add()), button('Intersect the rays', () => this.ask({pixels: this.pixels}))),
         row('Next', button('What should I measure next?', () => this.plan()))),
@@ -72,6 +72,7 @@ export class Questions {
   }
 
   askPoints() {
+    if (!this.names().length) return this.app.say('Name a point (or select one on the map).', 'error');
     return this.ask({points: this.names(), correlations: this.names().length > 1});
   }
 
@@ -79,6 +80,11 @@ export class Questions {
     const names = this.names();
     if (names.length !== 2) return this.app.say('Name two points, with a comma between them (or select two on the map).', 'error');
     return this.ask({pairs: [names]});
+  }
+
+  askPose() {
+    if (Number.isNaN(this.number(this.line))) return this.app.say('Say the line.', 'error');
+    return this.ask({poses: [[this.image.value, this.number(this.line)]]});
   }
 
   add() {

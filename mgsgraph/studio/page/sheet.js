@@ -58,9 +58,9 @@ export class Sheet {
     const {sheet} = this, parts = [];
     parts.push(make('h2', {textContent: `${sheet.name}: ${sheet.class} point, ${sheet.kind}${sheet.edited ? ', changed by hand' : ''}`}));
     if (sheet.place) {
-      const {longitude_deg: east, latitude_deg: north, height_m: height} = sheet.place;
+      const {longitude_deg: east, latitude_deg: north, geodetic_latitude_deg: graphic, height_m: height} = sheet.place;
       const sigmas = sheet.sigmas_m ? `; sigma east ${short(sheet.sigmas_m[0])}, north ${short(sheet.sigmas_m[1])}, up ${short(sheet.sigmas_m[2])} m` : '';
-      parts.push(make('p', {textContent: `Longitude ${east.toFixed(6)}° E, latitude ${north.toFixed(6)}° (planetocentric), ${height.toFixed(2)} m above the ellipsoid${sigmas}.`}));
+      parts.push(make('p', {textContent: `Longitude ${east.toFixed(6)}° E, latitude ${north.toFixed(6)}° (planetocentric; ${graphic.toFixed(6)}° planetographic), ${height.toFixed(2)} m above the ellipsoid${sigmas}.`}));
     } else parts.push(make('p', {textContent: sheet.rays.length ? 'Nothing determines its place: it needs rays of two images.' : 'No measure of it takes part.'}));
     if (sheet.answer) parts.push(make('pre', {textContent: sheet.answer}));
     parts.push(this.rays(), this.testWords = make('p', {className: 'caption'}), this.setAside(), this.actions(), this.forms = make('div'), this.lastChange());
@@ -220,13 +220,7 @@ export class Sheet {
     look.addEventListener('click', () => this.app.show('images').then(() => this.app.emit('selected', sheet.name)));
     box.append(look);
     if (this.app.scene.kind !== 'project') box.append(make('span', {className: 'caption', textContent: 'Only a project can be changed.'}));
-    else if (this.app.scene.lock) {
-      const take = make('button', {type: 'button', textContent: 'Take over'});
-      take.addEventListener('click', async () => {
-        await this.app.change({kind: 'take over'}).catch(error => this.app.say(error.message, 'error'));
-      });
-      box.append(make('span', {className: 'caption', textContent: this.app.scene.lock}), take);
-    }
+    else if (this.app.scene.lock) box.append(make('span', {className: 'caption', textContent: this.app.scene.lock}));
     return box;
   }
 
@@ -241,9 +235,12 @@ export class Sheet {
       field('longitude_deg', 'longitude (deg E)', place('longitude_deg')), field('geodetic_latitude_deg', 'latitude (deg, planetographic)', place('geodetic_latitude_deg')),
       field('height_m', 'height above the ellipsoid (m)', place('height_m')), field('sigma_east_m', 'σ east (m)', 10), field('sigma_north_m', 'σ north (m)', 10),
       field('sigma_up_m', 'σ up (m)', 10), make('button', {type: 'submit', textContent: 'Hold it there'}));
+    form.noValidate = true;
     form.addEventListener('submit', event => {
       event.preventDefault();
-      this.change({kind: 'hold', ...Object.fromEntries([...form.querySelectorAll('input')].map(one => [one.dataset.key, Number(one.value)]))});
+      const empty = [...form.querySelectorAll('input')].find(one => one.value === '');
+      if (empty) return this.app.say(`Fill in: ${empty.parentElement.textContent.trim()}.`, 'error');
+      return this.change({kind: 'hold', ...Object.fromEntries([...form.querySelectorAll('input')].map(one => [one.dataset.key, Number(one.value)]))});
     });
     form.setAttribute('aria-label', `Hold ${this.sheet.name}`);
     form.addEventListener('keydown', event => {
