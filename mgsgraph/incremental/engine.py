@@ -5,7 +5,7 @@ than their slack, until none has. What has to be looked at afterwards is found b
 bundle to bundle, for as long as points can move by a noticeable part of a sigma.
 """
 
-from collections import OrderedDict, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +16,7 @@ import numpy as np
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array
+from mgsgraph.incremental.kept_sweeps import MOST_KEPT, KeptSweeps
 from mgsgraph.incremental.shared import image_motion
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, StateStore, stretches
 from mgsgraph.incremental.sweep import Sweep
@@ -39,37 +40,6 @@ _ANYWHERE = 1e3
 """m, sigma of a point's coordinate from which on its place is of no use as a beginning."""
 _MOST_TOGETHER = 60
 """Unknowns whose joint covariance is asked for at a time."""
-_KEPT = 150_000
-"""Points that stay laid out for the kernel between two changes (about 1 kB each)."""
-
-
-class _Kept:
-    """Sweeps that were laid out last, up to a total of points; what was asked for longest ago goes first."""
-
-    def __init__(self, most: int) -> None:
-        self._most, self._size = most, 0
-        self._all: OrderedDict[Members, Sweep] = OrderedDict()
-
-    def get(self, members: Members) -> Sweep | None:
-        """The sweep of a bundle; None where there is none."""
-        if members not in self._all:
-            return None
-        self._all.move_to_end(members)
-        return self._all[members]
-
-    def put(self, members: Members, sweep: Sweep) -> None:
-        """Keep the sweep of a bundle."""
-        self.drop(members)
-        self._all[members] = sweep
-        self._size += len(sweep.network.points)
-        while self._size > self._most and len(self._all) > 1:
-            _, oldest = self._all.popitem(last=False)
-            self._size -= len(oldest.network.points)
-
-    def drop(self, members: Members) -> None:
-        """Remove the sweep of a bundle."""
-        if members in self._all:
-            self._size -= len(self._all.pop(members).network.points)
 
 
 class Engine:
@@ -99,7 +69,7 @@ class Engine:
         self._store = store
 
     def _lay_nothing_out(self) -> None:
-        self._sweeps = _Kept(_KEPT)
+        self._sweeps = KeptSweeps(MOST_KEPT)
         self._changing = dict[Members, Sweep]()
 
     def _plant(self) -> None:
@@ -418,7 +388,7 @@ class Engine:
             if self._sweeps.get(members) or one.network.passes or one.network.stereo is not None:
                 yield {members: one}
                 continue
-            if batch and size + len(one.network.points) > _KEPT:
+            if batch and size + len(one.network.points) > MOST_KEPT:
                 yield batch
                 batch, size = {}, 0
             batch[members] = one

@@ -398,7 +398,7 @@ def test_blunders_of_batch_stay_out_until_batch_looks_again() -> None:
 
 
 def test_a_change_larger_than_what_is_kept_laid_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "_KEPT", 20)
+    monkeypatch.setattr(engine, "MOST_KEPT", 20)
     made, adjustment = fan(), IncrementalAdjustment()
     for k in range(4):
         take_alone(adjustment, made, k)
