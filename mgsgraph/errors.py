@@ -34,7 +34,7 @@ class MgsgraphError(Exception):
     ...     mgsgraph.read_case("absent.toml")
     ... except mgsgraph.MgsgraphError as error:
     ...     print(error)
-    absent.toml: no such file; check the path; a case file's are relative to it
+    absent.toml: no such file; check the path; those in a case file begin at its folder
     """
 
 

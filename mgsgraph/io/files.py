@@ -62,7 +62,8 @@ def _system_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError:
-        raise InputError(str(path), "no such file", remedy="check the path; a case file's are relative to it") from None
+        remedy = "check the path; those in a case file begin at its folder"
+        raise InputError(str(path), "no such file", remedy=remedy) from None
     except OSError as error:
         raise InputError(str(path), f"can't be read ({error.strerror or error})") from None
 
