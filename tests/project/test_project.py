@@ -124,7 +124,8 @@ def test_a_second_writer_is_refused_at_once_and_told_by_whom(folder: Path) -> No
         assert state(folder)  # whoever closes a descriptor on the file gives up all locks of the process (POSIX)
         assert f"process {os.getpid()}" in message
         code = f"from mgsgraph.project.project import open_project\nwith open_project({str(folder)!r}, True): pass"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        command = [sys.executable, "-P", "-c", code]  # what is installed, not the sources of the working folder
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert "is changing it" in done.stderr
     with open_project(folder, write=True):
         pass
