@@ -171,9 +171,9 @@ def _no_image(
     counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
     each = [f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items()]
     holds = ", ".join([*each, *(f"{path.name} {why}" for path, why in islice(unknown.items(), 1))])
-    return InputError(
-        where, f"no image{f': it holds {holds}' if holds else ''}", "one image at least", "name a file of it, too"
-    )
+    found = f"no image{f': it holds {holds}' if holds else ''}"
+    expected, remedy = "a cube, support data, a label or a model state", "name an image's file, too, or a folder of them"
+    return InputError(where, found, expected, remedy)
 
 
 def _kernels(kinds: dict[Path, Kind]) -> list[Path]:
