@@ -172,7 +172,7 @@ def _no_image(
     each = [f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items()]
     holds = ", ".join([*each, *(f"{path.name} {why}" for path, why in islice(unknown.items(), 1))])
     found = f"no image{f': it holds {holds}' if holds else ''}"
-    expected, remedy = "a cube, support data, a label or a model state", "name an image's file, too, or a folder of them"
+    expected, remedy = "a cube, support data, a label or a model state", "name an image too, or a folder of them"
     return InputError(where, found, expected, remedy)
 
 
