@@ -101,8 +101,9 @@ def comparison(opened: Opened, other: Path) -> dict[str, Any]:
     within = opened.path / other
     earlier = read_solution(results_of(within if within.exists() and not other.exists() else other).folder)
     if opened.solution is None:
-        found, remedy = "changed since its last batch solution", f"for a new one: mgsgraph solve {opened.path}"
-        raise InputError(str(opened.path), found, "a batch solution of it as it is now", remedy)
+        remedy = f"for a new one: mgsgraph solve {opened.path}"
+        expected = "a batch solution of it as it is now"
+        raise InputError(str(opened.path), "changed since its last batch solution", expected, remedy)
     labels = (other.name or str(other), "this one")
     found = compare(opened.solution, earlier, labels)
     points = found.points
