@@ -9,7 +9,9 @@ import simulated_gpu
 
 pytest.importorskip("numba_cuda", reason="numba-cuda is not installed (the extra `cuda`)")
 
-BOUNDS = {"residuals": 1e-9, "misfits": 1e-9, "states": 0.0, "rejected": 0.0, "said": 0.0, "places": 1e-8, "sigma0": 1e-9}
+BOUNDS = {
+    "residuals": 1e-9, "misfits": 1e-9, "states": 0.0, "rejected": 0.0, "said": 0.0, "places": 1e-8, "sigma0": 1e-9,
+}  # fmt: skip
 """Largest differences as a share of the largest number, in place of 1e-10. A residual of a pixel is what is left of
 coordinates of 3,400 km: their rounding is a share of 1e-10 of it; where an optimiser stops is settled to 1e-8 sigmas,
 which moves sigma0 of a robust fit in the first order (the cost alone is stationary there).
