@@ -6,7 +6,7 @@ from types import ModuleType
 from mgsgraph.errors import InputError
 
 
-def library(name: str, extra: str, wanted_for: str) -> ModuleType:
+def library(name: str, extra: str, wanted_for: str, called: str = "") -> ModuleType:
     """The module of a library that is there only with an extra.
 
     Parameters
@@ -17,6 +17,8 @@ def library(name: str, extra: str, wanted_for: str) -> ModuleType:
         Extra of mgsgraph that brings it.
     wanted_for : str
         What needs it, for the error.
+    called : str, optional
+        How people call it; by the name of its module when absent.
 
     Raises
     ------
@@ -27,5 +29,6 @@ def library(name: str, extra: str, wanted_for: str) -> ModuleType:
         return import_module(name)
     except ImportError as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name == name
-        found = f"{name} is not installed" if missing else f"{name} can't be imported ({' '.join(str(error).split())})"
+        why = "is not installed" if missing else f"can't be imported ({' '.join(str(error).split())})"
+        found = f"{called or name} {why}"
         raise InputError(wanted_for, found, remedy=f'pip install "mgsgraph[{extra}]"') from None

@@ -63,14 +63,14 @@ def table_layer(name: str, table: Table) -> Layer:
 
 
 def to_pandas(solution: Solution, what: str = "points") -> "DataFrame":
-    """`Solution.to_pandas`."""
+    """A table of a solution as a DataFrame; see `Solution.to_pandas`."""
     found = _table(solution, what, _PLAIN | _PLACED)
     library("pandas", _EXTRA, f"table of {what}")
     return found.drop(GEOMETRY).arrow.to_pandas()
 
 
 def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
-    """`Solution.to_geopandas`."""
+    """A table of a solution whose rows lie somewhere as a GeoDataFrame; see `Solution.to_geopandas`."""
     geopandas = library("geopandas", _EXTRA, f"table of {what}")
     frame = _table(solution, what, _PLACED).arrow.to_pandas()
     crs = wkt2(geographic_crs(solution.network.images[0].body))
@@ -87,7 +87,7 @@ def _table(solution: Solution, what: str, tables: dict[str, Callable[[Solution],
 
 
 def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
-    """`Solution.to_xarray`."""
+    """Orientation of all images of a solution as a Dataset; see `Solution.to_xarray`."""
     xarray = library("xarray", _EXTRA, "orientation profiles")
     profiles, images = orientation_profiles(solution, places=places), [one.name for one in solution.network.images]
     said, variables, labels = meanings(OrientationProfile), dict[str, Any](), dict[str, Any]()

@@ -19,6 +19,7 @@ from mgsgraph.analysis.statistics import (
     used_ray_counts,
 )
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.error_ellipse import PROBABILITY, error_ellipses
 from mgsgraph.geometry.footprint import Footprint, areas
 from mgsgraph.geometry.map_shapes import Shapes, geojson, map_lines, map_points, map_polygon, map_polygons
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -28,10 +29,6 @@ from mgsgraph.output.csv_json import columns, picked, plain
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
-PROBABILITY = 0.95
-"""That the true place lies in an error ellipse."""
-_SCALE = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
-"""Axes of that ellipse in sigmas: the root of chi-square's quantile for two degrees of freedom."""
 _CORNERS = 48
 """Places on an ellipse."""
 _SHOWN = 0.05
@@ -228,8 +225,7 @@ def ellipse_layers(solution: Solution) -> list[Layer]:
     mine = np.flatnonzero(adjusted_points(solution))
     places, frame = solution.places[mine], east_north_up(solution.places[mine])
     covariances = frame @ solution.covariances[mine] @ np.swapaxes(frame, 1, 2)
-    values, axes = np.linalg.eigh(covariances[:, :2, :2])
-    semi_axes = _SCALE * np.sqrt(np.maximum(values, 0.0))  # minor first
+    semi_axes, axes = error_ellipses(covariances[:, :2, :2])  # minor first
     factor = exaggeration(semi_axes[:, 1], extent(solution.places))
     azimuth = np.arctan2(axes[:, 0, 1], axes[:, 1, 1]) / DEG % 180.0
     fields = _point_names(solution, mine) | {

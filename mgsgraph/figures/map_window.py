@@ -25,6 +25,7 @@ from mgsgraph.figures.sheet import (
     round_figure,
     short,
 )
+from mgsgraph.geometry.error_ellipse import error_ellipses
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned
@@ -35,8 +36,6 @@ _MOST = 150
 """Ellipses and corrections that are drawn, evenly chosen: more hide the points."""
 _FEW = 12
 """Images up to which outlines bear names."""
-_ELLIPSE_95 = float(np.sqrt(-2.0 * np.log(0.05)))
-"""Semi-axis of an ellipse that holds 95 % in sigmas: chi square of two degrees of freedom."""
 _ELLIPSE, _ARROW = 0.03, 0.06
 """Lengths of large ellipses and corrections, as shares of the map's longer side."""
 
@@ -67,7 +66,7 @@ class MapWindow:
     classes: Index | None
     """(n,) of `PointClass`; None of cells."""
     covariances: Array | None
-    """(n, 3) m^2, east, east and north, north, for ellipses; None for none."""
+    """(n, 2, 2) m^2, east and north, for ellipses; None for none."""
     moved: Array | None
     """(n, 2) m, corrections east and north; None for none."""
     relief: Array | None
@@ -147,14 +146,17 @@ def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> l
 
 
 def _some(values: Array) -> Index:
-    """Rows of values (n, k) that are known, not too many of them."""
-    known = np.flatnonzero(np.all(np.isfinite(values), axis=1))
+    """Rows of values (n, ...) that are known, not too many of them."""
+    known = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
     return known[thinned(known.size, _MOST)]
 
 
 def _radii(shown: MapWindow) -> Array:
     """(n,) m, longer semi-axes of the 95 % ellipses."""
-    return np.zeros(0) if shown.covariances is None else _axes(shown.covariances)[0]
+    if shown.covariances is None:
+        return np.zeros(0)
+    known = np.all(np.isfinite(shown.covariances), axis=(1, 2))
+    return error_ellipses(shown.covariances[known])[0][:, 1]
 
 
 def _lengths(shown: MapWindow) -> Array:
@@ -169,21 +171,14 @@ def _factor(shown: MapWindow, lengths: Array, wanted: float) -> float:
     return round_figure(wanted / max(float(np.quantile(lengths, 0.95)), 1e-12))
 
 
-def _axes(covariances: Array) -> tuple[Array, Array, Array]:
-    """(n,) m, m and degrees: semi-axes of 95 % ellipses and the direction of the longer one from the east."""
-    east, both, north = covariances.T
-    with np.errstate(invalid="ignore"):
-        middle, half = 0.5 * (east + north), np.hypot(0.5 * (east - north), both)
-        longer, shorter = np.sqrt(middle + half), np.sqrt(np.maximum(middle - half, 0.0))
-    return _ELLIPSE_95 * longer, _ELLIPSE_95 * shorter, np.degrees(0.5 * np.arctan2(2.0 * both, east - north))
-
-
 def _ellipses(panel: Axes, shown: MapWindow, factor: float) -> EllipseCollection:
     assert shown.covariances is not None
     known = _some(shown.covariances)
-    longer, shorter, angles = _axes(shown.covariances[known])
+    semi_axes, ways = error_ellipses(shown.covariances[known])
+    shorter, longer = 2.0 * factor * semi_axes.T / KM
+    angles = np.degrees(np.arctan2(ways[:, 1, 1], ways[:, 0, 1]))  # of the longer one, from the east
     return EllipseCollection(
-        2.0 * factor * longer / KM, 2.0 * factor * shorter / KM, angles, units="xy", offsets=shown.places[known] / KM,
+        longer, shorter, angles, units="xy", offsets=shown.places[known] / KM,
         offset_transform=panel.transData, facecolors="none", edgecolors=INK, linewidths=0.7, zorder=4,
     )  # fmt: skip
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.bilinear import refined
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.libraries import library
 from mgsgraph.matching.scene import Ground, Picture
 
 NODE = 16
@@ -34,14 +34,7 @@ def has_opencv() -> bool:
 
 def opencv() -> ModuleType:
     """OpenCV, which only matching needs; InputError where it is not installed, or cannot be loaded."""
-    try:
-        import cv2  # heavy
-    except ImportError as error:
-        missing = isinstance(error, ModuleNotFoundError) and error.name == "cv2"
-        found = "OpenCV is not installed" if missing else f"OpenCV can't be imported ({' '.join(str(error).split())})"
-        raise InputError("matching", found, remedy='pip install "mgsgraph[match]"') from None
-    module: ModuleType = cv2  # typed or not, as the installed version is
-    return module
+    return library("cv2", "match", "matching", "OpenCV")
 
 
 class Tile(NamedTuple):

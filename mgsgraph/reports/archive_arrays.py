@@ -142,8 +142,8 @@ def read_members(file: BinaryIO, wanted: Callable[[str], bool] = lambda _: True)
 
 
 def _stored(file: BinaryIO, member: zipfile.ZipInfo, name: str) -> bytes:
-    """The bytes of a member that is not packed (PKWARE's APPNOTE 4.3.7): an archive of thousands is read in a tenth of
-    the time that the library takes, which makes a file of each.
+    """The bytes of a member that is not packed (PKWARE's APPNOTE 4.3.7); the library makes a file of each, which takes
+    its time where there are thousands.
     """
     file.seek(member.header_offset)
     head = file.read(30)

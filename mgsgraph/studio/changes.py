@@ -75,7 +75,7 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
     began, kind = time.perf_counter(), _text(asked, "kind")
     if kind not in _KINDS:
         raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
-    (edited, moved), state = opened.change(lambda project: _carried_out(project, kind, asked))
+    edited, moved, state = opened.change(lambda project: _carried_out(project, kind, asked))
     sentences = [edited.sentence]
     if edited.impact is not None:
         sentences += edited.impact.sentences
@@ -84,7 +84,7 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
         "moved": [] if edited.impact is None else _moved(opened, edited.impact, moved),
         "measures": [{"image": one.image, "line": one.line, "sample": one.sample,
                       "sigma_px": [one.sigma_line, one.sigma_sample]} for one in (state.measures if state else ())],
-        "seconds": round(time.perf_counter() - began, 3),
+        "warning": opened.warning, "seconds": round(time.perf_counter() - began, 3),
     }  # fmt: skip
 
 
@@ -135,20 +135,18 @@ _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
 
 def _carried_out(
     project: Project, kind: str, asked: Mapping[str, Any]
-) -> tuple[tuple[Edited, Array], PointState | None]:
-    """A change, what it moved, and the point as it is now; None for one that is no longer there."""
-    done = _with_moved(project, _KINDS[kind](project, asked))
-    return done, edits.point_state(project, done[0].point)
-
-
-def _with_moved(project: Project, edited: Edited) -> tuple[Edited, Array]:
-    """A change, and places (n, 3) in m of the points that moved by it, as the project has them now."""
+) -> tuple[Edited, Array, PointState | None]:
+    """A change, places (n, 3) in m of the points that moved by it, as the project has them now, and its own point as it
+    is now; None for one that is no longer there.
+    """
+    edited = _KINDS[kind](project, asked)
     names = [] if edited.impact is None else [edited.impact.points.ids[k] for k in _order(edited.impact).tolist()]
     found, place = project.store.bundles_of(names), dict[str, Array]()
     for members in dict.fromkeys(found.values()):
         bundle = project.store.bundle(members)
         place |= zip(bundle.network.points.ids, bundle.places, strict=True)
-    return edited, np.array([place.get(name, np.full(3, np.nan)) for name in names]).reshape(-1, 3)
+    places = np.array([place.get(name, np.full(3, np.nan)) for name in names]).reshape(-1, 3)
+    return edited, places, edits.point_state(project, edited.point)
 
 
 def _order(impact: Impact) -> Index:

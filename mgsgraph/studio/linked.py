@@ -21,17 +21,13 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.error_ellipse import PROBABILITY, error_ellipses
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import designs
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.ground import Ground, GroundModel
 from mgsgraph.units import DEG
-
-PROBABILITY = 0.95
-"""Of error ellipses."""
-_SIGMAS = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
-"""Semi-axes of such an ellipse in sigmas: chi-square of two degrees of freedom is exponentially distributed."""
 
 
 class Ellipse(NamedTuple):
@@ -47,9 +43,8 @@ class Ellipse(NamedTuple):
     @classmethod
     def of(cls, covariance: Array) -> "Ellipse":
         """That of a covariance (2, 2) of line and sample."""
-        values, ways = np.linalg.eigh(covariance)
-        sizes = _SIGMAS * np.sqrt(np.maximum(values[::-1], 0.0))
-        return cls(covariance, sizes, float(np.arctan2(ways[0, 1], ways[1, 1])))
+        semi_axes, ways = error_ellipses(covariance)
+        return cls(covariance, semi_axes[::-1], float(np.arctan2(ways[0, 1], ways[1, 1])))
 
 
 class Prediction(NamedTuple):

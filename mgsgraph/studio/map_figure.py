@@ -93,7 +93,8 @@ def _chosen(record: dict[str, Any]) -> Mask:
 def _covariances(record: dict[str, Any], layers: Collection[str]) -> Array | None:
     if "ellipses" not in layers or record["form"] != "points":
         return None
-    return known(record["covariance"]).T
+    east, both, north = known(record["covariance"])
+    return np.stack([east, both, both, north], axis=1).reshape(-1, 2, 2)
 
 
 def _moved(record: dict[str, Any], layers: Collection[str]) -> Array | None:

@@ -287,7 +287,7 @@ def near_points(network: Network, places: Array, point: str) -> Index | None:
 
 
 def _mark(path: Path) -> tuple[int, int] | None:
-    """By what a change of a project's file is seen."""
+    """By what a change of a project's file is seen. It is not opened: closing it gives up all locks of the process."""
     with suppress(OSError):
         found = (path / FILE).stat()
         return found.st_mtime_ns, found.st_size

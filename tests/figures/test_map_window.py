@@ -16,7 +16,7 @@ NORTH_POLE = np.array([0.0, 0.0, 3.38e6])
 def window(n: int = 12) -> MapWindow:
     random = np.random.default_rng(4)
     places = random.uniform(-1e4, 1e4, (n, 2))
-    covariances = np.column_stack([np.full(n, 9.0), np.zeros(n), np.full(n, 4.0)])
+    covariances = np.tile(np.diag([9.0, 4.0]), (n, 1, 1))
     return MapWindow(
         "block", NORTH_POLE, np.array([-1e4, -1e4, 1e4, 1e4]), {"one": places[:4]}, places, np.arange(float(n)),
         ("3-D sigma", "m"), (0.0, float(n)), n, np.full(n, int(PointClass.TIE)), covariances,

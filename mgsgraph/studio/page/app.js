@@ -59,7 +59,7 @@ export class App extends EventTarget {
     const found = await this.request('/api/changes', body).finally(() => { this.busy -= 1; });
     this.last = found;
     const open = this.scene;
-    Object.assign(open, {revision: found.revision, writable: found.writable ?? open.writable, lock: found.lock ?? open.lock});
+    for (const key of ['revision', 'writable', 'lock', 'warning']) open[key] = found[key] ?? open[key];
     this.say(found.sentences.join(' '));
     this.emit('changed', found);
     clearTimeout(this.calm);

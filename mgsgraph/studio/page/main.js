@@ -100,11 +100,7 @@ function about() {
 }
 app.addEventListener('opened', about);
 app.addEventListener('renewed', about);
-app.addEventListener('changed', async () => {
-  const fresh = await app.request('/api/state');
-  Object.assign(app.scene, fresh);
-  about();
-});
+app.addEventListener('changed', about);
 
 build();
 try {
