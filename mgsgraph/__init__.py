@@ -60,6 +60,9 @@ Products
     make_dem                terrain model with sigmas, ortho image, check by laser shots
     DemSettings             grid and matching of that
     export_solution         SPICE, CSM, ISIS, ASP, GIS
+    to_pandas               a table of a solution as a DataFrame
+    to_geopandas            the same with shapes
+    to_xarray               orientation of all images as a Dataset
     convert                 control networks from one format to another
     ExchangeSetting         how
 
@@ -79,6 +82,8 @@ if TYPE_CHECKING:
     __version__: str
     from mgsgraph.adjustment.adjust import Adjustment as Adjustment
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
+    from mgsgraph.adjustment.incremental.impact import Impact as Impact
+    from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
@@ -88,30 +93,31 @@ if TYPE_CHECKING:
     from mgsgraph.case.reading import adjust as adjust
     from mgsgraph.case.reading import read_case as read_case
     from mgsgraph.case.scene import read_scene as read_scene
-    from mgsgraph.dem.model import DemSettings as DemSettings
-    from mgsgraph.dem.production import make_dem as make_dem
     from mgsgraph.errors import InputError as InputError
     from mgsgraph.errors import MgsgraphError as MgsgraphError
     from mgsgraph.export.exchange import convert as convert
     from mgsgraph.export.exchange_setting import ExchangeSetting as ExchangeSetting
+    from mgsgraph.export.frames import to_geopandas as to_geopandas
+    from mgsgraph.export.frames import to_pandas as to_pandas
+    from mgsgraph.export.frames import to_xarray as to_xarray
     from mgsgraph.export.solution_export import export_solution as export_solution
     from mgsgraph.fetch.archives import Archives as Archives
     from mgsgraph.fetch.folder import fetch_images as fetch_images
+    from mgsgraph.files.tie_points import TiePoints as TiePoints
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
-    from mgsgraph.incremental.impact import Impact as Impact
-    from mgsgraph.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
-    from mgsgraph.matching.files import match_into as match_into
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
     from mgsgraph.network.parts import KnownImage as KnownImage
+    from mgsgraph.registration.dem.model import DemSettings as DemSettings
     from mgsgraph.registration.relief import register_by_relief as register_by_relief
-    from mgsgraph.registration.relief_files import write_coregistration as write_coregistration
     from mgsgraph.registration.relief_records import ReliefSettings as ReliefSettings
-    from mgsgraph.reports.archive import read_solution as read_solution
-    from mgsgraph.reports.page import write_report as write_report
-    from mgsgraph.reports.results import write_results as write_results
-    from mgsgraph.ties import TiePoints as TiePoints
+    from mgsgraph.results.archive import read_solution as read_solution
+    from mgsgraph.results.matching import match_into as match_into
+    from mgsgraph.results.page import write_report as write_report
+    from mgsgraph.results.relief import write_coregistration as write_coregistration
+    from mgsgraph.results.results import write_results as write_results
+    from mgsgraph.results.terrain_model import make_dem as make_dem
 
 _HOME = {
     "adjust": "mgsgraph.case.reading",
@@ -120,17 +126,17 @@ _HOME = {
     "Archives": "mgsgraph.fetch.archives",
     "Case": "mgsgraph.case.reading",
     "convert": "mgsgraph.export.exchange",
-    "DemSettings": "mgsgraph.dem.model",
+    "DemSettings": "mgsgraph.registration.dem.model",
     "export_solution": "mgsgraph.export.solution_export",
     "ExchangeSetting": "mgsgraph.export.exchange_setting",
     "fetch_images": "mgsgraph.fetch.folder",
-    "Impact": "mgsgraph.incremental.impact",
-    "IncrementalAdjustment": "mgsgraph.incremental.incremental",
+    "Impact": "mgsgraph.adjustment.incremental.impact",
+    "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
     "InputError": "mgsgraph.errors",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
-    "make_dem": "mgsgraph.dem.production",
-    "match_into": "mgsgraph.matching.files",
+    "make_dem": "mgsgraph.results.terrain_model",
+    "match_into": "mgsgraph.results.matching",
     "MatchSettings": "mgsgraph.matching.settings",
     "MgsgraphError": "mgsgraph.errors",
     "Network": "mgsgraph.network",
@@ -140,15 +146,18 @@ _HOME = {
     "Posterior": "mgsgraph.analysis.posterior",
     "read_case": "mgsgraph.case.reading",
     "read_scene": "mgsgraph.case.scene",
-    "read_solution": "mgsgraph.reports.archive",
+    "read_solution": "mgsgraph.results.archive",
     "register_by_relief": "mgsgraph.registration.relief",
     "ReliefSettings": "mgsgraph.registration.relief_records",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
-    "TiePoints": "mgsgraph.ties",
-    "write_coregistration": "mgsgraph.registration.relief_files",
-    "write_report": "mgsgraph.reports.page",
-    "write_results": "mgsgraph.reports.results",
+    "to_geopandas": "mgsgraph.export.frames",
+    "to_pandas": "mgsgraph.export.frames",
+    "to_xarray": "mgsgraph.export.frames",
+    "TiePoints": "mgsgraph.files.tie_points",
+    "write_coregistration": "mgsgraph.results.relief",
+    "write_report": "mgsgraph.results.page",
+    "write_results": "mgsgraph.results.results",
 }
 __all__ = sorted(_HOME)
 

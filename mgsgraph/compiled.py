@@ -133,8 +133,9 @@ def cached_kernel(function: Function, **options: Any) -> Function:
 
 def sources_of(function: Callable[..., Any], *packages: str) -> str:
     """Digest of the files of a function's folder, of `factors` and of other packages."""
-    found = (find_spec(name).origin for name in ("mgsgraph.factors", *packages))  # type: ignore[union-attr]
-    return _digest_of(*(Path(str(file)).parent for file in (function.__code__.co_filename, *found)))
+    found = (find_spec(name).origin for name in packages)  # type: ignore[union-attr]
+    folders = (Path(str(file)).parent for file in (function.__code__.co_filename, *found))
+    return _digest_of(Path(__file__).with_name("factors"), *folders)
 
 
 _under_way: list[Any] = []

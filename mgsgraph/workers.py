@@ -20,9 +20,9 @@ from io import BytesIO
 from multiprocessing import parent_process
 from typing import Any, NoReturn, TypeVar
 
-from mgsgraph.apart import pickled_outcome, result_of
 from mgsgraph.compiled import threads
 from mgsgraph.errors import InputError
+from mgsgraph.sandbox import pickled_outcome, result_of
 
 _Found = TypeVar("_Found")
 _SIGNAL_AT_PARENTS_DEATH = 1

@@ -26,7 +26,7 @@ from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.suspects import suspects
 from mgsgraph.network import Network
-from mgsgraph.reports.reliability import reliability_table
+from mgsgraph.results.reliability import reliability_table
 
 PAGE = "analysis_cost.md"
 WORDS = """# What it costs to ask

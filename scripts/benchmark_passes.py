@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 from study import DOCS, OneLine, at_least, command, machine, made_with, positive, show, table, write_page
 
+from mgsgraph.adjustment.incremental.impact import Impact
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.impact import Impact
-from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network
 from mgsgraph.network.joining import seconds
 from mgsgraph.network.parts import without_images

@@ -20,9 +20,9 @@ from typing import NamedTuple
 from study import DOCS, OneLine, at_least, machine, made_with, number, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.schema import OrientationInput
 from mgsgraph.errors import SolverError
-from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project.project import Project, open_project

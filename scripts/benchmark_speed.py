@@ -83,7 +83,7 @@ def run_once(path: Path, line: Line = "measured") -> dict[str, Any]:
     (program, compiled kernel, input), and the difference in bytes per image observation.
     """
     from mgsgraph.adjustment.adjust import adjust_network  # the kernel: not before --threads counts
-    from mgsgraph.adjustment.reading_off import versions
+    from mgsgraph.adjustment.results import versions
 
     start = time.perf_counter()
     problem = read_problem(path)

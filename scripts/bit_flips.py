@@ -23,28 +23,28 @@ from pathlib import Path
 import numpy as np
 from study import at_least, command, show, table
 
-from mgsgraph.campaign import run_campaign
-from mgsgraph.campaign.record import RECORD as CAMPAIGN
-from mgsgraph.campaign.record import open_record
 from mgsgraph.case.groups import window_beside
-from mgsgraph.control.binary import write_binary_network
-from mgsgraph.control.network_file import read_network
-from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import MgsgraphError
-from mgsgraph.export.kept_content import source_networks
+from mgsgraph.export.network_content import source_networks
 from mgsgraph.fetch.lock import LOCK, Lock, LockedFile
-from mgsgraph.io.files import sha256_of
-from mgsgraph.io.records import FILES, MATCH, read_record
-from mgsgraph.matching.files import KeptTiles
-from mgsgraph.output.csv_json import write_json
-from mgsgraph.output.folders import EXPORT
+from mgsgraph.files.networks.binary import write_binary_network
+from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.table import read_tie_points
+from mgsgraph.files.opening import sha256_of
+from mgsgraph.files.output.csv_json import write_json
+from mgsgraph.files.output.folders import EXPORT
+from mgsgraph.files.records import FILES, MATCH, read_record
+from mgsgraph.project.campaign import run_campaign
+from mgsgraph.project.campaign.record import RECORD as CAMPAIGN
+from mgsgraph.project.campaign.record import open_record
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import comparison_with_truth
 from mgsgraph.project.status import status
-from mgsgraph.reports.archive import ARCHIVE, read_solution
-from mgsgraph.reports.archive_arrays import pack
-from mgsgraph.reports.results import RECORD, case_of
+from mgsgraph.results.archive import ARCHIVE, read_solution
+from mgsgraph.results.archive_arrays import pack
+from mgsgraph.results.matching import KeptTiles
+from mgsgraph.results.results import RECORD, case_of
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

@@ -37,7 +37,6 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case, read_case
-from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
@@ -45,6 +44,7 @@ from mgsgraph.network import PointClass, SharedKind
 from mgsgraph.registration.relief import profile_names, registered
 from mgsgraph.registration.relief_records import ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, averaged_pair, cells_of
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.matches import true_matches
 from mgsgraph.simulation.mgs_files import shot_names

@@ -24,17 +24,17 @@ from study import DOCS, at_least, command, machine, number, show, table, write_p
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
-from mgsgraph.dem.checking import check_figures
-from mgsgraph.dem.model import Dem
-from mgsgraph.dem.production import make_dem
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.matching.files import match_into
 from mgsgraph.matching.settings import MatchSettings
+from mgsgraph.registration.dem.checking import check_figures
+from mgsgraph.registration.dem.model import Dem
+from mgsgraph.results.matching import match_into
+from mgsgraph.results.terrain_model import make_dem
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
-from mgsgraph.wording import root_mean_square as rms
+from mgsgraph.text import root_mean_square as rms
 
 PAGE = "dem_truth.md"
 CHECK_EVERY = 3

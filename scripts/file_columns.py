@@ -12,38 +12,38 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import components_of
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.spacing.vibrations import ResidualVibrations
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.reading import adjust, read_case
-from mgsgraph.dem.checking import HeightChecks
-from mgsgraph.dem.files import shots_table
-from mgsgraph.demo.disagreement import disagreement_table
+from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
-from mgsgraph.matching.files import matches_table
 from mgsgraph.network import PointClass
-from mgsgraph.output.table import Column, Table
 from mgsgraph.registration.case import CaseRegistration, register_case
-from mgsgraph.registration.crossing_tables import selection_table
 from mgsgraph.registration.crossings import shots_over_images
-from mgsgraph.registration.relief_files import costs_table, profiles_table, relief_shots_table
+from mgsgraph.registration.dem.checking import HeightChecks
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
-from mgsgraph.registration.tables import discrepancy_table, registration_table
-from mgsgraph.reports.analysis import components_table
-from mgsgraph.reports.drivers import drivers_table
-from mgsgraph.reports.likelihood import likelihood_table
-from mgsgraph.reports.passes import nodes_table
-from mgsgraph.reports.plan import judged_table
-from mgsgraph.reports.reliability import reliability_table
-from mgsgraph.reports.shared import shared_table
-from mgsgraph.reports.tables import connectivity_table, orientation_table, points_table, residuals_table
-from mgsgraph.reports.unexplained import unexplained_table
-from mgsgraph.reports.vibrations import vibrations_table
+from mgsgraph.results.analysis import components_table
+from mgsgraph.results.crossings import selection_table
+from mgsgraph.results.drivers import drivers_table
+from mgsgraph.results.likelihood import likelihood_table
+from mgsgraph.results.matching import matches_table
+from mgsgraph.results.passes import nodes_table
+from mgsgraph.results.plan import judged_table
+from mgsgraph.results.registration import discrepancy_table, registration_table
+from mgsgraph.results.reliability import reliability_table
+from mgsgraph.results.relief import costs_table, profiles_table, relief_shots_table
+from mgsgraph.results.shared import shared_table
+from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
+from mgsgraph.results.terrain_model import shots_table
+from mgsgraph.results.unexplained import unexplained_table
+from mgsgraph.results.vibrations import vibrations_table
+from mgsgraph.simulation.demo.disagreement import disagreement_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
-from mgsgraph.spacing.vibrations import ResidualVibrations
 
 _MORE = """
 [[shared]]

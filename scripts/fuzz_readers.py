@@ -43,7 +43,7 @@ def _cases() -> Iterator[Row]:
     from mgsgraph.case.case_file import decode, stated
     from mgsgraph.case.draft import draft_case
     from mgsgraph.case.reading import read_case
-    from mgsgraph.io.kinds import kind_of
+    from mgsgraph.files.kinds import kind_of
 
     def drafted(path: Path) -> object:
         (path.parent / "out.toml").unlink(missing_ok=True)
@@ -61,12 +61,12 @@ def _cases() -> Iterator[Row]:
 
 
 def _images() -> Iterator[Row]:
-    from mgsgraph.io.cameras.hrsc_lines import read_line_times
-    from mgsgraph.io.cameras.label import read_line_scan_label
-    from mgsgraph.io.image_label import read_label
-    from mgsgraph.io.isd import read_isd
-    from mgsgraph.io.isis_cube import read_isis_cube
-    from mgsgraph.io.model_state import read_model_state
+    from mgsgraph.files.cameras.hrsc_lines import read_line_times
+    from mgsgraph.files.cameras.label import read_line_scan_label
+    from mgsgraph.files.labels.image_label import read_label
+    from mgsgraph.files.labels.isis_cube import read_isis_cube
+    from mgsgraph.files.support_data.isd import read_isd
+    from mgsgraph.files.support_data.model_state import read_model_state
 
     def times(seconds: float, path: Path) -> object:
         label = read_line_scan_label(path)
@@ -97,8 +97,8 @@ def _images() -> Iterator[Row]:
 
 
 def _kernels() -> Iterator[Row]:
-    from mgsgraph.io.kernels import loaded
-    from mgsgraph.io.labelled_image import read_labelled_image
+    from mgsgraph.files.labels.labelled_image import read_labelled_image
+    from mgsgraph.files.spice.kernels import loaded
 
     def furnished(path: Path) -> None:
         with loaded([path]):
@@ -117,9 +117,9 @@ def _kernels() -> Iterator[Row]:
 
 
 def _pictures() -> Iterator[Row]:
-    from mgsgraph.io.image_label import read_label
-    from mgsgraph.io.moc_pixels import pixel_area
-    from mgsgraph.io.pictures import is_moc, read_moc_pixels, read_picture
+    from mgsgraph.files.labels.image_label import read_label
+    from mgsgraph.files.rasters.moc_pixels import pixel_area
+    from mgsgraph.files.rasters.pictures import is_moc, read_moc_pixels, read_picture
 
     tests = of_tests("io/test_pictures.py")
     grey = np.arange(300).reshape(15, 20)
@@ -148,8 +148,8 @@ def _pictures() -> Iterator[Row]:
 
 
 def _terrain() -> Iterator[Row]:
-    from mgsgraph.io.megdr import read_megdr
-    from mgsgraph.io.terrain_file import read_terrain
+    from mgsgraph.files.rasters.megdr import read_megdr
+    from mgsgraph.files.rasters.terrain_file import read_terrain
 
     def raster(name: str, folder: Path) -> None:
         crs, places = rasters.PROJECTIONS[name]

@@ -35,12 +35,12 @@ def of_real_files() -> Iterator[Row]:
         return
     import mgs
 
-    from mgsgraph.altimetry.shots import read_shots
-    from mgsgraph.control.network_file import read_network
-    from mgsgraph.io.isd import read_isd
-    from mgsgraph.io.isis_cube import read_isis_cube
-    from mgsgraph.io.labelled_image import read_labelled_image
-    from mgsgraph.io.lidar import read_lidar
+    from mgsgraph.files.altimetry.lidar import read_lidar
+    from mgsgraph.files.altimetry.shots import read_shots
+    from mgsgraph.files.labels.isis_cube import read_isis_cube
+    from mgsgraph.files.labels.labelled_image import read_labelled_image
+    from mgsgraph.files.networks.network_file import read_network
+    from mgsgraph.files.support_data.isd import read_isd
 
     kernels = [path.name for path in mgs.kernels(DATA)]
     moc, lola, hadley, m04 = "mgs_moc_wa_three", "lro_nac_lola", "lro_nac_hadley", "mgs_moc_m0402852"

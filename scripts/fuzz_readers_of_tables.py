@@ -23,13 +23,13 @@ _POINT = [
 
 
 def of_networks() -> Iterator[Row]:
-    from mgsgraph.control.asp.gcp import read_ground_control_network
-    from mgsgraph.control.asp.match import read_match, read_match_text
-    from mgsgraph.control.asp.nvm import read_nvm
-    from mgsgraph.control.network_file import read_control_network, read_network
-    from mgsgraph.control.table import read_tie_points, read_whole
-    from mgsgraph.io.place_table import read_places
-    from mgsgraph.review.verdicts import read_verdicts
+    from mgsgraph.files.networks.asp_gcp import read_ground_control_network
+    from mgsgraph.files.networks.asp_match import read_match, read_match_text
+    from mgsgraph.files.networks.asp_nvm import read_nvm
+    from mgsgraph.files.networks.network_file import read_control_network, read_network
+    from mgsgraph.files.networks.table import read_tie_points, read_whole
+    from mgsgraph.files.place_table import read_places
+    from mgsgraph.studio.review.verdicts import read_verdicts
 
     match, gcp, nvm = (of_tests(f"io/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
     pair, written = ("one", "two"), seeds.written_network
@@ -69,11 +69,11 @@ def of_networks() -> Iterator[Row]:
 
 
 def of_altimetry() -> Iterator[Row]:
-    from mgsgraph.altimetry.cloud import read_altimetry_cloud
-    from mgsgraph.altimetry.lola import RECORD
-    from mgsgraph.altimetry.pedr import FRAME
-    from mgsgraph.altimetry.shots import read_shots
-    from mgsgraph.io.lidar import read_lidar
+    from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
+    from mgsgraph.files.altimetry.lidar import read_lidar
+    from mgsgraph.files.altimetry.lola import RECORD
+    from mgsgraph.files.altimetry.pedr import FRAME
+    from mgsgraph.files.altimetry.shots import read_shots
 
     tests = of_tests("altimetry/test_pedr_text.py")
     lola = "LOLARDR_092490702.DAT"
@@ -103,14 +103,14 @@ def of_altimetry() -> Iterator[Row]:
 
 
 def of_what_is_kept() -> Iterator[Row]:
-    from mgsgraph.campaign.record import open_record
     from mgsgraph.export import control_back, csm_back
-    from mgsgraph.export.kept_content import source_networks
-    from mgsgraph.matching.files import KeptTiles
+    from mgsgraph.export.network_content import source_networks
+    from mgsgraph.project.campaign.record import open_record
     from mgsgraph.project.project import open_project
     from mgsgraph.project.reading import read_state
-    from mgsgraph.reports.archive import read_solution
-    from mgsgraph.reports.results import case_of
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.matching import KeptTiles
+    from mgsgraph.results.results import case_of
 
     def record(path: Path) -> object:
         with open_record(path.parent) as opened:

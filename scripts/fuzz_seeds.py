@@ -152,7 +152,7 @@ def site_seed() -> dict[str, bytes]:
 
 def short_profile(content: bytes, frames: int = 4) -> bytes:
     """The first frames of a PEDR file, and its label to match."""
-    from mgsgraph.altimetry.pedr import FRAME
+    from mgsgraph.files.altimetry.pedr import FRAME
 
     records = 10 + frames
     rows = len(content) // FRAME.itemsize - 10
@@ -196,7 +196,7 @@ def grid_seed(main: str) -> Seed:
 
 
 def lola_records(count: int = 3) -> bytes:
-    """Records of LOLARDR.FMT, as `tests/altimetry/test_shots.py` lays them out."""
+    """Records of LOLARDR.FMT, as `tests/files/altimetry/test_shots.py` lays them out."""
     content = b""
     for k in range(count):
         record = bytearray(256)
@@ -254,7 +254,7 @@ def packed(content: str | bytes) -> bytes:
 @cache
 def network() -> Any:
     """Three points in two images, one with a covariance."""
-    from mgsgraph.control.network_file import read_network
+    from mgsgraph.files.networks.network_file import read_network
 
     return read_network(pair_folder() / "network.pvl")
 

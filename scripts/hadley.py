@@ -20,19 +20,19 @@ from study import DOCS, command, made_with, number, table, write_page
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.altimetry.shots import read_shots
-from mgsgraph.control.network_file import read_control_network
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.rig import PassErrors, joined, powers
-from mgsgraph.ties import PointKind
 from mgsgraph.units import MRAD
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -26,13 +26,13 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, TwoStepStatistics, two_step_statistics
-from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.reports.two_steps import write_two_steps
+from mgsgraph.results.two_steps import write_two_steps
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
+from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM, MGON
-from mgsgraph.wording import root_mean_square
 
 PAGE, PICTURE = "hrsc_block.md", "hrsc_block.png"
 ATTITUDE = np.array([4, 3, 5])

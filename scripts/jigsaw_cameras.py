@@ -8,7 +8,9 @@ import numpy as np
 from jigsaw_published import Jigsaw
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.control.network_file import read_control_network
+from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.image import PushbroomImage
@@ -17,8 +19,6 @@ from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.polynomial_trajectory import fit_attitude
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.isis_cube import read_isis_cube
-from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG
 
 SIDES = ("LRO/1/269182000:51104/NACL", "LRO/1/269182000:51104/NACR")

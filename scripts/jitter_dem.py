@@ -23,17 +23,17 @@ import dem_truth
 import numpy as np
 from study import DOCS, at_least, command, show, status, table
 
+from mgsgraph.analysis.spacing.vibrations import residual_vibrations
 from mgsgraph.geometry.records import Array
-from mgsgraph.reports.archive import read_solution
+from mgsgraph.results.archive import read_solution
 from mgsgraph.simulation.ctx import PIXEL, CtxSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
 from mgsgraph.simulation.files import write_texts
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.isis_files import image_file, json_text, support_data
 from mgsgraph.simulation.jitter_heights import DenseTruth, ripple
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
-from mgsgraph.spacing.vibrations import residual_vibrations
+from mgsgraph.text import root_mean_square as rms
 from mgsgraph.units import MRAD
-from mgsgraph.wording import root_mean_square as rms
 
 FREQUENCY = 2.0
 _BETWEEN = 8
@@ -114,7 +114,7 @@ def polynomial(mine: SimulatedCtxPair) -> str:
 
 
 def process(mine: SimulatedCtxPair, frequencies: list[float]) -> str:
-    """A slow process and vibrations, strengths estimated; shapes as `spacing.jitter_model` has them."""
+    """A slow process and vibrations, strengths estimated; shapes as `analysis.spacing.jitter_model` has them."""
     angle, drift = mine.settings.jitter.angle / MRAD, mine.settings.jitter.drift * PIXEL / MRAD
     first, last = image_times(mine.network.images[0])
     plus = ", ".join(

@@ -30,8 +30,8 @@ from typing import NamedTuple
 
 from study import at_least, command, show, table
 
-from mgsgraph.control.pvl_writing import write_pvl_network
-from mgsgraph.control.ties import control_network
+from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
 from mgsgraph.simulation.files import write_pair, write_strip, write_texts

@@ -22,6 +22,12 @@ from scipy.ndimage import map_coordinates, spline_filter
 from study import at_least, command, positive, show, table, write_page
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.cameras.camera import LineScanLabel
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.labels.image_label import read_label
+from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.rasters.megdr import read_megdr
+from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -29,18 +35,12 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.io.cameras.camera import LineScanLabel
-from mgsgraph.io.cameras.label import read_line_scan_label
-from mgsgraph.io.image_label import read_label
-from mgsgraph.io.isis_cube import read_isis_cube
-from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
+from mgsgraph.text import root_mean_square as rms
 from mgsgraph.units import DEG
-from mgsgraph.wording import root_mean_square as rms
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 E02, M01 = "E0201461", "M0100115"
@@ -336,7 +336,7 @@ WORDS = """# A real MOC pair matched
 
 Made by `scripts/match_moc_pair.py`. E02/01461 (1024 x 8064, summed 2 x 2, 11.6 degrees off the nadir) is there
 as a map-projected crop of 500 x 500 pixels with the whole image's SPICE tables
-(`mgsgraph.io.isis_cube.read_isis_cube`); M01/00115 (672 x 4864, summed 3 x 3) with all pixels, without SPICE.
+(`mgsgraph.files.labels.isis_cube.read_isis_cube`); M01/00115 (672 x 4864, summed 3 x 3) with all pixels, without SPICE.
 The crop is brought back into the camera's geometry, M01 is resected from the given ties outside the crop (an
 orbit like E02's, looking at the nadir; six components, quadratic), and both are matched by the same functions
 as `mgsgraph match`.

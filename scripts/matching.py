@@ -23,16 +23,16 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
-from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
-from mgsgraph.matching.files import match_into
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.settings import MatchSettings, method_of
 from mgsgraph.registration.case import ProfileRegistration, register_case
+from mgsgraph.results.matching import match_into
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
-from mgsgraph.wording import root_mean_square
+from mgsgraph.text import root_mean_square
 
 PAGE = "matching_truth.md"
 BLUNDER = 1.0

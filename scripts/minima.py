@@ -33,7 +33,7 @@ from study import (
 )
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.starts import STARTS
+from mgsgraph.adjustment.multistart import STARTS
 from mgsgraph.errors import InputError
 from mgsgraph.simulation.sites import SITE_NAMES
 

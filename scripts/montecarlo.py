@@ -27,7 +27,7 @@ from montecarlo_page import figure, page
 from study import DOCS, REMEDY, OneLine, at_least, require_writable, show, status, write_figure, write_text
 
 from mgsgraph.adjustment.cluster import Lost, open_cluster
-from mgsgraph.adjustment.reading_off import versions
+from mgsgraph.adjustment.results import versions
 from mgsgraph.errors import InputError, SolverError
 
 CHOICES = {

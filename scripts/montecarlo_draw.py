@@ -19,13 +19,13 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.estimates import PoseEstimate
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.case.reading import read_case
-from mgsgraph.demo.truth import nees
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, PointClass
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site, write_strip
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES, SiteName

@@ -25,9 +25,9 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
-from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import Weighting, write_site
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES

@@ -22,8 +22,8 @@ from study import DOCS, at_least, chi_square_band, command, made_with, show, stu
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Line
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.simulation.demo.truth import nees
 
 FORMS: tuple[Line, ...] = ("predicted", "measured")
 WORDS = """# NEES at the peer's sizes

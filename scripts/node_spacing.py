@@ -16,15 +16,15 @@ from study import DOCS, at_least, command, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.spacing.choice import Choice, choose_spacing, respaced
+from mgsgraph.analysis.spacing.corrections import correction_series
+from mgsgraph.analysis.spacing.densify import densify
+from mgsgraph.analysis.spacing.rays import hold_out, misfits, whitening
+from mgsgraph.analysis.spacing.spectrum import Peak, spectra
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
-from mgsgraph.spacing.choice import Choice, choose_spacing, respaced
-from mgsgraph.spacing.corrections import correction_series
-from mgsgraph.spacing.densify import densify
-from mgsgraph.spacing.rays import hold_out, misfits, whitening
-from mgsgraph.spacing.spectrum import Peak, spectra
+from mgsgraph.text import root_mean_square
 from mgsgraph.units import MGON
-from mgsgraph.wording import root_mean_square
 
 SPACINGS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """s."""

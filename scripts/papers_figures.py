@@ -9,8 +9,11 @@ from PIL import Image
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
-from mgsgraph.figures import write_registration_figures
-from mgsgraph.figures.sheet import (
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass
+from mgsgraph.registration.case import register_case
+from mgsgraph.results.figures import write_registration_figures
+from mgsgraph.results.figures.sheet import (
     CLASS_COLOUR,
     CLASS_NAME,
     Sheet,
@@ -19,9 +22,6 @@ from mgsgraph.figures.sheet import (
     plain_style,
     save,
 )
-from mgsgraph.geometry.records import Array
-from mgsgraph.network import PointClass
-from mgsgraph.registration.case import register_case
 from mgsgraph.units import ARCMIN
 
 _WIDTH, _COLOURS = 1000, 96

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.settings import Line, SolverSettings
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.writing import fresh_file
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -31,9 +33,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.io.writing import fresh_file
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
-from mgsgraph.ties import PointKind
 from mgsgraph.units import MM
 
 LINES, SAMPLES = 10000, 1024

@@ -23,15 +23,15 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import MeasureKind, ScalarMeasures
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.case.reading import adjust, read_case
-from mgsgraph.control.network_file import read_control_network
+from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.output.geotiff import geotiff
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.isis_cube import read_isis_cube
-from mgsgraph.output.geotiff import geotiff
-from mgsgraph.ties import TiePoints
 from mgsgraph.units import ISIS_OFFSET, KM
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -30,7 +30,7 @@ from mgsgraph.registration.relief import ReliefRegistration, register_by_relief
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES, site_settings
-from mgsgraph.wording import root_mean_square as rms
+from mgsgraph.text import root_mean_square as rms
 
 WORDS = """# Registration by relief against truth
 

@@ -37,19 +37,19 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.demo.truth import nees
+from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.network import Network, PointClass
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.moc_rig import MocSettings, simulate_moc_rig, wide_angle_label
 from mgsgraph.simulation.nac_pair import NacSettings, own_priors, simulate_nac_pair
 from mgsgraph.simulation.rig import PassErrors, SimulatedRig, powers
+from mgsgraph.text import root_mean_square
 from mgsgraph.units import MRAD
-from mgsgraph.wording import root_mean_square
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = "rigs.md"

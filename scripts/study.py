@@ -12,7 +12,7 @@ from statistics import NormalDist
 from typing import Any, NoReturn
 
 from mgsgraph.errors import InputError, MgsgraphError
-from mgsgraph.io.writing import fresh_file
+from mgsgraph.files.writing import fresh_file
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 """Folder of the pages, where no other is named."""
@@ -186,7 +186,7 @@ def number(value: float) -> str:
 
 def made_with() -> str:
     """The programs that a page was made with, and their versions."""
-    from mgsgraph.adjustment.reading_off import versions  # the kernel: not before --threads count
+    from mgsgraph.adjustment.results import versions  # the kernel: not before --threads count
 
     return f"Made with {', '.join(f'{name} {version}' for name, version in versions().items())}."
 

@@ -17,7 +17,7 @@ from scipy.stats import binom, chi2, kstest
 from study import DOCS, Z99, at_least, command, show, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.reading_off import versions
+from mgsgraph.adjustment.results import versions
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import Components, Judgement, components_of, iterated_components
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
@@ -32,7 +32,7 @@ from mgsgraph.simulation.strip import StripSettings, simulate_strip
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import redraw
 
-from mgsgraph.wording import root_mean_square
+from mgsgraph.text import root_mean_square
 
 FACTORS = (0.5, 2.0, 5.0)
 NOISE = NoiseSettings(tie=0.5, shot_image=1.0, range=10.0, ground=3.0)

@@ -27,7 +27,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from archive_server import serving
 from simulated_archive import write_archive
 
-from mgsgraph.wording import root_mean_square as rms
+from mgsgraph.text import root_mean_square as rms
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "whole_road.md"
 ROAD = (

@@ -30,13 +30,13 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.unexplained import named_effects
 from mgsgraph.case.reading import Case, read_case
-from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site, write_strip
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.site import SimulationOptions, simulate_site

@@ -11,18 +11,19 @@ from unittest.mock import patch
 
 import numpy as np
 
-from mgsgraph.altimetry.cloud import read_altimetry_cloud
-from mgsgraph.altimetry.shots import read_shots
-from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.lidar import read_lidar
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 _BY_COLUMNS = (
-    "mgsgraph.altimetry.csv_table.plain_text", "mgsgraph.altimetry.pedr_columns.plain_text",
-    "mgsgraph.control.table_ties.plain_text", "mgsgraph.control.table.tie_points_of", "mgsgraph.io.lidar.lidar_columns",
-    "mgsgraph.altimetry.time_scales._in_columns",
+    "mgsgraph.files.altimetry.csv_table.plain_text", "mgsgraph.files.altimetry.pedr_columns.plain_text",
+    "mgsgraph.files.networks.table_ties.plain_text", "mgsgraph.files.networks.table.tie_points_of",
+    "mgsgraph.files.altimetry.lidar.lidar_columns",
+    "mgsgraph.geometry.time_scales._in_columns",
 )  # fmt: skip
 """What reads by columns, or prepares it; where it gives None, the reader line by line takes over."""
 ODE = "long_East,lat_North,topography, MOLArange,  planet_rad, c,A,  Ephermis Time,            UTC,          Orbit"
@@ -197,9 +198,9 @@ def by_columns_alone() -> Iterator[None]:
 
     with ExitStack() as patches:
         for name in (
-            "mgsgraph.altimetry.csv_table.CsvLines", "mgsgraph.altimetry.pedr_text._by_lines",
-            "mgsgraph.control.table.read_table", "mgsgraph.io.lidar._one_by_one",
-            "mgsgraph.altimetry.time_scales._one_by_one",
+            "mgsgraph.files.altimetry.csv_table.CsvLines", "mgsgraph.files.altimetry.pedr_text._by_lines",
+            "mgsgraph.files.networks.table.read_table", "mgsgraph.files.altimetry.lidar._one_by_one",
+            "mgsgraph.geometry.time_scales._one_by_one",
         ):  # fmt: skip
             patches.enter_context(patch(name, refuse))
         yield

@@ -2,9 +2,9 @@
 
 from itertools import groupby
 
-from mgsgraph.io.cameras.camera import Camera, times_of_label
-from mgsgraph.io.cameras.table import CAMERAS
-from mgsgraph.io.stated_aberration import spacecraft_of
+from mgsgraph.files.cameras.camera import Camera, times_of_label
+from mgsgraph.files.cameras.table import CAMERAS
+from mgsgraph.files.labels.stated_aberration import spacecraft_of
 
 HEAD = ("camera", "NAIF id", "first line", "line period", "constants", "positions of cubes", "attitude")
 

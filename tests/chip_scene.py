@@ -5,11 +5,11 @@ from functools import cache
 
 import numpy as np
 
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.simulation.observations import free_points
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
-from mgsgraph.ties import TiePoints
 
 PAIR = simulate_pair(PairSettings(lines=500, samples=400, ties=1, shots=1), seed=3)
 

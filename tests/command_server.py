@@ -15,7 +15,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-IMPORTED = ("mgsgraph.cli", "mgsgraph.demo.demonstration", "mgsgraph.reports.page", "mgsgraph.figures")
+IMPORTED = (
+    "mgsgraph.cli", "mgsgraph.simulation.demo.demonstration", "mgsgraph.results.page", "mgsgraph.results.figures"
+)  # fmt: skip
 MOST = 300
 """s that a command may take."""
 

@@ -106,7 +106,7 @@ def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures' PNG files stay empty: to draw them takes as long again as the SVG files, which show the same; pages have
     blank ones.
     """
-    from mgsgraph.figures import page, sheet
+    from mgsgraph.results.figures import page, sheet
 
     drawn = sheet.encoded
     monkeypatch.setattr(sheet, "encoded", lambda one, kind, **how: drawn(one, kind, **how) if kind != "png" else b"")

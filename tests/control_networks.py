@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from mgsgraph.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 
 IMAGES = ("M0100115", "E02-01461", "R0301000", "S1900001")
 PLACES = st.floats(0.5, 12_000.0)

@@ -18,13 +18,13 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
-from mgsgraph.dem.map import MapGrid
-from mgsgraph.dem.production import adjusted_scene
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
-from mgsgraph.reports.archive import write_archive
+from mgsgraph.registration.dem.map import MapGrid
+from mgsgraph.registration.dem.scene import adjusted_scene
+from mgsgraph.results.archive import write_archive
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite
 

@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.impact import Impact
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.incremental.impact import Impact
-from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
@@ -23,7 +24,6 @@ from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.simulation.strip_steps import Steps, merged_profiles, merged_ties
-from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG
 
 NOISE = NoiseSettings()

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 from hypothesis import strategies as st
 
-from mgsgraph.control.pvl_writing import network_text
-from mgsgraph.control.record import (
+from mgsgraph.files.networks.pvl_writing import network_text
+from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -15,7 +15,7 @@ from mgsgraph.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.ties import TiePoints
+from mgsgraph.files.tie_points import TiePoints
 
 NUMBERS = st.floats(-1e299, 1e299)
 TEXTS = st.text("abcXYZ019_.:/ #=(){},<>+-*'é漢\t", max_size=12).filter(lambda text: text.lower() != "null")

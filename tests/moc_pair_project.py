@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.io.cameras.label import read_line_scan_label
-from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.network.parts import KnownImage, image_columns
@@ -19,7 +20,6 @@ from mgsgraph.project.addition import Addition, NewImage
 from mgsgraph.project.changes import put_in, solve
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
-from mgsgraph.ties import PointKind
 
 GIVEN = 5
 """Ties inside the crop."""

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior, polynomial
 from mgsgraph.geometry.orientation_images import OrientationImages
@@ -23,7 +24,6 @@ from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
-from mgsgraph.ties import PointKind
 
 
 @cache

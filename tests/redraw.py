@@ -10,6 +10,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.shared import footprint_shifts
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
@@ -19,7 +20,6 @@ from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKin
 from mgsgraph.network.corrections import adjusted_image
 from mgsgraph.network.shared import image_effect
 from mgsgraph.simulation.strip_truth import drawn_nodes, strip_correction
-from mgsgraph.ties import PointKind
 
 _HEIGHT_STEPS = 20
 

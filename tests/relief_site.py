@@ -14,7 +14,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import read_case
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.registration import relief_surfaces
-from mgsgraph.reports.archive import write_archive
+from mgsgraph.results.archive import write_archive
 from mgsgraph.simulation.matches import true_matches
 
 NOISE = 0.1

@@ -16,9 +16,9 @@ import numpy as np
 from archive_index import IndexEntry, Value, write_indexes
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.rasters.megdr import REFERENCE_RADIUS
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.megdr import REFERENCE_RADIUS
 from mgsgraph.simulation.camera import BORESIGHT_SAMPLE
 from mgsgraph.simulation.files import writing
 from mgsgraph.simulation.mgs_files import (

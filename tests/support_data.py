@@ -5,9 +5,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.io.aberration import Aberration
-from mgsgraph.io.isd import read_isd
 
 TIMES = [100.0, 101.0, 102.0]
 IDENTITY = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]

@@ -22,7 +22,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "api.md"
 PACKAGE = Path(mgsgraph.__file__).parent

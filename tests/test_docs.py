@@ -113,8 +113,8 @@ def pixels(folder: Path) -> dict[str, object]:
 def a_result(folder: Path) -> dict[str, object]:
     import matched
 
-    from mgsgraph.control.pvl_writing import write_pvl_network
-    from mgsgraph.control.ties import control_network
+    from mgsgraph.files.networks.pvl_writing import write_pvl_network
+    from mgsgraph.files.networks.tie_points import control_network
 
     pixels(folder)
     write_pvl_network(control_network(matched.matches().ties, "mgsgraph", "MARS", "pair"), folder / "network.pvl")
@@ -281,7 +281,7 @@ def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
 
 
 def as_candidates(table: dict[str, Any]) -> None:
-    from mgsgraph.case.candidates import CandidatesInput
+    from mgsgraph.planning.candidates_file import CandidatesInput
 
     msgspec.convert(table, CandidatesInput)
 
@@ -324,14 +324,14 @@ def uncommented(text: str) -> str:
 
 
 def a_table(text: str, folder: Path) -> None:
-    from mgsgraph.control.table import read_table
+    from mgsgraph.files.networks.table import read_table
 
     (folder / "points.csv").write_text(text, encoding="utf-8")
     assert read_table(folder / "points.csv").points
 
 
 def verdicts(text: str, folder: Path) -> None:
-    from mgsgraph.review.verdicts import read_verdicts
+    from mgsgraph.studio.review.verdicts import read_verdicts
 
     (folder / "verdicts.csv").write_text(text, encoding="utf-8")
     assert read_verdicts(folder / "verdicts.csv").of

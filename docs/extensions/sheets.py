@@ -1,11 +1,11 @@
-"""Pictures of the gallery: every sheet (`mgsgraph.figures.sheet`) that an example has drawn since the last."""
+"""Pictures of the gallery: every sheet (`mgsgraph.results.figures.sheet`) that an example has drawn since the last."""
 
 from contextlib import ExitStack
 from typing import Any
 
 from sphinx_gallery.scrapers import figure_rst
 
-from mgsgraph.figures.sheet import Sheet, plain_style
+from mgsgraph.results.figures.sheet import Sheet, plain_style
 
 _DPI = 110
 _STYLE = ExitStack()

@@ -19,19 +19,19 @@ print(solution)
 
 # %%
 # Where everything lies, and how well the tie points are known.
-from mgsgraph.figures.ground_map import map_sheet
+from mgsgraph.results.figures.ground_map import map_sheet
 
 ground_map = map_sheet(solution)
 
 # %%
 # What is left of every measure after the adjustment, magnified. No pattern, no image that differs from the other: that
 # is how it should look.
-from mgsgraph.figures.residuals import residual_sheets
+from mgsgraph.results.figures.residuals import residual_sheets
 
 residuals = list(residual_sheets(solution))
 
 # %%
 # By what the orientation had to be corrected along the images, with the sigma of the correction.
-from mgsgraph.figures.orientation import orientation_sheets
+from mgsgraph.results.figures.orientation import orientation_sheets
 
 orientation = list(orientation_sheets(solution))

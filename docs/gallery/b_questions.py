@@ -32,7 +32,7 @@ print(posterior.difference(*solution.network.points.ids[:2]).sentence)
 # How well position and pointing of one image are known along its lines.
 import numpy as np
 
-from mgsgraph.figures.sigmas import curve_sheet, raster_sheet
+from mgsgraph.results.figures.sigmas import curve_sheet, raster_sheet
 
 curve = curve_sheet(posterior.poses(first, np.linspace(0.0, pair.images[0].lines, 41)), "curve")
 

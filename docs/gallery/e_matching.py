@@ -39,15 +39,15 @@ print(matches.losses)
 
 # %%
 # Where they are, how far the nominal orientations were apart, and what sigmas they have.
-from mgsgraph.figures.matches import matches_sheet
+from mgsgraph.results.figures.matches import matches_sheet
 
 sheet = matches_sheet(matches, scene, "Gusev, 640 lines")
 
 # %%
 # Some of them as chips: the same ground in the one image and in the other, both turned and stretched to the ground's
 # directions.
-from mgsgraph.figures.sheet import new_sheet
 from mgsgraph.matching.chips import chip_frames, chips, stretched
+from mgsgraph.results.figures.sheet import new_sheet
 
 ties = matches.ties
 frames = chip_frames([picture.image for picture in pictures], ties)

@@ -8,7 +8,7 @@ Two strips of 100 km, five lines of the camera each; orientation is unknown at n
 
 from mgsgraph import SolverSettings, adjust_network
 from mgsgraph.analysis.flight import strip_reports
-from mgsgraph.figures.orientation import orientation_sheets
+from mgsgraph.results.figures.orientation import orientation_sheets
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 
 block = simulate_hrsc_block(BlockSettings(strips=2, length=100e3, points=300, terrain=None), seed=1)

@@ -19,7 +19,7 @@ print(*sorted(path.name for path in folder.iterdir()))
 
 # %%
 # Read the case and adjust it. What is printed says first whether it converged, then how well everything fits.
-from mgsgraph.reports.summary import statements, summary_table
+from mgsgraph.results.summary import statements, summary_table
 
 case = mgsgraph.read_case(case_file)
 solution = mgsgraph.adjust(case)
@@ -31,13 +31,13 @@ print(*statements(solution), sep="\n")
 
 # %%
 # Where everything lies: outlines, tie points by their sigma, laser points. Look for holes.
-from mgsgraph.figures.ground_map import map_sheet
+from mgsgraph.results.figures.ground_map import map_sheet
 
 ground_map = map_sheet(solution)
 
 # %%
 # What is left of every measure. A pattern would mean that the model lacks something.
-from mgsgraph.figures.residuals import residual_sheets
+from mgsgraph.results.figures.residuals import residual_sheets
 
 residuals = list(residual_sheets(solution))
 

@@ -25,7 +25,7 @@ print(solution)
 # What may be a blunder: w-tests and minimal detectable errors of every measure, the most suspicious first.
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.suspects import suspects
-from mgsgraph.reports.reliability import reliability_text
+from mgsgraph.results.reliability import reliability_text
 
 found = reliability(linearised)
 print(reliability_text(found, suspects(found, 3)))
@@ -39,7 +39,7 @@ print(components_of(linearised))
 # %%
 # The same as a picture: on the line the sigmas are honest, steeper they are too small.
 from mgsgraph.analysis.residual_tests import residual_statistics
-from mgsgraph.figures.quantiles import quantile_sheet
+from mgsgraph.results.figures.quantiles import quantile_sheet
 
 quantiles = quantile_sheet(residual_statistics(solution), solution.name)
 

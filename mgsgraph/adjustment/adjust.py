@@ -11,12 +11,12 @@ from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import Sweeper
+from mgsgraph.adjustment.multistart import best_of_starts, starts_wanted
 from mgsgraph.adjustment.nominal import nominal_reduction, nominal_state
-from mgsgraph.adjustment.reading_off import Clock, read_off
+from mgsgraph.adjustment.results import Clock, read_off
 from mgsgraph.adjustment.rounds import Progress, Selection, Solved, determined_points, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.starts import best_of_starts, starts_wanted
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass

@@ -17,7 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import Unsolvable
 from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 State = TypeVar("State")
 Step = TypeVar("Step")

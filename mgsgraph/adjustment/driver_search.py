@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.adjustment.drivers import Contributions, Drivers, Kind, Quantity
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.parallel import nearly_parallel
-from mgsgraph.adjustment.outstanding import FEWEST, LEAST, contributions, covered, outstanding
+from mgsgraph.adjustment.outliers import FEWEST, LEAST, contributions, covered, outstanding
 from mgsgraph.adjustment.residuals import Residuals, residuals
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.squares import squares_of

@@ -4,7 +4,7 @@ import math
 
 from mgsgraph.adjustment.drivers import Contributions, Drivers, Kind, Quantity
 from mgsgraph.network import Network
-from mgsgraph.wording import many
+from mgsgraph.text import many
 
 _FIRST = (Quantity.COST, Quantity.LOST, Quantity.BLOCKING)
 """Quantities that are spoken of wherever something stands out; the others only where nothing does in these."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 LISTED = 100
 """Images, and points, that are listed of each quantity."""

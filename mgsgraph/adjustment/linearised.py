@@ -10,6 +10,7 @@ from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, poin
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.reduction import design
@@ -17,7 +18,6 @@ from mgsgraph.kernel.rows import OUT, Rows, of_points
 from mgsgraph.kernel.sweep import ROW_NUMBERS
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
-from mgsgraph.ties import PointKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,7 @@ from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.sweep import COSTS
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 DRAWS = 32
 """States drawn: the ratio then has a sigma of 0.02 where it is near one."""

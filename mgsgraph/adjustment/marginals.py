@@ -25,7 +25,7 @@ from mgsgraph.adjustment.square_root import SquareRoot, begins, eliminate
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _PIECE = 1 << 18
 """Numbers copied at a time, which bounds the index arrays."""

@@ -29,7 +29,7 @@ from mgsgraph.adjustment.squares import squares_of
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, Model, Rows
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 ABSURD = 10.0
 """sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""

@@ -8,11 +8,11 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt
+from mgsgraph.adjustment.final_steps import minimum, settled_minimum
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph
 from mgsgraph.adjustment.graph.bundle import Solving, shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.settling import minimum, settled_minimum
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.geometry.records import Array

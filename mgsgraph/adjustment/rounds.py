@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome
-from mgsgraph.adjustment.behind import behind_camera
+from mgsgraph.adjustment.behind_camera import behind_camera
 from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.driver_search import drivers_of
 from mgsgraph.adjustment.driver_words import driver_sentences
@@ -23,12 +23,12 @@ from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import SolverError, Unsolvable
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
-from mgsgraph.ties import PointKind
 
 Progress = Callable[[Iteration], None]
 

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Angles as Angles
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 Form = Literal["bundle", "explicit"]
 Line = Literal["predicted", "measured"]
@@ -51,7 +51,7 @@ class SolverSettings(Record):
     """Blunder limit: a good observation is beyond it as rarely as a normal error is beyond so many standard deviations,
     either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`); 0 seeks none."""
     starts: int | None = None
-    """Starts over a terrain model's unknown shift, where the cost may have several minima (`adjustment.starts`); None:
+    """Starts over a terrain model's unknown shift, where the cost may have several minima (`multistart`); None:
     16 of networks up to 5,000 points and 1,000 unknowns that points share, by least squares in the bundle form. None on
     a cluster, nor where a beginning is given."""
     max_iterations: int = 500

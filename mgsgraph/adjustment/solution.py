@@ -3,19 +3,18 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.drivers import Drivers
+from mgsgraph.adjustment.implausible import Strained, strained_orientations
 from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.starts import Minima
-from mgsgraph.adjustment.strained import Strained, strained_orientations
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
@@ -25,12 +24,10 @@ from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import Design, adjusted_image, correction_parts, design, whole_correction
-from mgsgraph.notebook import Record, card
+from mgsgraph.record import Record, card
 
 if TYPE_CHECKING:
-    from geopandas import GeoDataFrame
-    from pandas import DataFrame
-    from xarray import Dataset
+    pass
 
 _TOGETHER = 1024
 """Images whose orientation is put together at a time: 31 lines of each take some 60 MB."""
@@ -237,57 +234,12 @@ class Solution(Record):
         """Determined points of one class."""
         return np.flatnonzero((self.network.points.classes == point_class) & self.determined)
 
-    # for other libraries; the tables stand above this room, so they are asked for by name
+    if not TYPE_CHECKING:
 
-    def to_pandas(self, what: str = "points") -> "DataFrame":
-        """One of the tables as a DataFrame of pandas (extra ``[tables]``): rows and columns as in the CSV files.
-
-        Parameters
-        ----------
-        what : str
-            points, residuals, orientation, footprints, error_ellipses, connectivity, shared or passes. Units are in
-            the names of the columns; what is not known is NaN.
-
-        Raises
-        ------
-        InputError
-            If there is no such table, or pandas is not installed.
-        """
-        return _frames().to_pandas(self, what)
-
-    def to_geopandas(self, what: str = "points") -> "GeoDataFrame":
-        """The same as a GeoDataFrame of GeoPandas, with shapes in planetocentric degrees, -180 .. 180, on the body.
-
-        Parameters
-        ----------
-        what : str
-            points, residuals (at their points), footprints or error_ellipses (95 %, for sigma0 = 1).
-
-        Raises
-        ------
-        InputError
-            If there is no such table, or GeoPandas is not installed.
-        """
-        return _frames().to_geopandas(self, what)
-
-    def to_xarray(self, places: int = 31) -> "Dataset":
-        """Exterior orientation of all images, before and after, with sigmas, as a Dataset of xarray (extra
-        ``[tables]``).
-
-        Variables are the fields of `OrientationProfile` with dimensions (image, place) and, of vectors, their axis or
-        angle; each says its unit (SI) and its meaning.
-
-        Parameters
-        ----------
-        places : int
-            Lines of each image, evenly spaced from its first to its last.
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-        """
-        return _frames().to_xarray(self, places)
+        def __getattr__(self, name: str) -> Any:
+            """AttributeError, which names the function where a method of version 0.2 is asked for."""
+            remedy = f"; use mgsgraph.{name}(solution)" if name in ("to_pandas", "to_geopandas", "to_xarray") else ""
+            raise AttributeError(f"'Solution' object has no attribute {name!r}{remedy}")
 
     def _repr_html_(self) -> str:
         """For notebooks."""
@@ -306,10 +258,6 @@ class Solution(Record):
             f"{self.cost_final:.6g}, sigma0 {self.sigma0:.4g}, {self.fit.degrees_of_freedom} degrees of freedom; "
             f"{self.network!r})"
         )
-
-
-def _frames() -> Any:
-    return import_module("mgsgraph.export.frames")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

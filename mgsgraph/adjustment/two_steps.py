@@ -16,10 +16,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
 from mgsgraph.adjustment.cluster import Connection
+from mgsgraph.adjustment.forward_intersection import RaysAlone
 from mgsgraph.adjustment.rounds import Progress, Selection, everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.forward import RaysAlone
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import TERRAIN, Network

@@ -28,7 +28,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 LEAST = 1.0
 """Redundancy, and degrees of freedom of the estimate, below which a group can't be judged."""

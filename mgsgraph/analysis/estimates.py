@@ -16,7 +16,7 @@ from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.notebook import Record, card
+from mgsgraph.record import Record, card
 from mgsgraph.units import DEG, MRAD
 
 

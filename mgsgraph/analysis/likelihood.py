@@ -14,9 +14,9 @@ from statistics import NormalDist
 import numpy as np
 
 from mgsgraph.adjustment.batch import levenberg_marquardt
+from mgsgraph.adjustment.conditional import HeldProblem
 from mgsgraph.adjustment.datum.frames import Frames
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.held import HeldProblem
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.linearity import Linearity, linearity
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
@@ -24,8 +24,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import OUT, Rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
-from mgsgraph.notebook import Record
-from mgsgraph.wording import listed
+from mgsgraph.record import Record
+from mgsgraph.text import listed
 
 LEVELS = (0.68, 0.95, 0.99)
 """Probabilities of a profile's intervals."""

@@ -18,7 +18,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PolynomialPrior
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 Small = NDArray[np.int8]
 Indices = NDArray[np.int32]

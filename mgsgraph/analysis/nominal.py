@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
-from mgsgraph.ties import PointKind
 
 _BEYOND = 5.0
 """Expected sizes beyond which residuals are named; of 10,000 images none is by chance."""

@@ -16,9 +16,9 @@ from mgsgraph.geometry.body import east_north_up, from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import ImageRays
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
+from mgsgraph.text import some
 from mgsgraph.units import DEG
-from mgsgraph.wording import some
 
 BANDS = ("sigma east", "sigma north", "sigma up", "sigma of position")
 """What each band holds, m: the last is the root of the trace of the covariance."""

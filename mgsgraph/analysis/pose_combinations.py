@@ -8,7 +8,7 @@ from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 INSEPARABLE = 0.95
 """Correlation beyond which two things are not separable."""

@@ -37,7 +37,7 @@ from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _AXES = COMPONENTS[:3]
 _CONTRADICTION = 10.0

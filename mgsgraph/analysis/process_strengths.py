@@ -35,7 +35,7 @@ from mgsgraph.analysis.strength_likelihood import Evidence, Member
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network import Network, Process, ProcessPrior
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _MOST = 600
 """Nodes of a pass: dense matrices of its components."""

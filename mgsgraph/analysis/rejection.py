@@ -13,12 +13,12 @@ from mgsgraph.adjustment.rounds import Selection, everything
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.suspects import PointIndex
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Mask
 from mgsgraph.kernel.rows import GROUND, OUT, STEREO, SURFACE
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
-from mgsgraph.notebook import Record
-from mgsgraph.ties import PointKind
+from mgsgraph.record import Record
 
 ObservationKey = tuple[MeasureKind, int]
 """A whole ray, range, a-priori place or height, and its row in the network (of places and heights, the point)."""

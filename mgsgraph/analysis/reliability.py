@@ -34,7 +34,7 @@ from mgsgraph.analysis.measures import (
 from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _RAYS = 1 << 18
 """Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""

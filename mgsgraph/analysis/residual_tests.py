@@ -20,8 +20,8 @@ from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability
-from mgsgraph.notebook import Record
-from mgsgraph.wording import root_mean_square
+from mgsgraph.record import Record
+from mgsgraph.text import root_mean_square
 
 ALPHA = 0.05
 """Probability of a false alarm of the tests."""

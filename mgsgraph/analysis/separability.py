@@ -18,7 +18,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedKind, SharedUnknown
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import MRAD
 
 LIMIT = 0.95

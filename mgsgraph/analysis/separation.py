@@ -21,7 +21,7 @@ from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 INSEPARABLE = 0.95
 """Correlation from which two unknowns count as not separable."""

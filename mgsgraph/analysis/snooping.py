@@ -33,7 +33,7 @@ from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _MOST_CANDIDATES = 2000
 """Points that are compared at a time."""

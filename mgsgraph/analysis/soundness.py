@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.implausible import Strained
 from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.strained import Strained
 from mgsgraph.analysis.statistics import ray_statistics, rejected_points
 from mgsgraph.network import PointClass
 

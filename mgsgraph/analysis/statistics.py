@@ -10,12 +10,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profiles
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
-from mgsgraph.ties import PointKind
-from mgsgraph.wording import root_mean_square
+from mgsgraph.text import root_mean_square
 
 CLASSES = len(PointClass)
 PLACES = 31

@@ -16,10 +16,10 @@ from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.analysis.flight import overhead, point_sigmas, pose_sigmas
 from mgsgraph.analysis.statistics import mean_and_rms
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
-from mgsgraph.ties import PointKind
 
 STAGES = ("before", "step_1", "step_2")
 """Nominal orientation and a-priori sigmas; adjusted without terrain; adjusted with it."""
@@ -108,7 +108,8 @@ def ratio(before: Array, after: Array) -> Array:
 def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     """Statistics of both steps.
 
-    A-priori sigmas of points are those of forward intersection (`analysis.forward`), of the rays that step 1 left in.
+    A-priori sigmas of points are those of forward intersection (`adjustment.forward_intersection`), of the rays that
+    step 1 left in.
     """
     network = steps.network
     before, covariances = steps.rays_alone.nominal()

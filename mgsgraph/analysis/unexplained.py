@@ -26,7 +26,7 @@ from mgsgraph.analysis.systematic import EffectKind, Hypothesis, families
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import MRAD
 
 LEVEL = 0.01

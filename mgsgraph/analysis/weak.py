@@ -29,7 +29,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import (
     AltimeterShots,
     AltimetryCloud,
@@ -33,6 +34,7 @@ from mgsgraph.network import (
     SharedUnknown,
     Surface,
 )
+from mgsgraph.network.footprints import Registration, footprints_in_images, points_in_images
 from mgsgraph.network.observations import (
     nominal_ground,
     require_inside,
@@ -40,11 +42,9 @@ from mgsgraph.network.observations import (
     require_ranges,
     require_ranges_of,
 )
+from mgsgraph.network.range_images import Members, carriers, shots_carried
 from mgsgraph.network.shared import off_nadir
 from mgsgraph.network.terrain_control import coverage, terrain_ground
-from mgsgraph.registration.carriers import Members, carriers, shots_carried
-from mgsgraph.registration.footprints import Registration, footprints_in_images, points_in_images
-from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG, MRAD
 
 _BEAM_SIGMA = 0.25

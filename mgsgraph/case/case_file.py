@@ -9,10 +9,10 @@ import msgspec
 from mgsgraph.case.laser import of_today
 from mgsgraph.case.schema import CaseInput, ImageInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
-from mgsgraph.io.files import read_text
-from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
-from mgsgraph.io.kinds import Kind, kind_of, listed_names
+from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
+from mgsgraph.files.kinds import Kind, kind_of, listed_names
+from mgsgraph.files.labels.image_kinds import ImageKind, image_kind, image_name
+from mgsgraph.files.opening import read_text
 
 _MOLA = re.compile(r"^(\s*\[\[\s*)mola(\s*\]\])", re.MULTILINE)
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")

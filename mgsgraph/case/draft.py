@@ -7,21 +7,21 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from mgsgraph.aside import made_beside
+from mgsgraph.atomic_write import made_beside
 from mgsgraph.case.case_file import decode, stated
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
 from mgsgraph.case.draft_rigs import rigs_in_comments
 from mgsgraph.case.draft_tables import Part, draft_tables, in_line, place, quoted, said
 from mgsgraph.case.reading import case_of
-from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError, Unmeasured, require
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.kinds import Kind, kind_of, listed_files
+from mgsgraph.files.networks.table import read_tie_points
+from mgsgraph.files.opening import head_of
+from mgsgraph.files.writing import Output, fresh_file, require_free, writing_to
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.io.files import head_of
-from mgsgraph.io.kinds import Kind, kind_of, listed_files
-from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.writing import Output, fresh_file, require_free, writing_to
-from mgsgraph.wording import many, some
+from mgsgraph.text import many, some
 
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""

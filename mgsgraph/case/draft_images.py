@@ -12,12 +12,12 @@ from mgsgraph.case.case_file import plain_image
 from mgsgraph.case.images import read_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.kinds import IMAGES, Kind
+from mgsgraph.files.labels.image_kinds import image_kind, image_name
 from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.duplicate_images import twins
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.twins import twins
-from mgsgraph.io.cameras.label import read_line_scan_label
-from mgsgraph.io.image_kinds import image_kind, image_name
-from mgsgraph.io.kinds import IMAGES, Kind
 from mgsgraph.units import KM
 
 _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind.MAPPED_CUBE, Kind.PDS3,

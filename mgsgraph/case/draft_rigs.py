@@ -14,7 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings, seconds
-from mgsgraph.wording import some
+from mgsgraph.text import some
 
 _WHY = """
 # {names}: lines at the same times and places, so one trajectory.

@@ -11,28 +11,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.draft_images import DraftImage, without_place
 from mgsgraph.case.laser import AltimetryInput
 from mgsgraph.case.reading import read_altimetry
 from mgsgraph.case.schema import TerrainInput
-from mgsgraph.case.terrain import read_terrain_model
-from mgsgraph.control.asp.gcp import read_ground_control
-from mgsgraph.control.table import read_tie_points
+from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution, read_terrain_model
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.grids import SIGMAS, Terrain
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.kinds import Kind
+from mgsgraph.files.networks.asp_gcp import read_ground_control
+from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.kinds import Kind
-from mgsgraph.io.lidar import read_lidar
 
 _ALTIMETRY = "[[altimetry]]"
 _RELIEF = "control by relief for `mgsgraph coregister`"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 _SAME_SHOT = 1e-3
 """s between the times of one shot in two files."""
-_MEGDR_STEPS: dict[str, Terrain] = {"c": "4", "e": "16", "h": "128"}
+_MEGDR_STEPS: dict[str, MegdrResolution] = {"c": "4", "e": "16", "h": "128"}
 """Pixels per degree of MEGDR's grids, by the letter in their names."""
 
 
@@ -190,7 +189,8 @@ def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -
             text += said(f"reference_radius_m = {level}", "above which its heights are: is it?") if level else ""
         elif heights and heights[0].name[4:].lower() == path.name[4:].lower():
             text += said(f"topography = {place(heights[0], out)}", "radius minus topography is the areoid")
-        grid = SIGMAS.get(_MEGDR_STEPS.get(path.name[10:11].lower(), "none")) if kinds[path] is Kind.RADII else None
+        resolution = _MEGDR_STEPS.get(path.name[10:11].lower(), "none")
+        grid = MEGDR_SIGMAS.get(resolution) if kinds[path] is Kind.RADII else None
         text += said(f"vertical_sigma_m = {grid or 10.0}", "of its heights" + (" between its posts" if grid else ""))
         text += said("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
         entry = TerrainInput(radius=str(path.absolute()), reference_radius_m=level)

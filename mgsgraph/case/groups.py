@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.opening import understood
+from mgsgraph.files.output.folders import MATCH
+from mgsgraph.files.records import read_record
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.common_errors import overlap_variances
 from mgsgraph.geometry.records import Index, chosen_rows, concatenated
-from mgsgraph.io.files import understood
-from mgsgraph.io.records import read_record
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.output.folders import MATCH
-from mgsgraph.ties import PointKind, TiePoints
-from mgsgraph.wording import many, some
+from mgsgraph.text import many, some
 
 _SAME_PLACE = 1e-3
 """m, within which two a-priori places of one known point are the same."""

@@ -11,13 +11,13 @@ from mgsgraph.case.passes import table_names
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceInput
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError
+from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.labels.image_label import instrument_of
+from mgsgraph.files.support_data.isd import read_isd
+from mgsgraph.geometry.duplicate_images import require_distinct
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import require_plausible
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
-from mgsgraph.geometry.twins import require_distinct
-from mgsgraph.io.aberration import Aberration
-from mgsgraph.io.image_label import instrument_of
-from mgsgraph.io.isd import read_isd
 
 
 def read_images(
@@ -93,7 +93,7 @@ def _together(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, P
 
 
 def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
-    from mgsgraph.io.labelled_image import read_strip, with_focal_length
+    from mgsgraph.files.labels.labelled_image import read_strip, with_focal_length
 
     folder, first = path.parent, entries[0]
     images = read_strip(
@@ -136,16 +136,18 @@ def _plausible(image: PushbroomImage, entry: ImageInput, folder: Path) -> Pushbr
 def _read(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
     stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
     if entry.cube is not None:
-        from mgsgraph.io.isis_cube import read_isis_cube
+        from mgsgraph.files.labels.isis_cube import read_isis_cube
 
         return read_isis_cube(folder / entry.cube, entry.name, stated)
     if entry.isd is not None:
         return read_isd(folder / entry.isd, entry.name, stated)
     if entry.state is not None:
-        from mgsgraph.io.model_state import read_model_state
+        from mgsgraph.files.support_data.model_state import read_model_state
 
         return read_model_state(folder / entry.state, entry.name)
-    from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load: those who need it wait
+    from mgsgraph.files.labels.labelled_image import (
+        read_labelled_image,  # SPICE takes its time to load: those who need it wait
+    )
 
     assert entry.label is not None
     return read_labelled_image(

@@ -8,8 +8,8 @@ import numpy as np
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Process
+from mgsgraph.text import listed
 from mgsgraph.units import MGON, MRAD
-from mgsgraph.wording import listed
 
 Kind = Literal["gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter", "white"]
 """Gaussian processes (`network.processes`)."""

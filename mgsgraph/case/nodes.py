@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.case.numbers import Positive
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.time_scales import tdb_of_utc
 from mgsgraph.network.joining import seconds, straightest
-from mgsgraph.wording import listed
+from mgsgraph.text import listed
 
 SPACING = 10.0
 """s between nodes where nothing is said: 40 km on the ground for Mars Express."""

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from mgsgraph.altimetry.time_scales import utc_of_tdb
 from mgsgraph.case.motion import (
     AttitudeInput,
     Motion,
@@ -25,6 +24,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.network import Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings, seconds

@@ -12,7 +12,6 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
@@ -23,22 +22,23 @@ from mgsgraph.case.mountings import mounted, mounting_unknowns
 from mgsgraph.case.passes import members, passes_of
 from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
-from mgsgraph.control.asp.gcp import read_ground_control
-from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError, Unmeasured, errors_from
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.labels.image_label import instrument_of
+from mgsgraph.files.networks.asp_gcp import read_ground_control
+from mgsgraph.files.networks.table import read_tie_points
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
 from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.io.image_label import instrument_of
-from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
-from mgsgraph.notebook import Record
-from mgsgraph.registration.carriers import Members
-from mgsgraph.ties import TiePoints
+from mgsgraph.network.range_images import Members
+from mgsgraph.record import Record
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.batch import Iteration
@@ -291,7 +291,7 @@ def picture_of(entry: ImageInput, folder: Path) -> Path | None:
     if entry.pixels is not None:
         return folder / entry.pixels
     if entry.cube is not None:
-        from mgsgraph.io.isis_cube import has_pixels
+        from mgsgraph.files.labels.isis_cube import has_pixels
 
         return folder / entry.cube if has_pixels(folder / entry.cube) else None
     if entry.label is None or not instrument_of(folder / entry.label).startswith("MOC"):
@@ -340,7 +340,7 @@ def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
 
 def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
     """Ground returns of all profiles of a file as a case states it, in the images or not."""
-    from mgsgraph.altimetry.cloud import read_altimetry_cloud
+    from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
 
     path = folder / entry.file
     cloud = read_altimetry_cloud(path, body, entry.version)

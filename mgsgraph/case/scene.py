@@ -13,13 +13,13 @@ from mgsgraph.case.reading import picture_of, read_profile, terrain_shots
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.pictures import read_picture
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 
 _ABOUT_MODEL = 100.0

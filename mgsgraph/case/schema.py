@@ -13,14 +13,14 @@ from mgsgraph.case.numbers import Factor, Positive, Sigma
 from mgsgraph.case.passes import PassInput
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.aberration import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
+from mgsgraph.text import listed
 from mgsgraph.units import MRAD
-from mgsgraph.wording import listed
 
 _DEFAULTS = SolverSettings()
 

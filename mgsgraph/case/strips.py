@@ -12,8 +12,8 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import NodePrior
+from mgsgraph.text import listed
 from mgsgraph.units import MGON, MRAD
-from mgsgraph.wording import listed
 
 _SIZES = (1e-4, 1e9)
 """Sigmas that mean something."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,13 @@ from mgsgraph.network.terrain_control import box_of, in_degrees
 from mgsgraph.units import DEG, KM
 
 if TYPE_CHECKING:
-    from mgsgraph.io.terrain_file import TerrainRaster
+    from mgsgraph.files.rasters.terrain_file import TerrainRaster
 
+MegdrResolution = Literal["4", "16", "128", "none"]
+"""Pixels per degree of MOLA's gridded records."""
+MEGDR_SIGMAS: dict[MegdrResolution, float] = {"4": 150.0, "16": 60.0, "128": 20.0}
+"""m: how far MOLA's shots lie off the surface between posts, rms in four boxes of one degree: at 4 px/deg 14 .. 390 m,
+at 16 px/deg 10 .. 125 m, at 64 px/deg 5 .. 34 m, the least on a plain, the most in a crater (docs/fetch.md)."""
 _EDGES = 65
 """Lines of each image at whose edges and middle its ground is taken."""
 _MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoid": "mega", "counts": "megc"}
@@ -130,8 +135,8 @@ class _Files(NamedTuple):
         return mosaic(grids)
 
     def _one(self, path: Path, kind: TerrainKind, areoid: TerrainGrid | None) -> "TerrainGrid | TerrainRaster | None":
-        from mgsgraph.io.megdr import read_megdr
-        from mgsgraph.io.terrain_file import read_terrain
+        from mgsgraph.files.rasters.megdr import read_megdr
+        from mgsgraph.files.rasters.terrain_file import read_terrain
 
         entry, sigmas = self.entry, (self.entry.vertical_sigma_m, self.entry.planimetric_sigma_m)
         if path.suffix.lower() in (".img", ".lbl"):

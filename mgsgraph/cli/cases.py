@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster import Connection
     from mgsgraph.adjustment.settings import SolverSettings
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.campaign import Overrides
     from mgsgraph.case.reading import Case
+    from mgsgraph.project.campaign import Overrides
     from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 
 
@@ -45,7 +45,7 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import word_of_compiling
     from mgsgraph.errors import Unmeasured
-    from mgsgraph.reports.inventory import images_inventory, inventory
+    from mgsgraph.results.inventory import images_inventory, inventory
 
     with word_of_compiling():
         said = images_inventory(case) if ties is None else None
@@ -94,8 +94,8 @@ def adjust(
     from mgsgraph.analysis.soundness import is_result
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import iteration_bar
-    from mgsgraph.output.folders import require_replaceable
-    from mgsgraph.reports.results import write_results
+    from mgsgraph.files.output.folders import require_replaceable
+    from mgsgraph.results.results import write_results
 
     if overrides.tables is not None and (relief or two_steps):
         raise click.UsageError("--tables goes with neither --two-steps nor --relief")
@@ -147,8 +147,8 @@ def _in_two_steps(
     from mgsgraph.analysis.soundness import is_result
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
     from mgsgraph.cli.progress import iteration_bar, stage_bar
-    from mgsgraph.reports.results import write_results
-    from mgsgraph.reports.two_steps import two_steps_page, write_two_steps
+    from mgsgraph.results.results import write_results
+    from mgsgraph.results.two_steps import two_steps_page, write_two_steps
 
     require_terrain(read.network, str(read.path))
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
@@ -202,9 +202,9 @@ def campaign(
     what is new, what has changed and what was interrupted, and leaves the rest. Exit status: 0 all done, 1 some failed
     or did not converge, 2 bad input.
     """
-    from mgsgraph.campaign import run_campaign
-    from mgsgraph.campaign.run import summary
     from mgsgraph.cli.progress import CaseBar
+    from mgsgraph.project.campaign import run_campaign
+    from mgsgraph.project.campaign.run import summary
 
     bar = CaseBar(verbose)
     try:
@@ -243,12 +243,12 @@ def nodes(
 
     Exit status: 0, whatever is found; 2 bad input.
     """
+    from mgsgraph.analysis.spacing.study import study_nodes
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
-    from mgsgraph.output.folders import NODES, require_replaceable
-    from mgsgraph.reports.analysis import require_used
-    from mgsgraph.reports.spacing import node_statements, seconds_of, spacing_table, write_nodes
-    from mgsgraph.spacing.study import study_nodes
+    from mgsgraph.files.output.folders import NODES, require_replaceable
+    from mgsgraph.results.analysis import require_used
+    from mgsgraph.results.spacing import node_statements, seconds_of, spacing_table, write_nodes
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     wanted = seconds_of(spacings)
@@ -280,10 +280,10 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     contradict each other about each footprint) and figures with numbered footprints.
     """
     from mgsgraph.case.reading import read_case
-    from mgsgraph.output.folders import REGISTRATION, require_replaceable
+    from mgsgraph.files.output.folders import REGISTRATION, require_replaceable
     from mgsgraph.registration.case import register_case, registration_statements
-    from mgsgraph.registration.tables import write_registration
-    from mgsgraph.reports.archive import read_solution
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.registration import write_registration
 
     require_replaceable(out, REGISTRATION)
     adjusted = None if solution is None else read_solution(solution)
@@ -333,11 +333,11 @@ def coregister(
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
     from mgsgraph.case.reading import read_case
-    from mgsgraph.output.folders import require_replaceable
+    from mgsgraph.files.output.folders import require_replaceable
     from mgsgraph.project.connection import FILE
     from mgsgraph.registration.relief_records import ReliefSettings
-    from mgsgraph.reports.archive import read_solution
-    from mgsgraph.reports.results import case_of
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.results import case_of
 
     chosen = footprint, reach, spacing, image_pair(pair)
     settings = ReliefSettings(*chosen, "spline" if no_cells else "cells", not no_crossovers)
@@ -367,7 +367,7 @@ def _coregistered(
     """Register a case by relief, write and print what came out; whether it converged."""
     from mgsgraph.cli.progress import counting_bars
     from mgsgraph.registration.relief import register_by_relief
-    from mgsgraph.registration.relief_files import write_coregistration
+    from mgsgraph.results.relief import write_coregistration
 
     with counting_bars() as show:
         registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
@@ -390,7 +390,7 @@ def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int
 def _print_registration(registration: "ReliefRegistration", out: Path) -> bool:
     """Print what a registration by relief has found; whether it converged."""
     from mgsgraph.analysis.soundness import is_result
-    from mgsgraph.registration.relief_files import profiles_table, relief_statements
+    from mgsgraph.results.relief import profiles_table, relief_statements
 
     click.echo("\n".join(profiles_table(registration).text()))
     print_sentences(relief_statements(registration))

@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 
 from mgsgraph.cli.options import PATH, print_sentences
-from mgsgraph.control.record import Duplicates
 from mgsgraph.export import Format, Target
+from mgsgraph.files.networks.record import Duplicates
 
 _FORMATS = click.Choice([one.value for one in Format])
 
@@ -178,10 +178,10 @@ def _write_page(
 ) -> None:  # fmt: skip
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
-    from mgsgraph.reports.archive import read_solution
-    from mgsgraph.review.page import require_page, write_review
-    from mgsgraph.review.selection import WORST, review_case
-    from mgsgraph.review.verdicts import read_verdicts, reviewed_network
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.studio.review.page import require_page, write_review
+    from mgsgraph.studio.review.selection import WORST, review_case
+    from mgsgraph.studio.review.verdicts import read_verdicts, reviewed_network
 
     require_page(out)
     if ties is None:
@@ -198,9 +198,9 @@ def _write_page(
 
 
 def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> None:
-    from mgsgraph.control.table import is_table
     from mgsgraph.export.exchange_setting import case_setting
-    from mgsgraph.review.verdicts import read_verdicts, reviewed_network, write_kept
+    from mgsgraph.files.networks.table import is_table
+    from mgsgraph.studio.review.verdicts import read_verdicts, reviewed_network, write_kept
 
     network = reviewed_network(case) if ties is None else ties
     setting = case_setting(case) if is_table(network) else None

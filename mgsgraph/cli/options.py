@@ -10,7 +10,7 @@ import click
 if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Device, Form, Loss
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.reports.large_tables import TableForm
+    from mgsgraph.results.large_tables import TableForm
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
@@ -64,7 +64,7 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
         device: "Device | None",
         **others: Any,
     ) -> None:
-        from mgsgraph.campaign import Overrides
+        from mgsgraph.project.campaign import Overrides
 
         verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts, tables, device), **others)
 
@@ -95,7 +95,7 @@ def print_form_of_tables(files: Iterable[str], asked: "TableForm | None") -> Non
 
 def print_solution(solution: "Solution") -> None:
     """Print what an adjustment has found: the table and the sentences."""
-    from mgsgraph.reports.summary import statements, summary_table
+    from mgsgraph.results.summary import statements, summary_table
 
     click.echo(summary_table(solution))
     print_sentences(statements(solution))

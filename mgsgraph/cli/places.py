@@ -9,7 +9,7 @@ import click
 from mgsgraph.cli.options import PATH
 
 if TYPE_CHECKING:
-    from mgsgraph.io.place_table import Sort
+    from mgsgraph.files.place_table import Sort
 
 
 @click.command()
@@ -52,10 +52,10 @@ def project(
     import numpy as np
 
     from mgsgraph.errors import InputError
-    from mgsgraph.io.place_table import PlaceTable, read_places
-    from mgsgraph.io.writing import fresh_file, require_free
+    from mgsgraph.files.place_table import PlaceTable, read_places
+    from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.project.views import open_view
-    from mgsgraph.reports.places import PLACES, Surface, places_text, project_places
+    from mgsgraph.results.places import PLACES, Surface, places_text, project_places
 
     if sum(map(bool, (points, pixels, places))) != 1:
         raise click.UsageError("one of --points CSV, --pixel LINE SAMPLE, --place LONGITUDE LATITUDE")

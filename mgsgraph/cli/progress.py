@@ -10,11 +10,11 @@ import click
 from tqdm import tqdm
 
 from mgsgraph.compiled import is_compiling
-from mgsgraph.stages import Stages
+from mgsgraph.progress import Stages
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.batch import Iteration
-    from mgsgraph.campaign import CampaignEntry
+    from mgsgraph.project.campaign import CampaignEntry
 
 _EXPLAIN_AFTER = 4.0
 """s of compiling after which it is said."""
@@ -149,7 +149,7 @@ class CaseBar:
 
     def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
         """Show that a case is over."""
-        from mgsgraph.campaign.run import line
+        from mgsgraph.project.campaign.run import line
 
         self._over, self._due = over, due
         if self._bar is None:

@@ -17,12 +17,12 @@ from mgsgraph.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from mgsgraph.adjustment.incremental.closing_check import Closing
+    from mgsgraph.adjustment.incremental.impact import Impact
     from mgsgraph.adjustment.settings import Device
-    from mgsgraph.incremental.closing import Closing
-    from mgsgraph.incremental.impact import Impact
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited
-    from mgsgraph.reports.large_tables import TableForm
+    from mgsgraph.results.large_tables import TableForm
 
 
 @click.command()
@@ -97,7 +97,7 @@ def add(
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     if table is not None:
-        from mgsgraph.reports.impact import require_writable
+        from mgsgraph.results.impact import require_writable
 
         require_writable(table, project)
     wanted = [parse_image(text) for text in images]
@@ -133,7 +133,7 @@ def add(
 
 
 def _words(addition: "Addition") -> str:
-    from mgsgraph.wording import many
+    from mgsgraph.text import many
 
     network = addition.network
     rays, ranges = (0, 0) if network is None else (network.rays.point.size, network.ranges.point.size)
@@ -163,7 +163,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     from mgsgraph.project.changes import check as compare
     from mgsgraph.project.changes import remove as take_out
     from mgsgraph.project.project import open_project
-    from mgsgraph.reports.impact import require_writable
+    from mgsgraph.results.impact import require_writable
 
     if table is not None:
         require_writable(table, project)
@@ -212,7 +212,7 @@ def measure(
     from mgsgraph.project import edits
     from mgsgraph.project.journal import Measure
     from mgsgraph.project.project import open_project
-    from mgsgraph.reports.impact import require_writable
+    from mgsgraph.results.impact import require_writable
 
     if not (pixels or rejected or accepted or gone):
         raise click.UsageError("one of --pixel, --reject, --accept and --remove")
@@ -251,7 +251,7 @@ def undo(ctx: click.Context, project: Path, change: int | None, table: Path | No
     """
     from mgsgraph.project.edits import undo as take_back
     from mgsgraph.project.project import open_project
-    from mgsgraph.reports.impact import require_writable
+    from mgsgraph.results.impact import require_writable
 
     if table is not None:
         require_writable(table, project)
@@ -325,7 +325,7 @@ def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None
     print_sentences(impact.sentences)
     click.echo("\n".join(impact.tables_text()))
     if table is not None:
-        from mgsgraph.reports.impact import write_impact
+        from mgsgraph.results.impact import write_impact
 
         write_impact(impact, table)
         click.echo(f"All points that moved are in {table}")

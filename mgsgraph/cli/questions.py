@@ -93,10 +93,10 @@ def analyze(
     """
     from mgsgraph.analysis.measures import Levels
     from mgsgraph.analysis.posterior import Pixel
-    from mgsgraph.output.folders import ANALYSIS, require_replaceable
+    from mgsgraph.files.output.folders import ANALYSIS, require_replaceable
     from mgsgraph.project.reading import read_posterior
-    from mgsgraph.reports.analysis import Wanted, analysed, require_used, write_analysis
-    from mgsgraph.reports.answers import Questions
+    from mgsgraph.results.analysis import Wanted, analysed, require_used, write_analysis
+    from mgsgraph.results.answers import Questions
 
     if out is not None:
         require_replaceable(out, ANALYSIS)
@@ -158,12 +158,12 @@ def plan(
 
     Exit status: 0, also where nothing is worth anything; 2 bad input.
     """
-    from mgsgraph.case.candidates import read_candidates
     from mgsgraph.cli.progress import counting_bar
-    from mgsgraph.output.folders import PLAN, require_replaceable
+    from mgsgraph.files.output.folders import PLAN, require_replaceable
+    from mgsgraph.planning.candidates_file import read_candidates
     from mgsgraph.planning.plan import plan as make
     from mgsgraph.project.reading import read_state
-    from mgsgraph.reports.plan import plan_table, statements, write_plan
+    from mgsgraph.results.plan import plan_table, statements, write_plan
 
     if out is not None:
         require_replaceable(out, PLAN)
@@ -199,8 +199,8 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     """
     from mgsgraph.case.reading import read_case
     from mgsgraph.project.reading import comparison_with_truth, results_of
-    from mgsgraph.reports.archive import read_solution
-    from mgsgraph.reports.page import require_page, write_report
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.page import require_page, write_report
 
     require_page(out)
     solution, own_case, own_ties, warning = results_of(solution)
@@ -233,12 +233,12 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
 
     Exit status: 0, 2 bad input.
     """
-    from mgsgraph.output.folders import COMPARISON, require_replaceable
+    from mgsgraph.files.output.folders import COMPARISON, require_replaceable
     from mgsgraph.project.reading import results_of
-    from mgsgraph.reports.analysis import require_used
-    from mgsgraph.reports.archive import read_solution
-    from mgsgraph.reports.comparison import compare as compared
-    from mgsgraph.reports.comparison import comparison_text, write_comparison
+    from mgsgraph.results.analysis import require_used
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.comparison import compare as compared
+    from mgsgraph.results.comparison import comparison_text, write_comparison
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     if out is not None:
@@ -256,9 +256,9 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
 
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:
     """Checksums of the solutions' archives, of the case, and of every file that it names."""
-    from mgsgraph.campaign.inputs import checksums
-    from mgsgraph.io.files import sha256_of
-    from mgsgraph.reports.archive import ARCHIVE
+    from mgsgraph.files.opening import sha256_of
+    from mgsgraph.project.campaign.inputs import checksums
+    from mgsgraph.results.archive import ARCHIVE
 
     given = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]
     own = {str(path): sha256_of(path) for path in [*given, *([] if ties is None else [ties])]}

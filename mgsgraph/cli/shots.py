@@ -36,10 +36,10 @@ def shots(
 
     Exit status: 0, with shots found or none; 2 bad input, and nothing is written.
     """
-    from mgsgraph.io.writing import fresh_file, require_free
+    from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.project.oriented import oriented_images
     from mgsgraph.project.shot_search import ShotChoice, search_shots
-    from mgsgraph.registration.crossing_tables import SELECTION, crossing_sentences, crossings_table, selection_table
+    from mgsgraph.results.crossings import SELECTION, crossing_sentences, crossings_table, selection_table
 
     if out is not None:
         require_free(out, SELECTION)

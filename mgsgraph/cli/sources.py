@@ -62,10 +62,10 @@ def demo(
     from mgsgraph.case.reading import Case
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar, stage_bar
-    from mgsgraph.demo.demonstration import STAGES
-    from mgsgraph.demo.simulate import DEMONSTRATED, simulation_options
-    from mgsgraph.demo.summary import write_demo
-    from mgsgraph.output.folders import fresh_folder
+    from mgsgraph.files.output.folders import fresh_folder
+    from mgsgraph.simulation.demo.demonstration import STAGES
+    from mgsgraph.simulation.demo.simulate import DEMONSTRATED, simulation_options
+    from mgsgraph.simulation.demo.summary import write_demo
 
     def adjusting(case: Case) -> Solution:
         with iteration_bar(False, case.settings.max_iterations) as bar:
@@ -134,7 +134,7 @@ def simulate(
     vibrate (1.5 pixels), matches that err together. What can be known of them by a sigma, case.toml states.
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.demo.simulate import chosen_archive, simulation_options, strip_settings, write_simulation
+    from mgsgraph.simulation.demo.simulate import chosen_archive, simulation_options, strip_settings, write_simulation
 
     options = simulation_options(site, attitude_time_bias, not no_pictures, effects=effects)
     strip = strip_settings(site, images, ties, steps, options.world)
@@ -309,8 +309,8 @@ def _match(
     """Match the images of a case, write what was found, and say it."""
     from mgsgraph.case.scene import read_scene
     from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.matching.files import match_into, match_statements
-    from mgsgraph.output.folders import MATCH, require_replaceable
+    from mgsgraph.files.output.folders import MATCH, require_replaceable
+    from mgsgraph.results.matching import match_into, match_statements
 
     require_replaceable(out, MATCH)
     name, scene = read_scene(case, height, height_sigma)
@@ -351,10 +351,9 @@ def dem(
     from typing import cast
 
     from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.dem.files import dem_statements
-    from mgsgraph.dem.model import DemSettings, Heights
-    from mgsgraph.dem.production import make_dem
     from mgsgraph.project.reading import read_posterior, results_of
+    from mgsgraph.registration.dem.model import DemSettings, Heights
+    from mgsgraph.results.terrain_model import dem_statements, make_dem
 
     settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, image_pair(pair), mola)
     _, posterior, warning = read_posterior(solution)

@@ -1,6 +1,6 @@
 """For the Ames Stereo Pipeline: matches, ground control points, lists of files, and the commands that take them.
 
-Cameras come from the export to CSM. Rejected measures are left out. Formats: `control.asp`; options: StereoPipeline,
+Cameras come from the export to CSM. Rejected measures are left out. Formats: `networks.asp`; options: StereoPipeline,
 docs, bundle_adjust and jitter_solve.
 """
 
@@ -11,13 +11,13 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.control.asp.gcp import ground_control_text
-from mgsgraph.control.asp.match import match_files
-from mgsgraph.control.record import ControlNetwork, ControlPoint, PointType
 from mgsgraph.errors import InputError
 from mgsgraph.export.csm import STATE, file_stems
 from mgsgraph.export.isis import adjusted_network
-from mgsgraph.io.writing import write_files
+from mgsgraph.files.networks.asp_gcp import ground_control_text
+from mgsgraph.files.networks.asp_match import match_files
+from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, PointType
+from mgsgraph.files.writing import write_files
 from mgsgraph.units import KM
 
 PREFIX, CONTROL, ADJUSTED = "matches/run", "control.gcp", "adjusted.gcp"

@@ -24,12 +24,12 @@ from mgsgraph.export.bundle_orientation import (
     orientation_polynomials,
 )
 from mgsgraph.export.bundle_text import Tables, bundle_text
+from mgsgraph.files.output.csv_json import picked, quoted
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.writing import write_files
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.writing import write_files
 from mgsgraph.network import PointClass
-from mgsgraph.output.csv_json import picked, quoted
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, ISIS_OFFSET, KM, MM
 
 TEXT, IMAGES, POINTS, LIDAR, RESIDUALS = (

@@ -7,13 +7,13 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.export.bundle_orientation import PARAMETERS, OrientationPolynomials
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, PointClass, PolynomialPrior
-from mgsgraph.ties import PointKind
+from mgsgraph.text import root_mean_square
 from mgsgraph.units import DEG, KM
-from mgsgraph.wording import root_mean_square
 
 _COORDINATES = ("LATITUDE", "LONGITUDE", "RADIUS")
 _LABELS = ("  X  ", "  Y  ", "  Z  ", " RA  ", "DEC  ", "TWI  ")

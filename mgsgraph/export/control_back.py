@@ -15,7 +15,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.round_trip import MeasuredPlaces
-from mgsgraph.io.files import read_bytes
+from mgsgraph.files.opening import read_bytes
 
 Numbers = np.ndarray[Any, np.dtype[np.float64]]
 

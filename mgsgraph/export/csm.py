@@ -17,17 +17,17 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export.csm_state import model_state
 from mgsgraph.export.csm_tables import RefinedTables, Turning, body_table, refined_tables
+from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.opening import read_json
+from mgsgraph.files.support_data.isd import read_isd
+from mgsgraph.files.support_data.isd_layout import J2000, MODEL, RotationTable, StateTable, SunTable
+from mgsgraph.files.support_data.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.files.writing import file_stem, write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.aberration import Aberration
-from mgsgraph.io.files import read_json
-from mgsgraph.io.isd import read_isd
-from mgsgraph.io.isd_layout import J2000, MODEL, RotationTable, StateTable, SunTable
-from mgsgraph.io.isd_writing import rotation_table, state_table, support_fields
-from mgsgraph.io.writing import file_stem, write_files
 from mgsgraph.units import ISIS_OFFSET, MM
 
 _AROUND = 100.0
@@ -195,7 +195,7 @@ def _require_timing(image: PushbroomImage) -> None:
 def _support_data(
     image: PushbroomImage, tables: RefinedTables, body: AttitudeTable, original: dict[str, Any]
 ) -> dict[str, Any]:
-    """Support data in the layout that ALE writes and `io.isd` reads."""
+    """Support data in the layout that ALE writes and `files.support_data.isd` reads."""
     summing = int(image.interior.sample_summing)
     if summing != image.interior.sample_summing:
         where = f"image {image.name}, detector_sample_summing"

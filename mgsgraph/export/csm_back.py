@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import json_object, read_text
+from mgsgraph.files.opening import json_object, read_text
 
 if TYPE_CHECKING:
     from mgsgraph.export.round_trip import Reprojection

@@ -12,10 +12,10 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.export.csm_tables import RefinedTables, Turning
+from mgsgraph.files.support_data.optics import NUMBERS, state_optics
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.optics import NUMBERS, state_optics
 from mgsgraph.units import KM
 
 PARAMETERS = 16

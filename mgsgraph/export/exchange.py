@@ -12,30 +12,30 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.aside import resolved
-from mgsgraph.control.asp.gcp import ground_control_text, read_ground_control_network
-from mgsgraph.control.asp.match import MatchFile, joined, match_files, read_match, read_match_text
-from mgsgraph.control.asp.match_names import images_of as named_images
-from mgsgraph.control.asp.match_names import prefix_of
-from mgsgraph.control.asp.nvm import half_sizes, nvm_files, read_nvm
-from mgsgraph.control.binary import binary_network
-from mgsgraph.control.choosing import images_of, in_images, used_images
-from mgsgraph.control.network_file import read_network
-from mgsgraph.control.pvl_writing import network_text
-from mgsgraph.control.record import ControlNetwork, ControlPoint, Duplicates
-from mgsgraph.control.table import read_table
-from mgsgraph.control.table_writing import table_parquet, table_text
-from mgsgraph.control.thinning import thinned
-from mgsgraph.control.uniting import united
+from mgsgraph.atomic_write import resolved
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
-from mgsgraph.export.earlier import earlier_network
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
-from mgsgraph.io.writing import fresh_file, require_free
+from mgsgraph.export.replaceable import earlier_network
+from mgsgraph.files.networks.asp_gcp import ground_control_text, read_ground_control_network
+from mgsgraph.files.networks.asp_match import MatchFile, joined, match_files, read_match, read_match_text
+from mgsgraph.files.networks.asp_match_names import images_of as named_images
+from mgsgraph.files.networks.asp_match_names import prefix_of
+from mgsgraph.files.networks.asp_nvm import half_sizes, nvm_files, read_nvm
+from mgsgraph.files.networks.binary import binary_network
+from mgsgraph.files.networks.choosing import images_of, in_images, used_images
+from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.pvl_writing import network_text
+from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, Duplicates
+from mgsgraph.files.networks.table import read_table
+from mgsgraph.files.networks.table_writing import table_parquet, table_text
+from mgsgraph.files.networks.thinning import thinned
+from mgsgraph.files.networks.uniting import united
+from mgsgraph.files.writing import fresh_file, require_free
 from mgsgraph.network.links import groups
-from mgsgraph.notebook import Record
-from mgsgraph.wording import many, some
+from mgsgraph.record import Record
+from mgsgraph.text import many, some
 
 Paths = str | Path | Iterable[str | Path]
 """One file or several."""

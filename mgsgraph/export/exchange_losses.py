@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.control.asp.gcp import keeps_ids
-from mgsgraph.control.asp.match import one_sigma
-from mgsgraph.control.asp.match_names import stem
-from mgsgraph.control.asp.measures import PixelMeasures, measures_of, takes_part
-from mgsgraph.control.pvl import CONSTRAINTS, HEAD_TEXTS, LOCKS, LOG_NAMES, NAME_TEXTS
-from mgsgraph.control.record import (
+from mgsgraph.export import Format
+from mgsgraph.files.networks.asp_gcp import keeps_ids
+from mgsgraph.files.networks.asp_match import one_sigma
+from mgsgraph.files.networks.asp_match_names import stem
+from mgsgraph.files.networks.asp_measures import PixelMeasures, measures_of, takes_part
+from mgsgraph.files.networks.pvl import CONSTRAINTS, HEAD_TEXTS, LOCKS, LOG_NAMES, NAME_TEXTS
+from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -19,9 +20,8 @@ from mgsgraph.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.export import Format
 from mgsgraph.geometry.records import Array
-from mgsgraph.wording import listed, many
+from mgsgraph.text import listed, many
 
 _ALL = frozenset(PointType)
 _TABLES = (Format.CSV, Format.PARQUET)

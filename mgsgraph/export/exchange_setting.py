@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from mgsgraph.control.record import ControlNetwork
-from mgsgraph.control.ties import require_places
 from mgsgraph.errors import InputError
+from mgsgraph.files.networks.record import ControlNetwork
+from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
 _SAID = "--target, --radii, --case"

@@ -1,4 +1,4 @@
-"""A solution as tables and arrays of other libraries: pandas, GeoPandas, xarray. `Solution` has them as methods."""
+"""A solution as tables and arrays of other libraries: pandas, GeoPandas, xarray."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -10,14 +10,14 @@ from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientati
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers
-from mgsgraph.io.coordinate_systems import geographic_crs, wkt2
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.libraries import library
-from mgsgraph.notebook import meanings
-from mgsgraph.output.table import Column, Table
-from mgsgraph.reports.geoparquet import GEOMETRY, with_points, with_shapes
-from mgsgraph.reports.passes import nodes_table
-from mgsgraph.reports.shared import shared_table
-from mgsgraph.reports.tables import (
+from mgsgraph.record import meanings
+from mgsgraph.results.geoparquet import GEOMETRY, with_points, with_shapes
+from mgsgraph.results.passes import nodes_table
+from mgsgraph.results.shared import shared_table
+from mgsgraph.results.tables import (
     connectivity_table,
     orientation_table,
     points_table,
@@ -63,14 +63,39 @@ def table_layer(name: str, table: Table) -> Layer:
 
 
 def to_pandas(solution: Solution, what: str = "points") -> "DataFrame":
-    """A table of a solution as a DataFrame; see `Solution.to_pandas`."""
+    """A table of a solution as a DataFrame of pandas (extra ``[tables]``): rows and columns as in the CSV files.
+
+    Parameters
+    ----------
+    solution : Solution
+    what : str
+        points, residuals, orientation, footprints, error_ellipses, connectivity, shared or passes. Units are in the
+        names of the columns; unknown values are NaN.
+
+    Raises
+    ------
+    InputError
+        If there is no such table, or pandas is not installed.
+    """
     found = _table(solution, what, _PLAIN | _PLACED)
     library("pandas", _EXTRA, f"table of {what}")
     return found.drop(GEOMETRY).arrow.to_pandas()
 
 
 def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
-    """A table of a solution whose rows lie somewhere as a GeoDataFrame; see `Solution.to_geopandas`."""
+    """A table of a solution as a GeoDataFrame of GeoPandas, with shapes in planetocentric degrees, -180 .. 180.
+
+    Parameters
+    ----------
+    solution : Solution
+    what : str
+        points, residuals (at their points), footprints or error_ellipses (95 %, for sigma0 = 1).
+
+    Raises
+    ------
+    InputError
+        If there is no such table, or GeoPandas is not installed.
+    """
     geopandas = library("geopandas", _EXTRA, f"table of {what}")
     frame = _table(solution, what, _PLACED).arrow.to_pandas()
     crs = wkt2(geographic_crs(solution.network.images[0].body))
@@ -87,7 +112,22 @@ def _table(solution: Solution, what: str, tables: dict[str, Callable[[Solution],
 
 
 def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
-    """Orientation of all images of a solution as a Dataset; see `Solution.to_xarray`."""
+    """Exterior orientation of all images, before and after, with sigmas, as a Dataset of xarray (extra ``[tables]``).
+
+    Variables are the fields of `OrientationProfile` with dimensions (image, place) and, of vectors, their axis or
+    angle; each states its unit (SI) and its meaning.
+
+    Parameters
+    ----------
+    solution : Solution
+    places : int
+        Lines of each image, evenly spaced from its first to its last.
+
+    Raises
+    ------
+    InputError
+        If xarray is not installed.
+    """
     xarray = library("xarray", _EXTRA, "orientation profiles")
     profiles, images = orientation_profiles(solution, places=places), [one.name for one in solution.network.images]
     said, variables, labels = meanings(OrientationProfile), dict[str, Any](), dict[str, Any]()

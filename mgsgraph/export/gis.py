@@ -18,20 +18,20 @@ import shapely
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
-from mgsgraph.aside import made_beside
+from mgsgraph.atomic_write import made_beside
 from mgsgraph.errors import InputError
 from mgsgraph.export.frames import layer_table, table_layer
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
 from mgsgraph.export.qgis import PROJECT, STYLES, write_project, write_style
+from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.rasters.coordinate_systems import authority_code, geographic_crs, wkt2
+from mgsgraph.files.writing import fresh_file
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.coordinate_systems import authority_code, geographic_crs, wkt2
-from mgsgraph.io.writing import fresh_file
 from mgsgraph.libraries import library
-from mgsgraph.output.folders import PROGRAM
-from mgsgraph.reports.geoparquet import write_geoparquet
-from mgsgraph.reports.large_tables import write_points, write_residuals
-from mgsgraph.reports.sigmas import write_sigma_raster
-from mgsgraph.reports.tables import points_table, residuals_table
+from mgsgraph.results.geoparquet import write_geoparquet
+from mgsgraph.results.large_tables import write_points, write_residuals
+from mgsgraph.results.sigmas import write_sigma_raster
+from mgsgraph.results.tables import points_table, residuals_table
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""

@@ -18,6 +18,8 @@ from mgsgraph.analysis.statistics import (
     rejected_points,
     used_ray_counts,
 )
+from mgsgraph.files.output.csv_json import columns, picked, plain
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.error_ellipse import PROBABILITY, error_ellipses
 from mgsgraph.geometry.footprint import Footprint, areas
@@ -25,8 +27,6 @@ from mgsgraph.geometry.map_shapes import Shapes, geojson, map_lines, map_points,
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
-from mgsgraph.output.csv_json import columns, picked, plain
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _CORNERS = 48

@@ -15,9 +15,13 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import rejected_points
-from mgsgraph.control.binary import write_binary_network
-from mgsgraph.control.pvl_writing import write_pvl_network
-from mgsgraph.control.record import (
+from mgsgraph.errors import InputError
+from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
+from mgsgraph.export.network_content import ADJUSTED_BY, Kept, with_content
+from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
+from mgsgraph.files.networks.binary import write_binary_network
+from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -25,16 +29,12 @@ from mgsgraph.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
-from mgsgraph.export.kept_content import ADJUSTED_BY, Kept, with_content
+from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.io.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
-from mgsgraph.io.writing import write_file
 from mgsgraph.network import PointClass
-from mgsgraph.output.folders import PROGRAM
-from mgsgraph.ties import PointKind
 from mgsgraph.units import ISIS_OFFSET, KM
 
 NETWORK, NETWORK_TEXT, WITHOUT_LASER, LIDAR = "network.net", "network.pvl", "network_without_laser.net", "lidar.json"

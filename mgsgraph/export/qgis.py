@@ -14,9 +14,9 @@ import numpy as np
 import shapely
 
 from mgsgraph.export.gis_layers import Layer
+from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.coordinate_systems import geographic_crs, wkt2
 
 PROJECT = "solution.qgs"
 """Name of the project's file."""

@@ -12,13 +12,13 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target
 from mgsgraph.export.round_trip import reprojection
+from mgsgraph.files.output.csv_json import write_json
+from mgsgraph.files.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
+from mgsgraph.files.records import read_record, record_text
+from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.records import read_record, record_text
-from mgsgraph.io.writing import write_file
 from mgsgraph.network import PointClass
-from mgsgraph.output.csv_json import write_json
-from mgsgraph.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
-from mgsgraph.reports.archive import read_solution
+from mgsgraph.results.archive import read_solution
 
 FORMAT = 1
 """Version of export.json's layout."""
@@ -203,7 +203,7 @@ def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path,
 def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.control_back import control_differences
     from mgsgraph.export.isis import write_isis
-    from mgsgraph.export.kept_content import Sources, source_networks
+    from mgsgraph.export.network_content import Sources, source_networks
     from mgsgraph.export.round_trip import measured_places
 
     def compare(solution: Solution, folder: Path) -> Array:

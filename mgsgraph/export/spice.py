@@ -37,12 +37,12 @@ from mgsgraph.export.spice_texts import (
     instruments_text,
     list_text,
 )
+from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.spice.kernels import loaded, spice_words
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.kernels import loaded, spice_words
-from mgsgraph.output.folders import PROGRAM
 from mgsgraph.units import KM
 
 _DEGREE = 3

@@ -11,9 +11,9 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.spice_optics import adjusted_optics, optics_comment, stated_optics
+from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.output.folders import PROGRAM
 from mgsgraph.units import KM, MM
 
 CLOCK = -900_000

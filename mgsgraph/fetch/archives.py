@@ -6,9 +6,9 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.decoding import LARGEST_TOML, toml_table
-from mgsgraph.io.files import read_text
-from mgsgraph.notebook import Record
+from mgsgraph.files.decoding import LARGEST_TOML, toml_table
+from mgsgraph.files.opening import read_text
+from mgsgraph.record import Record
 
 VARIABLE = "MGSGRAPH_MIRRORS"
 """Environment variable with the path of a file of mirrors."""

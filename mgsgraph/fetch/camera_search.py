@@ -14,8 +14,8 @@ from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import MARGIN, Interval
 from mgsgraph.fetch.needs import ImageNeeds, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
-from mgsgraph.io.files import read_text
-from mgsgraph.io.pvl import Block, flat_label
+from mgsgraph.files.opening import read_text
+from mgsgraph.files.pvl import Block, flat_label
 
 _LABEL = 1 << 16
 """bytes in which the label of an image lies."""

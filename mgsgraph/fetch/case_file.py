@@ -12,8 +12,8 @@ from pathlib import Path
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.grids import Grid, topography
 from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, ImageNeeds, kernel_path, kernels_of
-from mgsgraph.io.files import number_of, read_text
-from mgsgraph.wording import some
+from mgsgraph.files.opening import number_of, read_text
+from mgsgraph.text import some
 
 CASE = "case.toml"
 _INSTRUMENT = kernel_path("ik/mgs_moc_v20.ti")

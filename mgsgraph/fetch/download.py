@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeVar
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.part import PartialFile, RemoteSource
 from mgsgraph.fetch.redirects import REDIRECTS, led_to
-from mgsgraph.io.files import ANY_SIZE
+from mgsgraph.files.opening import ANY_SIZE
 
 if TYPE_CHECKING:
     import requests

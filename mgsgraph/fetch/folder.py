@@ -8,7 +8,7 @@ from pathlib import Path
 from shlex import quote
 from typing import NamedTuple
 
-from mgsgraph.aside import scratch
+from mgsgraph.atomic_write import scratch
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import Box, shots_in
@@ -27,10 +27,10 @@ from mgsgraph.fetch.needs import ImageNeeds, Product, WantedFile, products_of, r
 from mgsgraph.fetch.search import Search
 from mgsgraph.fetch.store import DownloadFolder, Progress
 from mgsgraph.fetch.volumes import volumes_of
-from mgsgraph.io.files import read_bytes
-from mgsgraph.io.writing import claimed, write_file
-from mgsgraph.notebook import Record
-from mgsgraph.wording import many
+from mgsgraph.files.opening import read_bytes
+from mgsgraph.files.writing import claimed, write_file
+from mgsgraph.record import Record
+from mgsgraph.text import many
 
 _REMEDY = "choose another --out"
 _PROJECT = "project"
@@ -311,8 +311,8 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
         return [(longitude, latitude) for longitude in (west, east) for latitude in (south, north)]
     import numpy as np
 
+    from mgsgraph.files.labels.labelled_image import read_labelled_image
     from mgsgraph.geometry.body import planetocentric
-    from mgsgraph.io.labelled_image import read_labelled_image
     from mgsgraph.units import DEG
 
     label, kernels = folder / image.image_path, [folder / "kernels/mgs.tm"]

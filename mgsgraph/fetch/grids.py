@@ -1,14 +1,12 @@
 """MOLA's grids of a resolution: whole ones of 4 and 16 pixels per degree, tiles of 128."""
 
 from collections.abc import Iterable
-from typing import Literal, NamedTuple, cast, get_args
+from typing import NamedTuple, cast, get_args
 
+from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.needs import WantedFile
-
-Terrain = Literal["4", "16", "128", "none"]
-"""Pixels per degree."""
 
 
 class Grid(NamedTuple):
@@ -21,24 +19,21 @@ class Grid(NamedTuple):
 
 
 _WHOLE = {"4": "meg004/megr90n000cb", "16": "meg016/megr90n000eb"}
-SIGMAS: dict[Terrain, float] = {"4": 150.0, "16": 60.0, "128": 20.0}
-"""m: how far MOLA's shots lie off the surface between posts, rms in four boxes of one degree: at 4 px/deg 14 .. 390 m,
-at 16 px/deg 10 .. 125 m, at 64 px/deg 5 .. 34 m, the least on a plain, the most in a crater (docs/fetch.md)."""
 _TILE = 44, 90
 """deg of latitude and longitude of a tile of 128 pixels per degree; none reach beyond 88 deg."""
 _EDGE = 0.1
 """deg around an image's ground that has to be on the tiles, too."""
 
 
-def terrain_of(text: str) -> Terrain:
+def terrain_of(text: str) -> MegdrResolution:
     """A choice by its name; InputError for any other."""
-    for known in get_args(Terrain):
+    for known in get_args(MegdrResolution):
         if text == known:
-            return cast(Terrain, known)
+            return cast(MegdrResolution, known)
     raise InputError("terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
 
 
-def grid_of(terrain: Terrain, places: Iterable[tuple[float, float]] = ()) -> Grid:
+def grid_of(terrain: MegdrResolution, places: Iterable[tuple[float, float]] = ()) -> Grid:
     """The grid of a resolution.
 
     Parameters
@@ -54,9 +49,9 @@ def grid_of(terrain: Terrain, places: Iterable[tuple[float, float]] = ()) -> Gri
         Ground beyond 88 deg of latitude, which no tile has.
     """
     if terrain in _WHOLE:
-        return Grid((_WHOLE[terrain],), SIGMAS[terrain])
+        return Grid((_WHOLE[terrain],), MEGDR_SIGMAS[terrain])
     around = [(lon + a, lat + b) for lon, lat in places for a in (-_EDGE, _EDGE) for b in (-_EDGE, _EDGE)]
-    return Grid(tuple(sorted({_tile(*place) for place in around})), SIGMAS[terrain])
+    return Grid(tuple(sorted({_tile(*place) for place in around})), MEGDR_SIGMAS[terrain])
 
 
 def _tile(longitude: float, latitude: float) -> str:

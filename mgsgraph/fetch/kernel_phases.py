@@ -5,7 +5,7 @@ from datetime import UTC, date, datetime, time, timedelta
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.pvl import Block
+from mgsgraph.files.pvl import Block
 
 _NONE = ("N/A", "UNK", "")
 """What PDS3 labels write for no value."""

@@ -10,10 +10,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import require_address
 from mgsgraph.fetch.needs import ImageNeeds
 from mgsgraph.fetch.part import RemoteSource
-from mgsgraph.io.files import sha256_of
-from mgsgraph.io.records import read_record, record_text
-from mgsgraph.io.writing import write_file
-from mgsgraph.wording import many, some
+from mgsgraph.files.opening import sha256_of
+from mgsgraph.files.records import read_record, record_text
+from mgsgraph.files.writing import write_file
+from mgsgraph.text import many, some
 
 LOCK = "fetch.lock"
 """Its name in the folder."""

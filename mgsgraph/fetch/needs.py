@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.cameras import CAMERAS, ArchivedCamera, CameraProduct
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _ID = re.compile(r"([a-z][a-z0-9]{2})[/_-]?(\d{5})(\.(imq|img|cub|lbl))?", re.IGNORECASE)
 _MAPPING = re.compile(r"M[01]\d|M2[0-3]|[ERS](0[1-9]|1\d|2[0-3])")

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import read_json
+from mgsgraph.files.opening import read_json
 
 _SPARE = 1 << 20
 """bytes that stay free on the disk."""

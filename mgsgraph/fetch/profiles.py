@@ -8,12 +8,12 @@ import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 
-from mgsgraph.altimetry.pedr import FRAME, HEADER_RECORDS
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import Interval
-from mgsgraph.io.pvl import flat_label
+from mgsgraph.files.altimetry.pedr import FRAME, HEADER_RECORDS
+from mgsgraph.files.pvl import flat_label
 
 RANGING_ENDED = datetime(2001, 6, 30, 23, 59, 59, tzinfo=UTC)
 """MOLA's last range was on this day."""

@@ -13,8 +13,8 @@ from mgsgraph.fetch.needs import ImageNeeds, Product, ProductId, WantedFile, ker
 from mgsgraph.fetch.profiles import find_profile, orbit_at
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.fetch.volumes import NAMES, IndexRow, find_image, read_index, volumes_listed
-from mgsgraph.io.files import read_text
-from mgsgraph.io.pvl import Block, flat_label
+from mgsgraph.files.opening import read_text
+from mgsgraph.files.pvl import Block, flat_label
 
 _LABEL = 8192
 """bytes in which the label of an image lies: that of a compressed one takes 2048."""

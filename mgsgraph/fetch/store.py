@@ -6,13 +6,13 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from datetime import UTC, datetime
 from pathlib import Path
 
-from mgsgraph.altimetry.pedr import FRAME
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.download import Remote
 from mgsgraph.fetch.lock import Lock, LockedFile, is_ours
 from mgsgraph.fetch.needs import WantedFile
-from mgsgraph.io.files import head_of, read_bytes, sha256_of
-from mgsgraph.io.image_label import read_label
+from mgsgraph.files.altimetry.pedr import FRAME
+from mgsgraph.files.labels.image_label import read_label
+from mgsgraph.files.opening import head_of, read_bytes, sha256_of
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that have come and all bytes that are known to come."""

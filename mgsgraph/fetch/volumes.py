@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.needs import ProductId
-from mgsgraph.io.files import read_bytes
-from mgsgraph.io.pvl import Block, Document, whole_label
-from mgsgraph.wording import some
+from mgsgraph.files.opening import read_bytes
+from mgsgraph.files.pvl import Block, Document, whole_label
+from mgsgraph.text import some
 
 _COLUMNS = ("PRODUCT_ID", "FILE_SPECIFICATION_NAME", "INSTRUMENT_NAME")
 

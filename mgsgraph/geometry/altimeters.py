@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import KM, MRAD
 
 _UNKNOWN = float("nan")

@@ -23,7 +23,7 @@ from mgsgraph.geometry.records import (
     require_names,
 )
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import SPEED_OF_LIGHT
 
 _HALF_LIGHT = 0.5 * SPEED_OF_LIGHT
@@ -152,7 +152,7 @@ class AltimeterShots(Record):
 
     Examples
     --------
-    >>> from mgsgraph.altimetry.shots import read_shots
+    >>> from mgsgraph.files.altimetry.shots import read_shots
     >>> shots = read_shots(Path("gusev/ap18933l.b"))
     >>> shots.altimeter.name, shots.profile_names()[0], int(shots.ground.sum())
     ('MOLA', '18933', 272)
@@ -348,7 +348,7 @@ class AltimetryCloud(Record):
 
     Examples
     --------
-    >>> from mgsgraph.altimetry.cloud import read_altimetry_cloud
+    >>> from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
     >>> _ = Path("cloud.csv").write_text("x_m,y_m,z_m,id,profile\n171000.0,3382000.0,248000.0,1,9000\n")
     >>> cloud = read_altimetry_cloud(Path("cloud.csv"), network.images[0].body)
     >>> cloud.profiles, cloud.points.shape

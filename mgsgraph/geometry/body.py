@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import KM
 
 

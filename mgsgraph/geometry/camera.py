@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.distortion import Distortion
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.geometry.records import Array
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _CHUNK = 1024
 """Places whose neighbours are looked for at once."""

@@ -25,7 +25,7 @@ from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _NEWTON_STEPS = 30
 _PIXEL_TOLERANCE = 1e-9

@@ -19,7 +19,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 Angles = Literal["camera", "opk-paper", "opk-peer"]
 """What the rotation part of a coefficient is: about the camera axes, or added to omega, phi, kappa."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 Basis = Literal["lagrange", "spline"]
 """How orientation between nodes follows from them."""

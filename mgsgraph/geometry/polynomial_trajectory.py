@@ -15,9 +15,9 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
+from mgsgraph.text import root_mean_square
 from mgsgraph.units import ARCSEC
-from mgsgraph.wording import root_mean_square
 
 if TYPE_CHECKING:
     from mgsgraph.geometry.image import PushbroomImage

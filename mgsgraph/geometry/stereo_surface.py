@@ -27,7 +27,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _NODES_PER_WIDTH = 2.0
 """Nodes per standard deviation of the footprint: the spline between them is exact to 1e-3 of what the average lost."""

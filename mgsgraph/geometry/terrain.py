@@ -19,7 +19,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.common_errors import Gaps, common_variances
 from mgsgraph.geometry.records import Array, Index, Mask, assign
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 TerrainKind = Literal["radius", "topography", "areoid", "counts"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid; shots."""

@@ -23,8 +23,8 @@ from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.text import root_mean_square
 from mgsgraph.units import DEG, KM
-from mgsgraph.wording import root_mean_square
 
 LONGEST_EDGE = 5.0 * KM
 """m, above which an edge of a triangle makes it a hole: about the spacing of MOLA's tracks at the equator."""

@@ -15,7 +15,7 @@ import numpy as np
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 
 def _check_times(times: Array, where: str) -> None:

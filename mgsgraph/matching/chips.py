@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import east_north, geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.network.observations import require_inside
-from mgsgraph.stages import Count, no_progress
-from mgsgraph.ties import TiePoints
+from mgsgraph.progress import Count, no_progress
 
 Pictures = Callable[[int], Pixels]
 """Pixels of an image by its number; asked for again and again, one image after the other."""

@@ -23,8 +23,8 @@ from mgsgraph.matching.relative import (
 from mgsgraph.matching.scene import Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, TileStore, features_on, kept_links, links_on, tiling, together
-from mgsgraph.stages import Progress
-from mgsgraph.wording import root_mean_square
+from mgsgraph.progress import Progress
+from mgsgraph.text import root_mean_square
 
 _COARSER = 4.0
 """How much coarser than the ground grid."""

@@ -18,7 +18,7 @@ from mgsgraph.matching.patches import MOST, Tile
 from mgsgraph.matching.posts import DenseSettings, PostMatches, View, matches_on, no_matches
 from mgsgraph.matching.scene import GroundChart, Scene
 from mgsgraph.matching.tiles import tiling
-from mgsgraph.stages import Progress, no_progress
+from mgsgraph.progress import Progress, no_progress
 
 _SPACING = 5.0
 """pixels of the ground grid between posts."""

@@ -16,7 +16,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index, Mask, frozen
 from mgsgraph.matching import equations, window
 from mgsgraph.matching.spline import SplinePicture
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _SMALLEST = 3
 """Half a window, pixels: fewer do not tell eight unknowns and their covariance."""

@@ -17,18 +17,18 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.checks import cell_numbers, checked_measures, spread
 from mgsgraph.matching.coarse import Agreement, Together, brought_together, window
 from mgsgraph.matching.compression import require_unblocked
-from mgsgraph.matching.doubts import pair_signs
 from mgsgraph.matching.features import Window
 from mgsgraph.matching.least_squares import MatchStatus
 from mgsgraph.matching.matches import Losses, Matches, matches_of
 from mgsgraph.matching.measuring import Measured, SharpPictures, joined_measures, measured
+from mgsgraph.matching.pair_checks import pair_signs
 from mgsgraph.matching.pairs import Pair, boxes, joined, pairs_of
 from mgsgraph.matching.patches import Tile, opencv
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, TileStore, features_on, kept_links, links_on, tiling, together
-from mgsgraph.stages import Progress, no_progress
-from mgsgraph.wording import listed
+from mgsgraph.progress import Progress, no_progress
+from mgsgraph.text import listed
 
 _MARGIN = 64
 """pixels of the ground grid that tiles share with their neighbours."""

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.matching.coarse import Agreement
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.notebook import Record
-from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.record import Record
 
 SOURCE = "matches"
 """What messages call them."""

@@ -18,7 +18,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 Pixels = NDArray[Any]
 """(lines, samples) grey values; NaN where a float picture has none."""

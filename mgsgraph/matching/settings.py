@@ -6,7 +6,7 @@ from typing import Literal, cast, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 Method = Literal["sift", "grid"]
 """Where matches are sought: at features, or at the nodes of a regular grid by correlation."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from mgsgraph.geometry.records import Index
 from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.text import NAMED, listed, many, some
 from mgsgraph.units import KM
-from mgsgraph.wording import NAMED, listed, many, some
 
 WEAKEST = 5
 """Joints named as the weakest."""

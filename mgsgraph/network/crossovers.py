@@ -15,7 +15,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.crossovers import crossing, gradient
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 from mgsgraph.network.records import GroundPoints, PointClass, ProfileShifts
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

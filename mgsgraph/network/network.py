@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
@@ -28,9 +29,8 @@ from mgsgraph.network.records import (
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.network.stereo_control import StereoControl
-from mgsgraph.notebook import Record, card
-from mgsgraph.ties import PointKind
-from mgsgraph.wording import some
+from mgsgraph.record import Record, card
+from mgsgraph.text import some
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 

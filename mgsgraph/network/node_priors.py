@@ -27,7 +27,7 @@ from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network.conditioning import Conditionals, conditionals, variances
 from mgsgraph.network.processes import Process
 from mgsgraph.network.trend import BiasAndDrift
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _LONGEST = 1e9
 """s: departures that take longer to forget themselves can't be told from a bias."""

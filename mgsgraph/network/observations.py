@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile, exchanged_units, require_lengths
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
@@ -12,7 +13,6 @@ from mgsgraph.names import RepeatedNames
 from mgsgraph.network.network import Network
 from mgsgraph.network.parts import KnownImage, image_columns, joined
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, Ranges
-from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import KM
 
 _FAR_OFF = 0.1

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import SUPPORT
@@ -18,8 +19,7 @@ from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
 from mgsgraph.network.stereo_control import joined_control
-from mgsgraph.notebook import Record
-from mgsgraph.ties import PointKind
+from mgsgraph.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 from mgsgraph.network.node_priors import PassPrior, ProcessPrior
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 _NO_ROTATION = 1e-6
 """Of a product of a matrix with its transpose, off the unit matrix."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS, footprint_covariances
 from mgsgraph.geometry.common_errors import common_variances
 from mgsgraph.geometry.records import Array, Index
@@ -21,8 +22,7 @@ from mgsgraph.names import Names
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import GroundPoints, PointClass, ProfileShifts
 from mgsgraph.network.shared import SharedUnknown
-from mgsgraph.notebook import Record
-from mgsgraph.ties import PointKind
+from mgsgraph.record import Record
 
 PLACE_SIGMA = 0.1
 """m, a-priori, east and north of each post by itself: files round longitudes and latitudes so."""

@@ -26,7 +26,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 ProcessKind = Literal["white", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter"]
 """The kinds of processes."""

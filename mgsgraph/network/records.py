@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import (
     Array,
@@ -21,8 +22,7 @@ from mgsgraph.geometry.records import (
 )
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
-from mgsgraph.notebook import Record
-from mgsgraph.ties import PointKind
+from mgsgraph.record import Record
 
 
 class PointClass(IntEnum):

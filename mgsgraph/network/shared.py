@@ -21,7 +21,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import MRAD, PPM
 
 DEGREE = 5

@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import StereoSurface
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

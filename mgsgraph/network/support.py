@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.altimetry.time_scales import utc_of_tdb
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask, assign
+from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.network.network import Network
-from mgsgraph.ties import PointKind
-from mgsgraph.wording import NAMED, many, some
+from mgsgraph.text import NAMED, many, some
 
 LEAST = 3
 """Rays near a node: they bring the six rows that its six unknowns take, were the points known."""

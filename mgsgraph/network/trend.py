@@ -3,7 +3,7 @@
 import numpy as np
 
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 
 class BiasAndDrift(Record):

@@ -10,16 +10,16 @@ from typing import Literal
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.trajectories import extended, with_expected
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.incremental.trajectories import extended, with_expected
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
 from mgsgraph.planning.coverage import CommonGround, ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork
-from mgsgraph.ties import PointKind
 
 Kind = Literal["image", "profile", "control point", "tie point"]
 

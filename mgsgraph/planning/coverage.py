@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.trajectories import with_expected
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.incremental.trajectories import with_expected
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.definitions import Definitions, definitions
 from mgsgraph.network.parts import KnownImage, known_images

@@ -7,6 +7,8 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
+from mgsgraph.adjustment.incremental.shared import shared_of
+from mgsgraph.adjustment.incremental.trajectories import with_expected
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
@@ -17,8 +19,6 @@ from mgsgraph.analysis.linearised import require_covariance
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.incremental.shared import shared_of
-from mgsgraph.incremental.trajectories import with_expected
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows
 from mgsgraph.network import Network

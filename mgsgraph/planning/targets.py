@@ -7,17 +7,17 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.incremental.shared import ground_motion
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.shared import ground_motion
 from mgsgraph.network import PointClass
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.parts import KnownImage
-from mgsgraph.notebook import Record
 from mgsgraph.planning.state import CurrentState, NetworkState
 from mgsgraph.planning.update import Update
-from mgsgraph.ties import PointKind
+from mgsgraph.record import Record
 
 Criterion = Literal["mean", "worst"]
 WORDS = ("ties", "all")

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expected
+from mgsgraph.adjustment.incremental.tree import TOGETHER
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.incremental.trajectories import prior_rows, with_expected
-from mgsgraph.incremental.tree import TOGETHER
 from mgsgraph.network import Network
 from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions
 from mgsgraph.network.parts import Unknown, part

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.altimetry.shots import read_shots
+from mgsgraph.adjustment.incremental.state import ImagesByName
 from mgsgraph.case.assembly import laser_profile, shots_in_images
 from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.groups import in_images, with_sigmas
@@ -15,15 +15,16 @@ from mgsgraph.case.laser import ShotsInput
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput
-from mgsgraph.control.table import read_tie_points
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.labels.image_kinds import image_kind, image_name
+from mgsgraph.files.networks.table import read_tie_points
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
+from mgsgraph.geometry.duplicate_images import ImageTimes, begun_together, require_distinct
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
-from mgsgraph.geometry.twins import ImageTimes, begun_together, require_distinct
-from mgsgraph.incremental.state import ImagesByName
-from mgsgraph.io.image_kinds import image_kind, image_name
-from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.definitions import Definitions, definitions, joining, united, with_definitions
 from mgsgraph.network.joining import seconds
@@ -34,7 +35,6 @@ from mgsgraph.project.journal import Measure, all_set_aside
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.ties import PointKind, TiePoints
 
 _CASES = (".toml",)
 

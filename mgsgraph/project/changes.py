@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.closing_check import Closing
+from mgsgraph.adjustment.incremental.impact import Impact
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.adjustment.incremental.state import Bundle, require_one_body, with_addition, without
+from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.adjustment.settings import Device, SolverSettings
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.incremental.closing import Closing
-from mgsgraph.incremental.impact import Impact
-from mgsgraph.incremental.incremental import IncrementalAdjustment
-from mgsgraph.incremental.state import Bundle, require_one_body, with_addition, without
-from mgsgraph.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.network import Network
 from mgsgraph.network.definitions import Definitions, definitions
 from mgsgraph.network.parts import Members, Unknown
@@ -27,7 +27,7 @@ from mgsgraph.project.store import ProjectStore
 if TYPE_CHECKING:
     from mgsgraph.adjustment.rounds import Progress
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.reports.large_tables import TableForm
+    from mgsgraph.results.large_tables import TableForm
 
 Stages = Callable[[str], AbstractContextManager[None]]
 
@@ -128,7 +128,7 @@ def solve(
     as of `write_results`, the `device` that goes over the points that of the settings when absent.
     """
     from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.reports.results import write_results
+    from mgsgraph.results.results import write_results
 
     name, settings, store = project.name, project.settings.solver.settings, project.store
     settings = settings if device is None else replace(settings, device=device)

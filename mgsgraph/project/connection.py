@@ -15,8 +15,8 @@ from typing import Any, BinaryIO, TypeVar
 from urllib.parse import quote
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.io.files import read_json, understood
-from mgsgraph.io.writing import write_file
+from mgsgraph.files.opening import read_json, understood
+from mgsgraph.files.writing import write_file
 from mgsgraph.project.checksum import checksum, held_open, note, noted, sign
 from mgsgraph.project.migration import LAST_WITH_ROWS, pack_rows
 from mgsgraph.project.schema import APPLICATION, FORMAT, MIGRATIONS, TABLES

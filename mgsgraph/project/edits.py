@@ -14,11 +14,12 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from mgsgraph.adjustment.incremental.impact import Impact
+from mgsgraph.adjustment.incremental.state import with_points
 from mgsgraph.errors import InputError, errors_from, one_line
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.impact import Impact
-from mgsgraph.incremental.state import with_points
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges, Surface
 from mgsgraph.network.parts import image_columns, joined, part
@@ -26,7 +27,6 @@ from mgsgraph.project.addition import on_terrain
 from mgsgraph.project.changes import incremental, is_solved, note, put_waiting
 from mgsgraph.project.journal import Measure, PointState, last_state, state_of
 from mgsgraph.project.project import Project
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
 Kind = Literal["measure", "move", "reject", "accept", "hold", "release", "remove", "undo"]

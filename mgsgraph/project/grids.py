@@ -4,7 +4,7 @@ import hashlib
 import sqlite3
 
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.reports.archive_arrays import pack, unpack
+from mgsgraph.results.archive_arrays import pack, unpack
 
 
 class StoredGrids:

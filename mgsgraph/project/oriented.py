@@ -12,10 +12,10 @@ from mgsgraph.case.passes import members
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.network.footprints import Corrections
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.reading import results_of
-from mgsgraph.registration.footprints import Corrections
-from mgsgraph.reports.archive import ARCHIVE, read_solution
+from mgsgraph.results.archive import ARCHIVE, read_solution
 
 
 class OrientedImages(NamedTuple):

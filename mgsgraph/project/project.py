@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
-from mgsgraph.aside import made_beside, resolved
+from mgsgraph.atomic_write import made_beside, resolved
 from mgsgraph.errors import InputError
+from mgsgraph.files.opening import sha256_of, understood
+from mgsgraph.files.writing import writing_to
+from mgsgraph.geometry.duplicate_images import ImageTimes
 from mgsgraph.geometry.image import LineTiming
-from mgsgraph.geometry.twins import ImageTimes
-from mgsgraph.io.files import sha256_of, understood
-from mgsgraph.io.writing import writing_to
+from mgsgraph.project.adjustment_cache import KeptAdjustment
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
-from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.reports.archive_arrays import unpack_parts
+from mgsgraph.results.archive_arrays import unpack_parts
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution

@@ -5,22 +5,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
-from mgsgraph.analysis.nearby import posterior_of, stands_alone
+from mgsgraph.analysis.neighbors import posterior_of, stands_alone
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.incremental.incremental import IncrementalAdjustment
-from mgsgraph.io.files import understood
-from mgsgraph.io.records import read_record
+from mgsgraph.files.opening import understood
+from mgsgraph.files.records import read_record
 from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
 from mgsgraph.project.changes import incremental, is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import CHANGING, Project, open_project
-from mgsgraph.reports.archive import ARCHIVE, read_solution
+from mgsgraph.results.archive import ARCHIVE, read_solution
 
 _OWN_CASE = Path("inputs", "case.toml")
 """Where a demonstration's results hold their case."""

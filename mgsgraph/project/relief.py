@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.incremental.incremental import IncrementalAdjustment
+from mgsgraph.progress import Progress, no_progress
 from mgsgraph.project.project import Project
 from mgsgraph.registration.relief import profile_names, register_by_relief
-from mgsgraph.registration.relief_files import write_coregistration
 from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
-from mgsgraph.stages import Progress, no_progress
+from mgsgraph.results.relief import write_coregistration
 
 
 class RegisteredProject(NamedTuple):

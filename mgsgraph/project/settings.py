@@ -6,12 +6,12 @@ from typing import Any
 
 import msgspec
 
-from mgsgraph.aside import resolved
+from mgsgraph.atomic_write import resolved
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.numbers import Factor, Sigma
 from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError
-from mgsgraph.io.decoding import read_toml, validated
+from mgsgraph.files.decoding import read_toml, validated
 
 
 class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.altimetry.shots import read_shots
-from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on_body
 from mgsgraph.geometry.records import Mask
+from mgsgraph.geometry.time_scales import tdb_of_utc
 from mgsgraph.project.oriented import OrientedImages
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
 from mgsgraph.units import DEG

@@ -5,13 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from mgsgraph.io.files import understood
+from mgsgraph.files.opening import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.links import groups
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
 from mgsgraph.project.journal import all_set_aside
 from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow
-from mgsgraph.wording import many, some
+from mgsgraph.text import many, some
 
 _NAMED = 6
 _HISTORY = 10

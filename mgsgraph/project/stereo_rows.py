@@ -11,7 +11,7 @@ from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.network import Network
 from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.project.columns import HEIGHTS, Cells, Run, index_among, rows_of
-from mgsgraph.reports.archive_arrays import pack, unpack
+from mgsgraph.results.archive_arrays import pack, unpack
 
 
 class StoredStereo:

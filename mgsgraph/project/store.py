@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.names import Names
 from mgsgraph.network import TERRAIN, Network, ProfileShifts, Surface
 from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, with_definitions
@@ -34,7 +34,7 @@ from mgsgraph.project.columns import (
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
 from mgsgraph.project.grids import StoredGrids
 from mgsgraph.project.stereo_rows import StoredStereo
-from mgsgraph.reports.archive_arrays import pack, unpack
+from mgsgraph.results.archive_arrays import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
 """Columns of a reduced system; NULL in a bundle that has none."""
@@ -58,7 +58,7 @@ _PACKED = (
 
 @guarded_readings
 class ProjectStore:
-    """Implements `mgsgraph.incremental.state.StateStore`.
+    """Implements `mgsgraph.adjustment.incremental.state.StateStore`.
 
     Images and terrain grids are read once and kept: what comes back twice is the same object.
     """

@@ -12,18 +12,18 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.registration.footprints import (
+from mgsgraph.network.footprints import (
     Corrections,
     Misregistration,
     Registration,
     discrepancy,
     footprints_in_images,
 )
-from mgsgraph.ties import TiePoints
-from mgsgraph.wording import listed, many, root_mean_square
+from mgsgraph.text import listed, many, root_mean_square
 
 _FEWEST_TIES = 3
 """Common tie points without which two images can't be compared."""

@@ -8,8 +8,8 @@ import numpy as np
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.notebook import Record
-from mgsgraph.registration.footprints import Corrections, points_in_images, seconds_from_image
+from mgsgraph.network.footprints import Corrections, points_in_images, seconds_from_image
+from mgsgraph.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class ShotsOverImages(Record):
 
     Examples
     --------
-    >>> from mgsgraph.altimetry.shots import read_shots
+    >>> from mgsgraph.files.altimetry.shots import read_shots
     >>> from mgsgraph.registration.crossings import shots_over_images
     >>> shots = read_shots(Path("gusev/ap18933l.b"))
     >>> over = shots_over_images([image.nominal for image in site.images], shots)
@@ -110,7 +110,7 @@ def shots_over_images(
 
     Examples
     --------
-    >>> from mgsgraph.altimetry.shots import read_shots
+    >>> from mgsgraph.files.altimetry.shots import read_shots
     >>> from mgsgraph.registration.crossings import shots_over_images
     >>> shots = read_shots(Path("gusev/ap18933l.b"))
     >>> over = shots_over_images([image.nominal for image in site.images], shots)

@@ -34,12 +34,12 @@ from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.crossovers import Crossovers, crossovers
 from mgsgraph.network.posts import with_posts
 from mgsgraph.network.stereo_control import StereoControl
+from mgsgraph.progress import Progress, no_progress
 from mgsgraph.registration.minima import shots_alike
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
 from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
-from mgsgraph.stages import Progress, no_progress
-from mgsgraph.wording import some
+from mgsgraph.text import some
 
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""

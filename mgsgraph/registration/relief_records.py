@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.network import PointClass
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.registration.search import REACH, CostSurface
 
 MOST_REACH = 20_000.0

@@ -10,7 +10,6 @@ import numpy as np
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.scene import read_scene
-from mgsgraph.dem.production import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS
 from mgsgraph.geometry.body import geodetic
@@ -18,11 +17,12 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import LEAST_SHARE, StereoSurface, averaged_surface
 from mgsgraph.matching.scene import Scene
 from mgsgraph.network import PointClass
+from mgsgraph.network.footprints import points_in_images
 from mgsgraph.network.posts import Posts, TerrainModel, posts_of
-from mgsgraph.registration.footprints import points_in_images
+from mgsgraph.progress import Progress
+from mgsgraph.registration.dem.scene import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.registration.relief_records import ReliefSettings
 from mgsgraph.registration.search import StereoPair
-from mgsgraph.stages import Progress
 
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches

@@ -27,7 +27,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.registration.minima import FITTED, Bowl, Minimum, local_minima, merged, shots_alike, weighted
-from mgsgraph.registration.trials import left_of_lines, misfits_of_shifts, robust_weights
+from mgsgraph.registration.shift_trials import left_of_lines, misfits_of_shifts, robust_weights
 
 REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""

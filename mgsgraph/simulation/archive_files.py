@@ -9,17 +9,17 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mgsgraph.files.support_data.isd_writing import rotation_table, state_table, support_fields
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.progress import Progress, no_progress
 from mgsgraph.simulation.archive import Archive
 from mgsgraph.simulation.archive_network import NetworkWriter, point_ids
 from mgsgraph.simulation.archive_ties import Footprints, Region, footprint, regions
 from mgsgraph.simulation.files import write_texts, writing
 from mgsgraph.simulation.isis_files import json_text
-from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import MRAD
 
 NETWORK, TRUE_POINTS, TRUE_CORRECTIONS = "network.net", "true_points.parquet", "true_corrections.npz"

@@ -2,7 +2,7 @@
 
 All ids are of one length, and so are all names of images: every point begins with a record of one length, and every
 measure is one. They are laid out by NumPy as bytes, without a Python object for any. The layout is that of
-`control.binary`, which reads it; field numbers are those of `control.messages`.
+`files.networks.binary`, which reads it; field numbers are those of `files.networks.messages`.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,8 @@ from typing import BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.control.binary import LABEL_BYTES, network_header, network_label
-from mgsgraph.control.record import ControlNetwork, MeasureType, PointType
+from mgsgraph.files.networks.binary import LABEL_BYTES, network_header, network_label
+from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType
 from mgsgraph.geometry.records import Index
 from mgsgraph.simulation.archive_ties import Region
 from mgsgraph.units import ISIS_OFFSET

@@ -18,6 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError, require
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
@@ -34,7 +35,6 @@ from mgsgraph.simulation.observations import MARGIN, project, require_count, req
 from mgsgraph.simulation.orbit import HEADING, Orbit, sampled_trajectory
 from mgsgraph.simulation.terrain import block_grid
 from mgsgraph.simulation.world import World, common_errors
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, MM
 
 Look = Literal["across", "along"]

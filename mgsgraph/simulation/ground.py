@@ -19,7 +19,7 @@ from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, in_turn, inte
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.orbit import on_ellipsoid
 from mgsgraph.simulation.relief import Float, PeriodicSurface, add_craters, canyon, fractal

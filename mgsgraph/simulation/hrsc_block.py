@@ -15,13 +15,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mgsgraph.errors import InputError, require
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
 from mgsgraph.geometry.track_gaps import track_gaps
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_terrain
 from mgsgraph.simulation.hrsc_flight import PericentrePass, Readout, strip_images
@@ -31,7 +32,6 @@ from mgsgraph.simulation.observations import Visible, require_count, require_pos
 from mgsgraph.simulation.strip_truth import Jitter, true_correction
 from mgsgraph.simulation.terrain import block_grid
 from mgsgraph.simulation.world import BLOCK_EFFECTS, World, common_errors, drawn_period, of_tracks
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MGON
 
 _SHORTEST, _LONGEST = 50e3, 4500e3

@@ -14,7 +14,7 @@ from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO, hrsc_interior, line_image, one_rate
 from mgsgraph.simulation.mars import MARS, MERIDIAN, body_matrix
 from mgsgraph.simulation.orbit import Orbit, sampled_trajectory

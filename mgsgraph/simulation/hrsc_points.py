@@ -10,7 +10,7 @@ from mgsgraph.geometry.body import intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask, assign
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.camera import STEREO
 from mgsgraph.simulation.ground import SiteTerrain
 from mgsgraph.simulation.observations import MARGIN, Visible, require_positive, well_inside

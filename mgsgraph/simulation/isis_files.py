@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.control import pvl_writing
-from mgsgraph.control.ties import control_network
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
+from mgsgraph.files.networks import pvl_writing
+from mgsgraph.files.networks.tie_points import control_network
+from mgsgraph.files.support_data.isd_layout import J2000, RotationTable, SunTable
+from mgsgraph.files.support_data.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.isd_layout import J2000, RotationTable, SunTable
-from mgsgraph.io.isd_writing import rotation_table, state_table, support_fields
-from mgsgraph.io.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
-from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _WRITTEN = "2000-01-01T00:00:00"

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.rasters.megdr import REFERENCE_RADIUS
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.megdr import REFERENCE_RADIUS
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import KernelSegment

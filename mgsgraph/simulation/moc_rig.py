@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mgsgraph.errors import InputError, require
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
@@ -25,7 +26,6 @@ from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors, displaced_footprints
 from mgsgraph.simulation.observations import Visible, require_count, require_positive, require_seed
 from mgsgraph.simulation.rig import PassErrors, SimulatedRig, TrueRig, joined, measured, seen_twice
-from mgsgraph.ties import PointKind
 
 WIDE, BEAM = "boresight of MOC-WA", "boresight of MOLA"
 

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mgsgraph.altimetry.pedr import FRAME, HEADER_RECORDS, SHOTS, read_pedr
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.pedr import FRAME, HEADER_RECORDS, SHOTS, read_pedr
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import DEG, SPEED_OF_LIGHT
 
 _CM, _MICRODEG = 1e-2, 1e-6 * DEG

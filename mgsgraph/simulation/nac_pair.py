@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mgsgraph.errors import require
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.distortion import LrocNacDistortion
@@ -28,7 +29,6 @@ from mgsgraph.simulation.moon import MOON, MOON_BODY
 from mgsgraph.simulation.observations import require_count, require_positive, require_seed
 from mgsgraph.simulation.orbit import CircularPass, site_at
 from mgsgraph.simulation.rig import MountedCamera, PassErrors, SimulatedRig, TrueRig, joined, measured, seen_twice
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
 BORESIGHT = "boresight of NAC-R"

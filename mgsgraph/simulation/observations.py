@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mgsgraph.errors import InputError, require
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.ground import rays_to_sines
-from mgsgraph.ties import PointKind, TiePoints
 
 MARGIN = 30.0
 """pixels which true image points keep from the edges: six default sigmas of a footprint's measure."""

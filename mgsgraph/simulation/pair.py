@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mgsgraph.errors import InputError, require
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, displaced_footprints, narrow_image
 from mgsgraph.simulation.ground import CENTRE, rays_to_sines
 from mgsgraph.simulation.observations import (
@@ -30,7 +31,6 @@ from mgsgraph.simulation.observations import (
     shots_along,
 )
 from mgsgraph.simulation.orbit import HEADING, CircularPass, site_at
-from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG
 
 SOURCE = "simulated pair"

@@ -12,11 +12,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.camera import InstrumentErrors, displaced_footprints, moc_image
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
@@ -37,7 +38,6 @@ from mgsgraph.simulation.sites import (
 from mgsgraph.simulation.spice_files import clock_count, ephemeris_time
 from mgsgraph.simulation.terrain import terrain_grid
 from mgsgraph.simulation.world import Vibration, World, common_errors, drawn_vibration, of_tracks, vibrating
-from mgsgraph.ties import TiePoints
 
 SOURCE = "simulated site"
 """What messages call observations that were not read from a file."""

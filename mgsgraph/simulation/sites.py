@@ -15,7 +15,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.units import ARCMIN, ARCSEC, DEG, KM
 
 SiteName = Literal["eos", "gusev", "isidis"]

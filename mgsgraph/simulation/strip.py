@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError, require
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import require_count, require_seed
@@ -28,7 +29,6 @@ from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_
 from mgsgraph.simulation.pair import PairSettings
 from mgsgraph.simulation.strip_steps import Step, Steps, merged_profiles, merged_ties
 from mgsgraph.simulation.world import STRIP_EFFECTS, World
-from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG, KM
 
 MOST = 500

@@ -8,18 +8,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.ground import on_sines
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings, Shots, Visible, free_points, profile, shots_along
 from mgsgraph.simulation.orbit import orbit_axes
 from mgsgraph.simulation.true_image import TrueImage, true_image
 from mgsgraph.simulation.world import World, common_errors, drawn_vibration
-from mgsgraph.ties import TiePoints
 
 SOURCE = "simulated strip"
 """What messages call observations that were not read from a file."""

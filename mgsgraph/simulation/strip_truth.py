@@ -11,7 +11,7 @@ from mgsgraph.geometry.orientation_images import OrientationImages, evenly_space
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import JointNodePrior, NodePrior
 from mgsgraph.network.node_priors import normalised
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 
 Axis = Literal["pitch", "roll", "yaw"]
 """About the camera's x (across), y (flight) or z (optical axis): HRSC's."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
@@ -24,7 +25,6 @@ from mgsgraph.simulation.observations import NoiseSettings, free_points, well_in
 from mgsgraph.simulation.orbit import HEADING, CircularPass, circular_trajectory, site_at
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
-from mgsgraph.ties import TiePoints
 from mgsgraph.units import ARCMIN, DEG
 
 SOURCE = "simulated three-site campaign"

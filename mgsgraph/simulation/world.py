@@ -18,7 +18,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.notebook import Record
+from mgsgraph.record import Record
 from mgsgraph.simulation.orbit import quaternions
 from mgsgraph.units import MRAD
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import vector
 from mgsgraph.geometry.body import east_north_up, from_geodetic
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.incremental.impact import Impact
-from mgsgraph.output.csv_json import vector
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited
 from mgsgraph.project.journal import Measure, PointState

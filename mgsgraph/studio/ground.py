@@ -13,8 +13,8 @@ from mgsgraph.geometry.ray_terrain import meet_terrain
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.studio.block import Block
+from mgsgraph.text import many
 from mgsgraph.units import KM
-from mgsgraph.wording import many
 
 _NEIGHBOURS = 5
 """Points whose heights count."""

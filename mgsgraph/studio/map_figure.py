@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.figures.map_window import MapWindow, window_sheet
-from mgsgraph.figures.registration_views import known
-from mgsgraph.figures.sheet import Sheet
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.results.figures.map_window import MapWindow, window_sheet
+from mgsgraph.results.figures.registration_views import known
+from mgsgraph.results.figures.sheet import Sheet
 from mgsgraph.studio.map_layers import shaded_relief
 from mgsgraph.studio.map_points import map_points
 from mgsgraph.studio.opened import Opened

@@ -9,10 +9,10 @@ from PIL import Image
 from mgsgraph.analysis.group_medians import span
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid, sigma_grid
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import digits
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.map_plane import places_at
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.output.csv_json import digits
 from mgsgraph.registration.measured import thinned
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened

@@ -10,10 +10,10 @@ from mgsgraph.analysis.group_medians import counts, medians, span
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import digits, plain
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
-from mgsgraph.output.csv_json import digits, plain
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened

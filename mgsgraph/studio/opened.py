@@ -9,9 +9,9 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.starts import Minima
-from mgsgraph.analysis.nearby import posterior_of_points
+from mgsgraph.analysis.neighbors import posterior_of_points
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
@@ -21,12 +21,12 @@ from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.project.adjustment_cache import KeptAdjustment
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
-from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.reading import posterior_near, read_posterior, results_of
-from mgsgraph.reports.archive import ARCHIVE, read_solution
+from mgsgraph.results.archive import ARCHIVE, read_solution
 from mgsgraph.studio.block import Block
 
 Kind = Literal["project", "result", "case"]

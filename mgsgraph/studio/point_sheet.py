@@ -7,25 +7,25 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mgsgraph.analysis.companions import cross_covariances
+from mgsgraph.analysis.correlations import cross_covariances
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import plain, vector
+from mgsgraph.files.rasters.pictures import picture_size, read_picture_part
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.pictures import picture_size, read_picture_part
 from mgsgraph.network import PointClass
-from mgsgraph.output.csv_json import plain, vector
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.journal import Measure
 from mgsgraph.project.project import open_project
-from mgsgraph.reports.answers import Questions, answered
+from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.map_points import MapPoints
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
 _SHOWN = 12

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.rasters.pictures import read_picture_part
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.pictures import read_picture_part
 from mgsgraph.matching.least_squares import LeastSquaresSettings, MatchStatus, match_least_squares
 from mgsgraph.matching.measuring import FINEST
 from mgsgraph.matching.spline import SplinePicture

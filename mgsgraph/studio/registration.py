@@ -13,17 +13,17 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from mgsgraph.adjustment.starts import Minima
+from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.analysis.two_step_statistics import STAGES
 from mgsgraph.errors import require
+from mgsgraph.files.opening import read_bytes, read_json, understood
+from mgsgraph.files.output.csv_json import plain
+from mgsgraph.files.output.folders import COREGISTRATION
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.io.files import read_bytes, read_json, understood
-from mgsgraph.output.csv_json import plain
-from mgsgraph.output.folders import COREGISTRATION
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.marks import shots_of
+from mgsgraph.text import many
 from mgsgraph.units import DEG
-from mgsgraph.wording import many
 
 COSTS, SHOTS, CELLS, TWO_STEPS = "costs.csv", "shots.csv", "height_cells.csv", "two_steps.json"
 """Files of results that are read."""

@@ -19,8 +19,8 @@ from mgsgraph.studio.views import Pictured, Views, number_of
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.figures.image_views import ImageView
-    from mgsgraph.figures.sheet import Sheet
+    from mgsgraph.results.figures.image_views import ImageView
+    from mgsgraph.results.figures.sheet import Sheet
 
 _TYPES = {"svg": "image/svg+xml", "png": "image/png", "pdf": "application/pdf"}
 _MATPLOTLIB = Lock()
@@ -59,7 +59,7 @@ class Figures:
     # --- images
 
     def _images(self, request: Request) -> "Sheet":
-        from mgsgraph.figures.image_views import images_sheet
+        from mgsgraph.results.figures.image_views import images_sheet
 
         asked, linked = request.query_params, self._views.linked
         name = asked.get("image") or linked.block.images[0].name
@@ -83,7 +83,7 @@ class Figures:
     def _view(
         self, name: str, window: tuple[float, float, float, float], predicted: Prediction | None
     ) -> "ImageView":
-        from mgsgraph.figures.image_views import ImageView
+        from mgsgraph.results.figures.image_views import ImageView
 
         block = self._views.linked.block
         j = block.network.image_number(name)
@@ -102,13 +102,13 @@ class Figures:
     # --- registration
 
     def _footprints(self, request: Request) -> "Sheet":
-        from mgsgraph.figures.registration_views import footprints_sheet
+        from mgsgraph.results.figures.registration_views import footprints_sheet
 
         images = footprints_record(self._views.linked.block)["images"]
         return footprints_sheet(_chosen(images, "image", request.query_params.get("image"), "a shot in an image"))
 
     def _relief(self, request: Request) -> "Sheet":
-        from mgsgraph.figures.registration_views import relief_sheet
+        from mgsgraph.results.figures.registration_views import relief_sheet
 
         folder, radius = self._scene.folder, self._views.linked.block.images[0].body.equatorial
         record = None if folder is None else relief_record(folder, radius)
@@ -116,7 +116,7 @@ class Figures:
         return relief_sheet(_chosen(profiles, "name", request.query_params.get("profile"), "a registration by relief"))
 
     def _heights(self, _: Request) -> "Sheet":
-        from mgsgraph.figures.registration_views import heights_sheet
+        from mgsgraph.results.figures.registration_views import heights_sheet
 
         record = None if self._scene.folder is None else heights_record(self._scene.folder)
         if record is None:
@@ -126,11 +126,11 @@ class Figures:
     # --- of the solution: the sheets that results have
 
     def _of_solution(self, view: str) -> "Sheet":
-        from mgsgraph.figures.adjacency import links_sheet
-        from mgsgraph.figures.minima import minima_sheets
-        from mgsgraph.figures.orientation import orientation_sheets
-        from mgsgraph.figures.page import correction_sheets
-        from mgsgraph.figures.residuals import residual_sheets
+        from mgsgraph.results.figures.adjacency import links_sheet
+        from mgsgraph.results.figures.minima import minima_sheets
+        from mgsgraph.results.figures.orientation import orientation_sheets
+        from mgsgraph.results.figures.page import correction_sheets
+        from mgsgraph.results.figures.residuals import residual_sheets
 
         drawn_by: dict[str, Callable[[Solution], Iterable[Sheet]]] = {
             "minima": minima_sheets, "residuals": residual_sheets, "corrections": correction_sheets,
@@ -189,7 +189,7 @@ def _chosen(records: list[dict[str, Any]], key: str, wanted: str | None, what: s
 
 def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
     """A view, drawn by `make`, as an attachment with its caption; InputError of what can't be written."""
-    from mgsgraph.figures.sheet import encoded
+    from mgsgraph.results.figures.sheet import encoded
 
     if kind not in _TYPES:
         raise InputError("figure", f"{view}.{kind}"[:60], f"one of {', '.join(_TYPES)}")

@@ -10,13 +10,13 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import digits
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import PointClass
-from mgsgraph.output.csv_json import digits
 from mgsgraph.project.reading import results_of
 from mgsgraph.registration.measured import thinned
-from mgsgraph.reports.archive import read_solution
-from mgsgraph.reports.comparison import compare
+from mgsgraph.results.archive import read_solution
+from mgsgraph.results.comparison import compare
 from mgsgraph.studio.map_layers import longitude_latitude, relief_png, residual_vectors, sigma_cells
 from mgsgraph.studio.map_points import CLASSES, VALUES, map_points
 from mgsgraph.studio.opened import Opened

@@ -10,8 +10,8 @@ from starlette.routing import Route
 
 from mgsgraph.analysis.posterior import Pixel
 from mgsgraph.errors import InputError, MgsgraphError
-from mgsgraph.io.files import json_object
-from mgsgraph.reports.answers import Questions, answered
+from mgsgraph.files.opening import json_object
+from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.next_measures import next_measures
 from mgsgraph.studio.opened import Opened

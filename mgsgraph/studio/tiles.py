@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import ANY_SIZE, opened
-from mgsgraph.io.pictures import picture_size, read_picture, read_picture_part
+from mgsgraph.files.opening import ANY_SIZE, opened
+from mgsgraph.files.rasters.pictures import picture_size, read_picture, read_picture_part
 
 SIDE = 256
 """Lines and samples of a tile."""

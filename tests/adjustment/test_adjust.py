@@ -15,12 +15,12 @@ from mgsgraph.adjustment.posterior import explicit_covariances, orientation_cova
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.rounds import everything, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts
-from mgsgraph.ties import PointKind
+from mgsgraph.simulation.demo.truth import nees
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
 

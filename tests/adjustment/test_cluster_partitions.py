@@ -20,9 +20,9 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment import cluster
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.cluster import Connection, Lost, connection, held, open_cluster
-from mgsgraph.adjustment.cluster.held import CHANGING, FOLLOW, Answer, Order
+from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, worker_sweeps
 from mgsgraph.adjustment.cluster.partitions import Partitions
+from mgsgraph.adjustment.cluster.worker_sweeps import CHANGING, FOLLOW, Answer, Order
 from mgsgraph.adjustment.cluster.workers import Worker
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
@@ -174,9 +174,9 @@ def _doing() -> Callable[[tuple[str, Any]], Any]:
 
 def test_points_are_let_go_at_the_end(two: Connection) -> None:
     def kept() -> int:
-        from mgsgraph.adjustment.cluster import held
+        from mgsgraph.adjustment.cluster import worker_sweeps
 
-        return len(held._partitions)
+        return len(worker_sweeps._partitions)
 
     adjust_network(network(pair()), SolverSettings(), cluster=two)
     assert set(two.client.run(kept).values()) == {0}
@@ -221,10 +221,10 @@ class _Village:
             if address in dying:
                 yield number, None
                 continue
-            held._partitions.clear()
-            held._partitions.update(self.memories[address])
+            worker_sweeps._partitions.clear()
+            worker_sweeps._partitions.update(self.memories[address])
             yield number, function(order)
-            self.memories[address] = dict(held._partitions)
+            self.memories[address] = dict(worker_sweeps._partitions)
         for address in sorted(set(dying) & set(self.memories)):
             del self.memories[address]
             self.memories[f"w{self._born}"] = {}

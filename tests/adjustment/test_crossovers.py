@@ -18,14 +18,14 @@ from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.analysis.measures import MeasureKind, names_of
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import footprint_covariances
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import GroundPoints, Network, PointClass, ProfileShifts, SharedUnknown
 from mgsgraph.network.crossovers import Crossovers, crossovers
 from mgsgraph.network.parts import part
-from mgsgraph.reports.archive import read_solution, write_archive
-from mgsgraph.ties import PointKind
+from mgsgraph.results.archive import read_solution, write_archive
 
 AZIMUTHS = (5.0, -25.0, 40.0, 80.0)
 """Degrees, of the profiles' tracks against north."""

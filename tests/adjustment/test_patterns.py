@@ -17,6 +17,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
 from mgsgraph.adjustment.graph.parallel import nearly_parallel, parallel
 from mgsgraph.adjustment.graph.patterns import Observation, group_blocks
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
@@ -26,7 +27,6 @@ from mgsgraph.network import Network, Ranges
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
-from mgsgraph.ties import PointKind
 
 SEEDS = st.integers(0, 2**32 - 1)
 Name = tuple[int, int, int]

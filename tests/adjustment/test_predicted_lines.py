@@ -13,11 +13,11 @@ from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.network import Network
-from mgsgraph.ties import PointKind
 
 TIGHT = {"cost_tolerance": 1e-15, "step_tolerance": 1e-9, "max_iterations": 60}
 

@@ -11,12 +11,13 @@ from sharing import block, camera_clock, drawn, shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster import open_cluster
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
-from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.network.interior import Adjusted, adjusted_interior, reference_radius
 from mgsgraph.network.parts import bundles, joined
@@ -25,7 +26,6 @@ from mgsgraph.simulation.camera import InstrumentErrors, as_taken
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.simulation.three_sites import bridge_image
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
 SHARP = NoiseSettings(tie=1e-3, shot_image=1e-3, range=1e-3, ground=1e-2, position=1e-6, angle=1e-12)

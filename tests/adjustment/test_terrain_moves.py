@@ -21,15 +21,15 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.kernel.rows import SURFACE, one_observation
 from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
-from mgsgraph.reports.archive import read_solution, write_archive
-from mgsgraph.reports.control import control_json, control_statements, surface_heights
-from mgsgraph.ties import PointKind
+from mgsgraph.results.archive import read_solution, write_archive
+from mgsgraph.results.control import control_json, control_statements, surface_heights
 from mgsgraph.units import ARCSEC, DEG, MRAD
 
 RADIUS = 3.39e6

@@ -9,6 +9,7 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.datum.frames import flight_axes, flight_frame
+from mgsgraph.adjustment.forward_intersection import RaysAlone
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.posterior import prior_covariance
 from mgsgraph.adjustment.rounds import everything
@@ -24,7 +25,6 @@ from mgsgraph.adjustment.two_steps import (
     without_terrain,
 )
 from mgsgraph.analysis.flight import flight_axes_at, pose_sigmas
-from mgsgraph.analysis.forward import RaysAlone
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior

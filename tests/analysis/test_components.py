@@ -35,9 +35,9 @@ from mgsgraph.analysis.residual_tests import (
     residual_statistics,
 )
 from mgsgraph.errors import InputError
-from mgsgraph.figures.quantiles import quantile_sheet
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
+from mgsgraph.results.figures.quantiles import quantile_sheet
 from mgsgraph.simulation.observations import NoiseSettings
 
 SETTINGS = SolverSettings()

@@ -13,9 +13,9 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import group_fits as module
 from mgsgraph.analysis.group_fits import group_fits
 from mgsgraph.network import ImageRays, Network, PointClass
-from mgsgraph.reports.group_fits import fits_json, group_fits_table, weight_unit
-from mgsgraph.reports.results import solution_json
-from mgsgraph.reports.summary import statements, summary_table
+from mgsgraph.results.group_fits import fits_json, group_fits_table, weight_unit
+from mgsgraph.results.results import solution_json
+from mgsgraph.results.summary import statements, summary_table
 
 PLAIN = SolverSettings(starts=0)
 TIES, CAUTIOUS = "tie image points, lines", "ground priors"

@@ -12,13 +12,13 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.orbit import HEADING, CircularPass
-from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
 

@@ -8,12 +8,12 @@ import pytest
 import mgsgraph
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.places import State, View, on_surface
+from mgsgraph.files.place_table import PlaceTable
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.io.place_table import PlaceTable
-from mgsgraph.reports.places import Surface, project_places
+from mgsgraph.results.places import Surface, project_places
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 PIXEL = 1e-6

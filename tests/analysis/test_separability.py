@@ -12,7 +12,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.separability import NotToldApart, not_told_apart
 from mgsgraph.network import NodePrior, SharedKind, SharedUnknown
-from mgsgraph.reports.analysis import Wanted, analysed
+from mgsgraph.results.analysis import Wanted, analysed
 
 ALTITUDE = 380.0
 """m on the ground per mrad."""

@@ -9,19 +9,19 @@ from networks import network, pair
 from sharing import shared
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.implausible import IMPOSSIBLE
 from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.strained import IMPOSSIBLE
 from mgsgraph.analysis.soundness import MOST, Kind, is_result, soundness
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.network import Network, PointClass, SharedKind
-from mgsgraph.reports.inventory import inventory
-from mgsgraph.reports.results import solution_json
-from mgsgraph.reports.soundness import soundness_statements, state_of
-from mgsgraph.reports.summary import statements, summary_table
+from mgsgraph.results.inventory import inventory
+from mgsgraph.results.results import solution_json
+from mgsgraph.results.soundness import soundness_statements, state_of
+from mgsgraph.results.summary import statements, summary_table
 
 
 @pytest.fixture(scope="module")

@@ -19,11 +19,11 @@ from mgsgraph.analysis.systematic import EffectKind
 from mgsgraph.analysis.unexplained import named_effects, unexplained
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.figures.unexplained import binned
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE, RANGE
 from mgsgraph.network import Network
+from mgsgraph.results.figures.unexplained import binned
 from mgsgraph.simulation.files import write_site
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)

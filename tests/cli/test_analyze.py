@@ -10,8 +10,8 @@ import rasterio
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.reports.archive import read_solution
-from mgsgraph.reports.results import write_results
+from mgsgraph.results.archive import read_solution
+from mgsgraph.results.results import write_results
 
 Called = Callable[..., str]
 

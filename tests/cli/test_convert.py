@@ -9,8 +9,8 @@ import click
 import pytest
 
 from mgsgraph.cli import group
-from mgsgraph.control.network_file import read_network
 from mgsgraph.errors import InputError
+from mgsgraph.files.networks.network_file import read_network
 
 
 def call(*arguments: str | Path) -> int:

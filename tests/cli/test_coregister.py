@@ -19,27 +19,27 @@ from sites import plain_site
 import mgsgraph
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.cli import group
-from mgsgraph.demo.disagreement import BY_RELIEF, KERNELS, TIES, disagreement_table, disagreements, overall
-from mgsgraph.demo.truth import true_shots
 from mgsgraph.errors import InputError
-from mgsgraph.figures.relief import relief_sheets
-from mgsgraph.figures.sheet import Sheet, save
-from mgsgraph.figures.story import story_sheet
 from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
 from mgsgraph.registration import relief, relief_surfaces
 from mgsgraph.registration.minima import local_minima, weighted
-from mgsgraph.registration.relief_files import (
+from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
+from mgsgraph.registration.relief_surfaces import cells_of
+from mgsgraph.registration.search import CostSurface
+from mgsgraph.results.figures.relief import relief_sheets
+from mgsgraph.results.figures.sheet import Sheet, save
+from mgsgraph.results.figures.story import story_sheet
+from mgsgraph.results.relief import (
     coregistration_json,
     profiles_table,
     relief_shots_table,
     relief_statements,
     slopes_of,
 )
-from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
-from mgsgraph.registration.relief_surfaces import cells_of
-from mgsgraph.registration.search import CostSurface
+from mgsgraph.simulation.demo.disagreement import BY_RELIEF, KERNELS, TIES, disagreement_table, disagreements, overall
+from mgsgraph.simulation.demo.truth import true_shots
 from mgsgraph.simulation.terrain import GRID_VERTICAL, grid_shift
 
 APART = 20.0

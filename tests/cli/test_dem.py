@@ -15,10 +15,10 @@ from rasterio.warp import transform
 
 import mgsgraph
 from mgsgraph.cli import group
-from mgsgraph.control.pvl_writing import write_pvl_network
-from mgsgraph.control.ties import control_network
-from mgsgraph.dem import production
 from mgsgraph.errors import InputError
+from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.tie_points import control_network
+from mgsgraph.results import terrain_model
 
 
 def call(*arguments: str | Path) -> int:
@@ -73,8 +73,8 @@ def test_the_model_is_true_within_its_sigmas(out: Path) -> None:
 
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     matches = dem_site.matched(np.random.default_rng(4))
-    monkeypatch.setattr(production, "read_scene", lambda path, *ground: ("test", dem_site.scene()))
-    monkeypatch.setattr(production, "densely_matched", lambda *given: ((matches,), 1e-3))
+    monkeypatch.setattr(terrain_model, "read_scene", lambda path, *ground: ("test", dem_site.scene()))
+    monkeypatch.setattr(terrain_model, "densely_matched", lambda *given: ((matches,), 1e-3))
 
 
 def test_options_reach_the_model(
@@ -154,8 +154,8 @@ def test_images_without_common_ground(site: Path, tmp_path: Path, monkeypatch: p
         image = replace(second.image, timing=timing, trajectory=_Anywhere(second.image.trajectory))
         return replace(scene, pictures=(first, replace(second, image=image)))
 
-    adjusted = production.adjusted_scene
-    monkeypatch.setattr(production, "adjusted_scene", lambda scene, *given: moved(adjusted(scene, *given)))
+    adjusted = terrain_model.adjusted_scene
+    monkeypatch.setattr(terrain_model, "adjusted_scene", lambda scene, *given: moved(adjusted(scene, *given)))
     refused("no two of them overlap", site.parent / "result", "--case", site, "--out", tmp_path / "dem")
     assert list(tmp_path.iterdir()) == []
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from commands import refused, run, run_afresh
 
-from mgsgraph.demo.demonstration import STAGES
+from mgsgraph.simulation.demo.demonstration import STAGES
 
 pytestmark = pytest.mark.slow
 

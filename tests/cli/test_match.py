@@ -11,8 +11,8 @@ from commands import run, run_afresh
 from increments import strip
 
 from mgsgraph.cli import group
-from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
+from mgsgraph.files.networks.network_file import read_control_network
 from mgsgraph.matching import match as matching
 from mgsgraph.simulation.files import write_strip
 

@@ -23,8 +23,8 @@ from mgsgraph.case.draft_images import DraftImage, named_as
 from mgsgraph.case.images import read_image
 from mgsgraph.case.reading import case_of
 from mgsgraph.errors import InputError
-from mgsgraph.io.kinds import Kind
-from mgsgraph.reports.inventory import images_inventory
+from mgsgraph.files.kinds import Kind
+from mgsgraph.results.inventory import images_inventory
 from mgsgraph.simulation.pair import simulate_pair
 
 

@@ -8,7 +8,7 @@ import profiles
 import pytest
 from commands import refused, run
 
-from mgsgraph.reports.archive import FORMAT
+from mgsgraph.results.archive import FORMAT
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from commands import refused, run
 
-from mgsgraph.control.network_file import read_control_network, read_network
-from mgsgraph.control.table_writing import table_text
+from mgsgraph.files.networks.network_file import read_control_network, read_network
+from mgsgraph.files.networks.table_writing import table_text
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ import pytest
 from commands import refused, run
 
 import mgsgraph
-from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.project.oriented import oriented_images
-from mgsgraph.registration.crossing_tables import SELECTION
+from mgsgraph.results.crossings import SELECTION
 
 
 def call(*arguments: object) -> None:

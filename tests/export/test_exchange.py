@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from mgsgraph.control.asp.match import read_match, read_match_text
-from mgsgraph.control.asp.nvm import read_offsets
-from mgsgraph.control.binary import write_binary_network
-from mgsgraph.control.network_file import read_network
-from mgsgraph.control.record import (
+from mgsgraph.errors import InputError
+from mgsgraph.export import Format
+from mgsgraph.export.exchange import Lossy, convert, format_of, read_networks
+from mgsgraph.export.exchange_losses import losses
+from mgsgraph.export.exchange_setting import ExchangeSetting, setting_of
+from mgsgraph.files.networks.asp_match import read_match, read_match_text
+from mgsgraph.files.networks.asp_nvm import read_offsets
+from mgsgraph.files.networks.binary import write_binary_network
+from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
     ControlNetwork,
@@ -21,12 +26,7 @@ from mgsgraph.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.control.table import read_tie_points
-from mgsgraph.errors import InputError
-from mgsgraph.export import Format
-from mgsgraph.export.exchange import Lossy, convert, format_of, read_networks
-from mgsgraph.export.exchange_losses import losses
-from mgsgraph.export.exchange_setting import ExchangeSetting, setting_of
+from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.body import Ellipsoid
 
 SIZES = {"one": (2001, 1024), "two": (5000, 672)}

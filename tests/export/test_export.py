@@ -14,7 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export import Target
 from mgsgraph.export import solution_export as exports
 from mgsgraph.export.solution_export import Exported, ExportSettings, export_solution, target_of
-from mgsgraph.reports.results import write_results
+from mgsgraph.results.results import write_results
 
 FINE = 0.01
 """pixels, that a product may be off."""

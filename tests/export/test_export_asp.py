@@ -11,12 +11,12 @@ from networks import network, pair
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.control.asp.gcp import read_ground_control
 from mgsgraph.errors import InputError
 from mgsgraph.export.asp import write_asp
 from mgsgraph.export.csm import write_csm
+from mgsgraph.files.networks.asp_gcp import read_ground_control
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.network import PointClass
-from mgsgraph.ties import PointKind
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,8 @@ from mgsgraph.export.csm import STATE, write_csm
 from mgsgraph.export.csm_back import csm_differences, ground_to_image, isd_differences, state_differences
 from mgsgraph.export.csm_tables import refined_tables
 from mgsgraph.export.round_trip import Reprojection, reprojection
+from mgsgraph.files.support_data.isd import read_isd
+from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.distortion import RadialDistortion
@@ -30,8 +32,6 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.isd import read_isd
-from mgsgraph.io.model_state import read_model_state
 from mgsgraph.simulation.isis_files import json_text, support_data
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"

@@ -15,8 +15,6 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.reading import adjust, read_case
-from mgsgraph.control.network_file import read_network
-from mgsgraph.control.record import ControlNetwork, PointType
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import (
     common_degree,
@@ -26,12 +24,14 @@ from mgsgraph.export.bundle_out import write_bundle_out
 from mgsgraph.export.control_back import control_differences
 from mgsgraph.export.isis import adjusted_network, write_isis
 from mgsgraph.export.round_trip import measured_places
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.record import ControlNetwork, PointType
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up, in_turn, planetocentric
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import GroundPoints, Network, PointClass
-from mgsgraph.ties import PointKind
 
 CASES = Path(__file__).resolve().parents[2] / "scripts" / "cases"
 BLUNDER = 3

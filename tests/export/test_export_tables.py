@@ -14,13 +14,14 @@ import shapely
 from gis_files import degrees, odd_solution, tool
 from pyarrow import csv, parquet
 
+import mgsgraph
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis import write_gis
 from mgsgraph.export.gis_layers import footprint_layers, point_layers
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.network.connectivity import network_footprints
-from mgsgraph.reports.results import write_results
+from mgsgraph.results.results import write_results
 
 pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")
 geopandas = pytest.importorskip("geopandas", reason="the extra [tables] is not installed")
@@ -96,7 +97,7 @@ def test_shapes_beyond_half_a_turn_are_those_of_the_columns(solution: Solution, 
     """West of the prime meridian: 360 degrees less, without rounding."""
     turn = np.diag([-1.0, -1.0, 1.0])
     turned = replace(solution, places=solution.places @ turn)
-    frame = turned.to_geopandas("points").dropna(subset=["lon_deg"])
+    frame = mgsgraph.to_geopandas(turned, "points").dropna(subset=["lon_deg"])
     assert frame["lon_deg"].min() > 180.0
     assert frame.geometry.x.max() < 0.0
     assert (frame.geometry.x + 360.0).tolist() == frame["lon_deg"].tolist()
@@ -144,7 +145,7 @@ def test_footprints_and_ellipses_are_the_layers(solution: Solution, folder: Path
 
 @pytest.mark.parametrize("name", ["points", "residuals", "orientation", "connectivity", "shared"])
 def test_pandas_has_the_tables_of_the_results(solution: Solution, results: Path, name: str) -> None:
-    found, expected = solution.to_pandas(name), csv.read_csv(results / f"{name}.csv")
+    found, expected = mgsgraph.to_pandas(solution, name), csv.read_csv(results / f"{name}.csv")
     assert list(found.columns) == expected.column_names
     for column in expected.column_names:
         assert same([None if one == "" else one for one in found[column].tolist()], expected[column]), column
@@ -152,12 +153,12 @@ def test_pandas_has_the_tables_of_the_results(solution: Solution, results: Path,
 
 def test_frames_with_shapes(solution: Solution) -> None:
     for name in FILES:
-        frame = solution.to_geopandas(name)
+        frame = mgsgraph.to_geopandas(solution, name)
         assert frame.crs.to_authority() == ("IAU_2015", "49900")
-        plain = solution.to_pandas(name)
+        plain = mgsgraph.to_pandas(solution, name)
         assert list(plain.columns) == [column for column in frame.columns if column != "geometry"]
         assert len(plain) == len(frame)
-    at = solution.to_geopandas("residuals").geometry
+    at = mgsgraph.to_geopandas(solution, "residuals").geometry
     rays = solution.network.rays.point
     there = np.isfinite(solution.places[rays, 0])
     off = shapely.get_coordinates(at.to_numpy()[: rays.size][there]) - degrees(solution.places[rays[there]])
@@ -166,7 +167,7 @@ def test_frames_with_shapes(solution: Solution) -> None:
 
 def test_xarray_has_the_orientation_of_each_image(solution: Solution) -> None:
     pytest.importorskip("xarray", reason="the extra [tables] is not installed")
-    found = solution.to_xarray(places=7)
+    found = mgsgraph.to_xarray(solution, places=7)
     assert dict(found.sizes) == {"image": 2, "place": 7, "axis": 3, "angle": 3, "camera_axis": 3}
     units = {"lines": "1", "times": "s", "position_after": "m", "angles_sigma": "rad", "rotation": "rad"}
     assert {name: found[name].attrs["units"] for name in units} == units
@@ -195,9 +196,9 @@ def test_geo_interfaces(solution: Solution) -> None:
 @pytest.mark.parametrize(
     ("module", "call"),
     [
-        ("pandas", lambda solution: solution.to_pandas()),
-        ("geopandas", lambda solution: solution.to_geopandas()),
-        ("xarray", lambda solution: solution.to_xarray()),
+        ("pandas", lambda solution: mgsgraph.to_pandas(solution)),
+        ("geopandas", lambda solution: mgsgraph.to_geopandas(solution)),
+        ("xarray", lambda solution: mgsgraph.to_xarray(solution)),
     ],
 )
 def test_without_the_extra_it_says_what_to_install(
@@ -210,8 +211,8 @@ def test_without_the_extra_it_says_what_to_install(
 
 def test_tables_that_there_are_not(solution: Solution) -> None:
     with pytest.raises(InputError, match=r"'heights'; expected one of orientation, .*points"):
-        solution.to_pandas("heights")
+        mgsgraph.to_pandas(solution, "heights")
     with pytest.raises(InputError, match="'orientation'; expected one of points"):
-        solution.to_geopandas("orientation")
+        mgsgraph.to_geopandas(solution, "orientation")
     with pytest.raises(InputError, match="without any"):
-        solution.to_pandas("passes")
+        mgsgraph.to_pandas(solution, "passes")

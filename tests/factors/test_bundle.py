@@ -11,10 +11,10 @@ from odd_networks import NETWORKS, case, made, one_seen_twice_by_one_image, rand
 
 from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns
 from mgsgraph.adjustment.settings import Line, SolverSettings
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.kernel.lanes import LANES
 from mgsgraph.kernel.reduction import dense
 from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GOOD, GROUND, IMAGE, OUT, RANGE, SURFACE, WEAK
-from mgsgraph.ties import PointKind
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_UNITS = {

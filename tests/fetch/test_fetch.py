@@ -15,7 +15,6 @@ import pytest
 from flaky_archive import Flaky, cut, status, web_page
 
 import mgsgraph
-from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
@@ -23,8 +22,9 @@ from mgsgraph.fetch.case_file import camera_focal_length
 from mgsgraph.fetch.download import RetryPolicy
 from mgsgraph.fetch.folder import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
-from mgsgraph.io.labelled_image import read_labelled_image
-from mgsgraph.io.writing import claimed
+from mgsgraph.files.labels.labelled_image import read_labelled_image
+from mgsgraph.files.writing import claimed
+from mgsgraph.geometry.time_scales import tdb_of_utc
 
 QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"

@@ -15,7 +15,7 @@ from mgsgraph.fetch.kernel_phases import Interval, find_kernels, phase_of, utc
 from mgsgraph.fetch.needs import ProductId, products_of
 from mgsgraph.fetch.profiles import orbit_at
 from mgsgraph.fetch.volumes import IndexRow, find_image, read_index, volumes_listed
-from mgsgraph.io.megdr import read_megdr
+from mgsgraph.files.rasters.megdr import read_megdr
 
 # --- names
 

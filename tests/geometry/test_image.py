@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from strategies import along
 
 from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.io.isd import read_isd
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.pair import simulate_pair
 

@@ -13,14 +13,14 @@ from mgsgraph.adjustment.graph.layout import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case import images
 from mgsgraph.case.schema import ImageInput
-from mgsgraph.control.ties import require_places
 from mgsgraph.errors import InputError
+from mgsgraph.files.labels import labelled_image
+from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible, target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import require_on_ground, require_plausible
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io import labelled_image
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 IMAGES = simulate_pair(PairSettings(ties=5, shots=2), seed=1).images

@@ -12,10 +12,10 @@ from mgs import kernels
 from strategies import along
 
 from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_attitude, fit_polynomials
 from mgsgraph.geometry.trajectory import AttitudeTable
-from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.simulation.pair import simulate_pair
 
 ARCSEC = np.pi / 180.0 / 3600.0

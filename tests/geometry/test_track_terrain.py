@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mgsgraph.altimetry.pedr_text import read_pedr_text
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.pedr_text import read_pedr_text
+from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.track_terrain import LONGEST_EDGE, track_terrain
-from mgsgraph.io.megdr import read_megdr
 from mgsgraph.units import DEG, KM
 
 RADIUS = 3390e3

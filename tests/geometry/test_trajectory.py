@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from strategies import along, directions, rotation_vectors
 
 from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, PositionTable, Trajectory
-from mgsgraph.io.isd import read_isd
 from mgsgraph.simulation.pair import simulate_pair
 from mgsgraph.units import ARCSEC, KM, MM
 

@@ -7,13 +7,13 @@ import matched
 import numpy as np
 import pytest
 
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.matching.match import digest, match_scene
 from mgsgraph.matching.matches import Matches, matches_of
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.ties import PointKind
 
 CASES = [(2, "sift"), (2, "grid"), (3, "sift")]
 FEW = replace(matched.SETTINGS, cells=20, features=400)

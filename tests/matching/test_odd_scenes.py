@@ -12,13 +12,13 @@ from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
 from mgsgraph.matching.checks import checked_measures
 from mgsgraph.matching.coarse import search_radius
-from mgsgraph.matching.files import KeptTiles, match_statements
 from mgsgraph.matching.match import finest_first, ground_cells, match_scene, one_per_window
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.pairs import pairs_of
 from mgsgraph.matching.patches import Tile, blur_sigmas, ortho_patch
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.tiles import Links
+from mgsgraph.results.matching import KeptTiles, match_statements
 
 STEP = 4.0
 """m, pixel of the ground grid."""

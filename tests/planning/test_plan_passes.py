@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental.trajectories import extended, with_expected
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.trajectories import extended, with_expected
 from mgsgraph.network import Network
 from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.parts import KnownImage, known_images, with_images, without_images

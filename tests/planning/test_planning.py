@@ -10,9 +10,10 @@ from networks import network, pair, with_shift_and_surface
 from plans import addition, candidate, coverage, made, measured, really, solved, state, totals, truth, well_known
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.incremental.incremental import IncrementalAdjustment
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.network import TERRAIN, Network
 from mgsgraph.network.parts import KnownImage, Unknown
 from mgsgraph.planning.candidates import (
@@ -27,7 +28,6 @@ from mgsgraph.planning.plan import Evaluator, plan
 from mgsgraph.planning.state import CurrentState, state_of_solution
 from mgsgraph.planning.targets import TargetSigmas, targets_of
 from mgsgraph.planning.update import added, updated
-from mgsgraph.ties import PointKind
 
 AS_PROMISED = 0.01
 """Share by which a predicted sigma may differ from the one really had: the issue's."""

@@ -9,8 +9,9 @@ import pytest
 from projects import StopHere, four_images, images
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.geometry.duplicate_images import ImageTimes
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.geometry.twins import ImageTimes
 from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.parts import KnownImage, bundles, joined, part, without_images
 from mgsgraph.project.addition import (
@@ -26,8 +27,7 @@ from mgsgraph.project.changes import put_in
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.reports.archive_arrays import pack
-from mgsgraph.ties import PointKind
+from mgsgraph.results.archive_arrays import pack
 
 
 def whole() -> Network:

@@ -17,15 +17,15 @@ from pyarrow.csv import read_csv
 from pyarrow.parquet import read_table
 
 import mgsgraph
-from mgsgraph.aside import beside
+from mgsgraph.atomic_write import beside
 from mgsgraph.cli import group
-from mgsgraph.control.network_file import read_network
-from mgsgraph.control.pvl_writing import write_pvl_network
-from mgsgraph.control.record import ControlNetwork
 from mgsgraph.errors import InputError
+from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.project.project import open_project
-from mgsgraph.reports import large_tables
-from mgsgraph.reports.archive import read_solution
+from mgsgraph.results import large_tables
+from mgsgraph.results.archive import read_solution
 
 
 def call(*arguments: str | Path) -> int:
@@ -75,7 +75,7 @@ def test_looking_at_a_project_loads_no_solver(project: Path, case_file: Path) ->
         there = loaded(*command)
         assert "mgsgraph.project.store" in there
         assert {name.split(".")[0] for name in there} & HEAVY == needed
-        assert not [name for name in there if name.startswith(("mgsgraph.kernel", "mgsgraph.figures"))]
+        assert not [name for name in there if name.startswith(("mgsgraph.kernel", "mgsgraph.results.figures"))]
         assert {name for name in there if name.startswith("mgsgraph.adjustment.")} == {"mgsgraph.adjustment.settings"}
 
 
@@ -87,12 +87,12 @@ def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> No
     ties = ("--ties", folder / "network.pvl", "--shots", folder / "lidar.json")
     there = loaded("add", project, folder / "image_B.isd", *ties)
     assert {name.split(".")[0] for name in there} & (HEAVY | {"asyncio"}) == COMPILER | {"gtsam"}
-    assert {name for name in there if name.startswith("mgsgraph.reports")} == {
-        "mgsgraph.reports", "mgsgraph.reports.archive_arrays"
+    assert {name for name in there if name.startswith("mgsgraph.results")} == {
+        "mgsgraph.results", "mgsgraph.results.archive_arrays"
     }  # fmt: skip
     batch = ("adjust", "cluster", "solution", "starts", "held", "linearity")
     assert not there & {f"mgsgraph.adjustment.{name}" for name in batch}
-    assert not [name for name in there if name.startswith(("mgsgraph.figures", "mgsgraph.analysis"))]
+    assert not [name for name in there if name.startswith(("mgsgraph.results.figures", "mgsgraph.analysis"))]
 
 
 def refused(project: Path, said: str, *arguments: str | Path) -> None:

@@ -25,22 +25,22 @@ from hypothesis import strategies as st
 from increments import NOISE, apart, distances, fan, network_of, places_of, slope, state_of
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.schema import OrientationInput
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project import edits
 from mgsgraph.project.addition import unknown_alone
+from mgsgraph.project.adjustment_cache import KeptAdjustment
 from mgsgraph.project.changes import remove, solve
 from mgsgraph.project.journal import Measure, PointState, all_set_aside, last_state
-from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
 from mgsgraph.project.status import status
-from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import MRAD
 
 IMAGES = 4

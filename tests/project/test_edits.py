@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from projects import digest
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental.closing_check import EXACT
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.incremental.closing import EXACT
-from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import PointClass
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited, point_state
@@ -26,7 +27,6 @@ from mgsgraph.project.journal import Measure, PointState
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
-from mgsgraph.ties import PointKind
 
 
 def command(*words: object) -> None:

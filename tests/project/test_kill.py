@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from projects import change, differences, digest, interrupted
 
-from mgsgraph.incremental.state import InMemory
+from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 

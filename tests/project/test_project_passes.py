@@ -12,7 +12,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.project.project import open_project
-from mgsgraph.reports.archive import read_solution
+from mgsgraph.results.archive import read_solution
 
 LAST = "HRSC/01/S2"
 

@@ -14,16 +14,16 @@ from networks import pair
 from projects import ODD, StopHere, apart, bundle_of, change, contents, differences, four_images, images
 from stereo_pair import stereo_network
 
+from mgsgraph.adjustment.incremental.state import Bundle, InMemory
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.stereo_surface import StereoSurface
-from mgsgraph.incremental.state import Bundle, InMemory
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Members, bundles, joined, part, with_images
 from mgsgraph.project.columns import packed, unpacked
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.reports.archive_arrays import pack
+from mgsgraph.results.archive_arrays import pack
 
 
 @pytest.fixture(scope="module")

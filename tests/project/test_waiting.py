@@ -13,7 +13,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.project.changes import check, take_ties
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import results_of
-from mgsgraph.reports.archive import read_solution
+from mgsgraph.results.archive import read_solution
 
 
 def call(*arguments: str | Path) -> int:

@@ -16,12 +16,12 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.case.reading import adjust as adjust_case
 from mgsgraph.errors import InputError
-from mgsgraph.figures.overlay import averaged, pixels_of
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.network.footprints import discrepancy, misregistration
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
-from mgsgraph.registration.footprints import discrepancy, misregistration
-from mgsgraph.registration.tables import registration_json, write_registration
+from mgsgraph.results.figures.overlay import averaged, pixels_of
+from mgsgraph.results.registration import registration_json, write_registration
 from mgsgraph.simulation.files import write_pair
 
 PITCH = 6e-4

@@ -8,18 +8,18 @@ import networks
 import numpy as np
 import pytest
 
-from mgsgraph.altimetry.shots import read_shots
-from mgsgraph.altimetry.time_scales import utc_of_tdb
 from mgsgraph.analysis.places import View
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.altimeters import LOLA
 from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots
 from mgsgraph.geometry.records import frozen_mask
-from mgsgraph.io.isd import read_isd
+from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.project.oriented import OrientedImages
 from mgsgraph.project.shot_search import ShotChoice, search_shots
-from mgsgraph.registration.crossing_tables import crossing_sentences, crossings_table, selection_table
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
+from mgsgraph.results.crossings import crossing_sentences, crossings_table, selection_table
 
 
 def along_and_later() -> tuple[ShotsOverImages, AltimeterShots]:

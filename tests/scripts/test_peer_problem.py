@@ -23,9 +23,9 @@ import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
 from mgsgraph.errors import EphemerisGap, InputError  # noqa: E402
+from mgsgraph.files.tie_points import PointKind  # noqa: E402
 from mgsgraph.geometry.orientation import OrientationCorrection  # noqa: E402
 from mgsgraph.network import PointClass  # noqa: E402
-from mgsgraph.ties import PointKind  # noqa: E402
 
 SHARED = blocks.SHARED
 FIELDS = [name for name, _, _ in peer._sections(1, 1, 1, 1)]

@@ -9,9 +9,9 @@ import pytest
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.export.bundle_orientation import orientation_polynomials
+from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.io.isis_cube import read_isis_cube
-from mgsgraph.ties import TiePoints
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 if not SCRIPTS.is_dir():

@@ -12,12 +12,12 @@ from archive_server import serving
 from simulated_archive import ROOTS, write_archive
 from sites import plain_site
 
-from mgsgraph.altimetry.pedr import FRAME, HEADER_RECORDS, read_pedr
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.pedr import FRAME, HEADER_RECORDS, read_pedr
+from mgsgraph.files.labels.labelled_image import read_labelled_image
+from mgsgraph.files.pvl import Document, flat_label, whole_label
+from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.io.labelled_image import read_labelled_image
-from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.pvl import Document, flat_label, whole_label
 from mgsgraph.simulation.site import SimulatedSite
 from mgsgraph.simulation.terrain import GRID_VERTICAL
 from mgsgraph.units import DEG

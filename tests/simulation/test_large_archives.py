@@ -7,12 +7,12 @@ import pyarrow.parquet
 import pytest
 
 from mgsgraph.case.reading import adjust, read_case
-from mgsgraph.control.binary import binary_network, parse_binary_network
-from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
+from mgsgraph.files.networks.binary import binary_network, parse_binary_network
+from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.io.isd import read_isd
 from mgsgraph.simulation import archive_files
 from mgsgraph.simulation.archive import ARCHIVE_KINDS, Archive, archive_settings, lay_out
 from mgsgraph.simulation.archive_files import image_path, write_archive

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mgsgraph.altimetry.pedr import read_pedr
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.pedr import read_pedr
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
-from mgsgraph.io.cameras.label import read_line_scan_label
-from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.mgs_files import MocImageLabel, write_moc_image
 from mgsgraph.simulation.mola_files import PedrFrames, write_pedr
 from mgsgraph.units import DEG

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import spiceypy
 
-from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import polynomial
-from mgsgraph.io.isd import read_isd
-from mgsgraph.io.lidar import read_lidar
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.mars import MARS

@@ -12,9 +12,9 @@ from sites import plain_site
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.reading import read_case
-from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
 
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from sites import PLAIN, plain_site
 
-from mgsgraph.altimetry.pedr import read_pedr
-from mgsgraph.control.network_file import read_control_network
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.pedr import read_pedr
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.labels.labelled_image import read_labelled_image
+from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.rasters.megdr import read_megdr
+from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import areoid_grid
-from mgsgraph.io.cameras.label import read_line_scan_label
-from mgsgraph.io.labelled_image import read_labelled_image
-from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site

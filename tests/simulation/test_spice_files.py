@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import spiceypy
 
+from mgsgraph.files.spice.kernels import loaded
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.kernels import loaded
 from mgsgraph.simulation import orbit
 from mgsgraph.simulation.camera import moc_image
 from mgsgraph.simulation.mars import MARS, body_matrix, mars_about_sun, sun_direction

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from mgsgraph.case.reading import adjust, read_case
-from mgsgraph.control.network_file import read_control_network
-from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.support_data.isd import read_isd
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.io.isd import read_isd
-from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import PointClass
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_strip
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.simulation.true_image import true_image
-from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG
 
 Measures = dict[tuple[str, str], tuple[float, float]]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mgsgraph.case.reading import Case, adjust, read_case
-from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_three_sites
 from mgsgraph.simulation.site import SimulationOptions
 from mgsgraph.simulation.three_sites import (

@@ -24,7 +24,7 @@ from mgsgraph.project.changes import put_in
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
-from mgsgraph.reports.archive import read_solution
+from mgsgraph.results.archive import read_solution
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

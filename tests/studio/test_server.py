@@ -20,7 +20,7 @@ from studio_server import Browser, Studio, studio
 from mgsgraph.cli import group
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import open_project
-from mgsgraph.reports.archive import read_solution
+from mgsgraph.results.archive import read_solution
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.studio.changes import EditLock

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("starlette")
 
-from mgsgraph.analysis.companions import cross_covariances
+from mgsgraph.analysis.correlations import cross_covariances
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.cli import group

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.pictures import read_picture
+from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.studio import tiles
 from mgsgraph.studio.tiles import SIDE, Tiles, encoded_tile, halved, open_picture
 

@@ -26,7 +26,7 @@ from mgsgraph.adjustment.cluster.workers import (
     require_memory,
     require_visible_file,
 )
-from mgsgraph.aside import scratch
+from mgsgraph.atomic_write import scratch
 from mgsgraph.errors import InputError, SolverError
 
 TIMEOUT = 10.0

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.cluster.connection import LEAST_MEMORY, Connection, Lost
-from mgsgraph.adjustment.cluster.held import (
+from mgsgraph.adjustment.cluster.worker_sweeps import (
     CHANGING,
     FOLLOW,
     HOLD,

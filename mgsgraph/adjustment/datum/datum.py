@@ -21,7 +21,7 @@ from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.network.joining import nominal_poses
-from mgsgraph.wording import listed
+from mgsgraph.text import listed
 
 UNDETERMINED = 1e-13
 """Eigenvalue of the scaled normal matrix, relative to the largest, below which a direction isn't determined."""

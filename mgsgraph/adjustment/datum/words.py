@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.frames import Axis, FlightFrame, Frames
 from mgsgraph.geometry.records import Array
-from mgsgraph.wording import listed, some
+from mgsgraph.text import listed, some
 
 _NODE = re.compile(r"node (\d+) of (\d+) of (pass .+)")
 _LEAST = 0.01

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.gpu.dense_cholesky import MOST_COLUMNS, DenseCholesky, dense_bytes, dense_libraries
 from mgsgraph.adjustment.gpu.devices import WHERE, Gpu
 from mgsgraph.adjustment.graph.bundle import Solving, sparse_factor
-from mgsgraph.adjustment.graph.following import about_followed_lines
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.leverage import of_rows
+from mgsgraph.adjustment.graph.relinearize import about_followed_lines
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.cuda.partition import Partition, Workspace, bytes_of_pieces, room, to_device, to_host, zeros

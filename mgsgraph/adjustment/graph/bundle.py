@@ -12,10 +12,10 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph.bundle_factors import Bundles
-from mgsgraph.adjustment.graph.following import about_followed_lines
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.leverage import numbers
 from mgsgraph.adjustment.graph.patterns import group_blocks
+from mgsgraph.adjustment.graph.relinearize import about_followed_lines
 from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.factors.priors import linear_prior, zero_prior
 from mgsgraph.geometry.records import Array

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
-from mgsgraph.ties import PointKind
 
 _TIMES = 3.0
 """Sigmas of the angle between two rays within which they count as parallel."""

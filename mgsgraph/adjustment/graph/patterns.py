@@ -13,10 +13,10 @@ from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_r
 from mgsgraph.adjustment.graph.stereo import StereoRows, columns, combinations
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
-from mgsgraph.ties import PointKind
 
 
 class Observation(NamedTuple):

@@ -10,15 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.filling import (
+from mgsgraph.adjustment.graph.patterns import Patterns
+from mgsgraph.adjustment.graph.poses import pose_tables
+from mgsgraph.adjustment.graph.ray_constants import (
     crossings,
     places_of_rays,
     put_detectors,
     put_poses,
     put_scale,
 )
-from mgsgraph.adjustment.graph.patterns import Patterns
-from mgsgraph.adjustment.graph.poses import pose_tables
 from mgsgraph.adjustment.graph.sampled_rays import NO_UNITS, RayPlaces, SampledRays, Share
 from mgsgraph.adjustment.graph.scales import angle_rates, frozen_scale, peer_scale
 from mgsgraph.adjustment.graph.shared import SharedEffects

@@ -12,15 +12,16 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.graph.memory_map import Storage
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.rays import Crossing, RayConstants
-from mgsgraph.adjustment.graph.scratch import Storage
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index
@@ -37,7 +38,6 @@ from mgsgraph.kernel.rows import (
     numbers_stored,
 )
 from mgsgraph.network import Network
-from mgsgraph.ties import PointKind
 
 _Component = TypeVar("_Component", int, Index)
 

@@ -11,8 +11,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.filling import put_sampled, rays_inside
 from mgsgraph.adjustment.graph.poses import PoseTables
+from mgsgraph.adjustment.graph.ray_constants import put_sampled, rays_inside
 from mgsgraph.adjustment.graph.sorting import followed
 from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -1,0 +1,214 @@
+"""The Bayes tree of iSAM2 over the shared unknowns: reduced systems go in and out, estimates and covariances come out.
+
+Kaess, Johannsson, Roberts, Ila, Leonard & Dellaert, "iSAM2" (2012). Every factor is quadratic, so the tree is iSAM2's
+incremental elimination and nothing else; what is not linear is mended by taking a bundle's system out and putting in
+one that was made at the present values (`incremental`). Unknowns are held in units of their a-priori sigmas: numbers of
+order one, for which the wildfire threshold means the same everywhere.
+
+The tree is eliminated by Cholesky's method as long as GTSAM takes it, and from then on by QR, which takes seven times
+as long and more memory on a block of images. GTSAM's Cholesky refuses a pivot below 2^-24 of the diagonal that it
+began with (measured, 4.3): hundreds of ties good to a tenth of a pixel bring that about under priors of some hundred
+metres, though the priors themselves keep every direction determined. Where it doesn't refuse, no more than 24 of 53
+bits are lost: 1e-8 of a sigma. QR has no such limit. It needs the rows: what GTSAM makes of quadratic factors itself is
+Cholesky's again.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+
+import gtsam
+import numpy as np
+
+from mgsgraph.adjustment.graph.bundle_factors import square_root
+from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
+from mgsgraph.adjustment.square_root import is_indeterminate
+from mgsgraph.errors import SolverError
+from mgsgraph.geometry.records import Array
+from mgsgraph.network.parts import Members, Unknown
+
+_WILDFIRE = 1e-7
+"""A-priori sigmas: changes smaller than this are not handed on (a thousandth of what is promised where the posterior
+is a thousand times sharper than the prior)."""
+
+
+@contextmanager
+def _solvable(what: str) -> Iterator[None]:
+    """GTSAM's errors as SolverErrors that say what it can't do."""
+    try:
+        yield
+    except RuntimeError as error:
+        said = " ".join(str(error).split())[:100] or "not positive definite"
+        remedy = "look for sigmas that differ by many orders of magnitude, or adjust by batch"
+        raise SolverError(f"iSAM2 can't {what} ({said}); {remedy}") from error
+
+
+TOGETHER = ("node", "trend")
+"""Kinds of unknowns that are known beforehand together: those of passes."""
+
+
+class PriorRows:
+    """Whitened rows sum_v blocks[v] x_v on unknowns of a pass, about zero; equal where they say the same."""
+
+    def __init__(self, unknowns: Members, blocks: Sequence[Array]) -> None:
+        self.unknowns, self.whitened = unknowns, tuple(blocks)
+        self._content = unknowns, b"".join(np.ascontiguousarray(block).tobytes() for block in blocks)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PriorRows) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+
+_Owner = Unknown | Members | PriorRows
+"""Whose a factor is: the prior of an unknown, the reduced system of a bundle, what is known of some unknowns."""
+
+
+class Tree:
+    """Unknowns with their priors, and reduced systems on them."""
+
+    def __init__(self) -> None:
+        self._isam, self._by_qr = _isam("CHOLESKY"), False
+        self._keys = dict[Unknown, int]()
+        self._scale = dict[Unknown, Array]()
+        self._factors = dict[_Owner, gtsam.NonlinearFactor]()
+        self._slots = dict[_Owner, int]()
+        self._next = 0
+        self._taken = dict[Unknown, Array]()
+
+    def __contains__(self, members: Members) -> bool:
+        return members in self._slots
+
+    def change(
+        self,
+        new: Mapping[Unknown, Array] | None = None,
+        systems: Mapping[Members, ReducedSystem] | None = None,
+        gone: Iterable[Members] = (),
+        dropped: Iterable[Unknown] = (),
+        rows: Iterable[PriorRows] | None = None,
+    ) -> None:
+        """Put unknowns (with a-priori sigmas (d,)) and systems in, take others out; a system whose members are there
+        replaces the one that was. `rows` are all that is known beforehand of the unknowns of passes, whose sigmas are
+        mere units; None leaves them as they are.
+
+        Raises SolverError when the sum can't be eliminated; the tree is of no use after that.
+        """
+        new, systems, dropped = dict(new or {}), dict(systems or {}), list(dropped)
+        known = [one for one in self._slots if isinstance(one, PriorRows)]
+        kept = known if rows is None else list(dict.fromkeys(rows))
+        leaving: list[_Owner] = [one for one in {*gone, *systems} if one in self._slots]
+        leaving += [unknown for unknown in dropped if unknown in self._slots]
+        leaving += [one for one in known if one not in kept]
+        for unknown, sigmas in new.items():
+            self._keys[unknown], self._scale[unknown] = self._next, sigmas
+            self._next += 1
+        with _solvable("eliminate the change"):
+            self._replace(leaving, self._factors_of(new, [one for one in kept if one not in self._slots], systems), new)
+        for unknown in dropped:
+            del self._keys[unknown], self._scale[unknown]
+            self._taken.pop(unknown, None)
+
+    def _factors_of(
+        self, new: Iterable[Unknown], rows: Iterable[PriorRows], systems: Mapping[Members, ReducedSystem]
+    ) -> dict[_Owner, gtsam.NonlinearFactor]:
+        """Factors of unknowns that are known by themselves, of rows on several, and of reduced systems."""
+        found = dict[_Owner, gtsam.NonlinearFactor]()
+        for unknown in new:
+            if unknown.kind not in TOGETHER:
+                size = self._scale[unknown].size
+                unit = gtsam.noiseModel.Unit.Create(size)
+                found[unknown] = gtsam.PriorFactorVector(self._keys[unknown], np.zeros(size), unit)
+        for one in rows:
+            found[one] = self._linear(one.unknowns, one.whitened, np.zeros(one.whitened[0].shape[0]))
+        return found | {members: self._factor(system) for members, system in systems.items()}
+
+    def _replace(
+        self, leaving: Sequence[_Owner], coming: Mapping[_Owner, gtsam.NonlinearFactor], new: Iterable[Unknown]
+    ) -> None:
+        """Factors in the place of others, on new unknowns, too; the whole tree by QR where Cholesky's method fails."""
+        removed = [self._slots.pop(owner) for owner in leaving]
+        for owner in leaving:
+            del self._factors[owner]
+        self._factors |= coming
+        try:
+            self._update(coming, new, removed)
+        except RuntimeError as error:
+            if self._by_qr or not is_indeterminate(error):
+                raise
+            self._isam, self._by_qr = _isam("QR"), True
+            felt = {key for factor in self._factors.values() for key in factor.keys()}  # noqa: SIM118
+            self._update(self._factors, [unknown for unknown, key in self._keys.items() if key in felt], [])
+
+    def _update(
+        self, coming: Mapping[_Owner, gtsam.NonlinearFactor], new: Iterable[Unknown], removed: list[int]
+    ) -> None:
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for unknown in new:
+            values.insert(self._keys[unknown], np.zeros(self._scale[unknown].size))
+        for factor in coming.values():
+            factors.add(factor)
+        found = self._isam.update(factors, values, removed).getNewFactorsIndices()
+        self._slots |= {owner: int(slot) for owner, slot in zip(coming, found, strict=True)}
+
+    def _factor(self, system: ReducedSystem) -> gtsam.LinearContainerFactor:
+        """A reduced system as GTSAM factor on whitened unknowns: rows (A, b) with the error |A x - b|^2 / 2."""
+        scale = np.concatenate([self._scale[unknown] for unknown in system.unknowns])
+        jacobian, error = square_root(system.normal, system.gradient, system.cost, scale)
+        parts = stretches(system.unknowns, self._scale)
+        blocks = [jacobian[:, part] for part in parts.values()]
+        return self._linear(system.unknowns, blocks, jacobian @ system.at - error)
+
+    def _linear(self, unknowns: Members, blocks: Sequence[Array], right: Array) -> gtsam.LinearContainerFactor:
+        """Rows sum_v blocks[v] x_v = right (r,), per m and rad, as GTSAM factor on whitened unknowns."""
+        terms = [(self._keys[v], block * self._scale[v]) for v, block in zip(unknowns, blocks, strict=True)]
+        # from Python, a conditional alone takes rows on any number of unknowns
+        rows = gtsam.GaussianConditional(terms, 1, right, gtsam.noiseModel.Unit.Create(right.size))
+        return gtsam.LinearContainerFactor(gtsam.JacobianFactor(rows))
+
+    def values(self) -> dict[Unknown, Array]:
+        """Present values of all unknowns, m and rad."""
+        self._taken.clear()
+        return self.moved()
+
+    def moved(self) -> dict[Unknown, Array]:
+        """Present values, m and rad, of the unknowns that have moved since the last call, and of new ones."""
+        with _solvable("solve"):
+            estimate, found = self._isam.calculateEstimate(), dict[Unknown, Array]()
+        for size, names in self._by_size().items():
+            # many unknowns, of which few have moved: compared all at once
+            now = np.array([estimate.atVector(self._keys[name]) for name in names]).reshape(len(names), size)
+            before = np.array([self._taken.get(name, _nothing(size)) for name in names]).reshape(now.shape)
+            for k in np.flatnonzero(np.any(now != before, axis=1)).tolist():
+                self._taken[names[k]] = now[k]
+                found[names[k]] = now[k] * self._scale[names[k]]
+        return found
+
+    def _by_size(self) -> dict[int, list[Unknown]]:
+        groups = dict[int, list[Unknown]]()
+        for name, scale in self._scale.items():
+            groups.setdefault(scale.size, []).append(name)
+        return groups
+
+    def covariance(self, unknowns: Sequence[Unknown]) -> Array:
+        """Joint covariance (d, d) of some unknowns, in their order, m and rad, for sigma0 = 1."""
+        keys, scale = [self._keys[u] for u in unknowns], np.concatenate([self._scale[u] for u in unknowns])
+        if len(keys) == 1:
+            return np.asarray(self._isam.marginalCovariance(keys[0]) * scale[:, None] * scale)
+        joint = self._isam.jointMarginalCovariance(keys)
+        blocks = np.block([[joint.at(one, other) for other in keys] for one in keys])
+        return np.asarray(blocks * scale[:, None] * scale)
+
+
+@cache
+def _nothing(size: int) -> Array:
+    return np.full(size, np.nan)
+
+
+def _isam(factorisation: str) -> gtsam.ISAM2:
+    parameters = gtsam.ISAM2Params()
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(_WILDFIRE))
+    parameters.setFactorization(factorisation)
+    parameters.enableRelinearization = False
+    parameters.findUnusedFactorSlots = True
+    return gtsam.ISAM2(parameters)

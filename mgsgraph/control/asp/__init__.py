@@ -1,1 +1,0 @@
-"""Files of the Ames Stereo Pipeline: matches, ground control points, NVM."""

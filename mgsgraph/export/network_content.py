@@ -1,0 +1,198 @@
+"""What the networks of an adjustment say besides what it needs, taken back into the network that is exported.
+
+Types of measures, their a-priori places, figures of merit, dates and choosers, and ignored points and measures stand in
+the files that were read. A solution remembers these files and their digests (`networks` in solution.json). What can't
+be taken back is said.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from msgspec import structs
+
+from mgsgraph.errors import InputError
+from mgsgraph.export.exchange_setting import leading
+from mgsgraph.files.networks.choosing import with_measures
+from mgsgraph.files.networks.pvl import MEASURE_TYPES
+from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
+from mgsgraph.files.networks.table import read_whole
+from mgsgraph.files.networks.uniting import SAME_PLACE, apart, united
+from mgsgraph.files.opening import sha256_of, understood
+from mgsgraph.files.output.folders import PROGRAM, RECORD
+from mgsgraph.files.records import read_record
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.text import listed, many, some
+
+ADJUSTED_BY = f"Adjusted by {PROGRAM}"
+"""What descriptions of exported networks say."""
+_OF_A_PRIORI = ("apriori", "apriori_covariance", "apriori_source")
+_CONSTRAINED = ("latitude_constrained", "longitude_constrained", "radius_constrained")
+_LOST = "types, a-priori places, figures of merit and dates of measures"
+_NAME_IT = "name the network: --network FILE"
+
+
+class Sources(NamedTuple):
+    """The networks that a solution's points were read from, as far as they are still there."""
+
+    network: ControlNetwork | None
+    """All of them as one, as `united` makes it; None where none is there."""
+    notes: tuple[str, ...] = ()
+    """About those that aren't."""
+
+
+def source_networks(folder: Path, stated: Sequence[Path], body: Ellipsoid) -> Sources:
+    """Read the networks of a solution.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the solution, or its archive.
+    stated : sequence of Path
+        In place of those that the solution remembers.
+    body : Ellipsoid
+        To which heights in tables refer.
+
+    Raises
+    ------
+    InputError
+        As the readers do.
+    """
+    paths, notes = list(stated), list[str]()
+    if not stated:
+        for path, digest in _remembered(folder):
+            if not path.is_file():
+                notes.append(f"{path} isn't there any more: {_LOST} aren't known; {_NAME_IT}")
+            elif sha256_of(path) != digest:
+                notes.append(f"{path} has changed since the adjustment: nothing is taken from it; {_NAME_IT}")
+            else:
+                paths.append(path)
+    networks = [read_whole(path, body) for path in paths]
+    if not networks:
+        return Sources(None, tuple(notes) or (f"No network of the points is known, nor {_LOST}; {_NAME_IT}",))
+    points, _ = united(networks, Duplicates.FIRST)
+    return Sources(structs.replace(leading(networks), points=points, source=some([str(p) for p in paths], len(paths))),
+                   tuple(notes))  # fmt: skip
+
+
+def _remembered(folder: Path) -> list[tuple[Path, str]]:
+    """Paths and digests of the networks in a solution's record."""
+    file = (folder if folder.is_dir() else folder.parent) / RECORD
+    if not file.exists():  # an archive alone
+        return []
+    with understood(f"{file}, networks", "what mgsgraph adjust writes"):
+        return [(Path(entry["path"]), str(entry["sha256"])) for entry in read_record(file).get("networks", [])]
+
+
+class Kept(NamedTuple):
+    """A network with its content of old, and what became of it in sentences."""
+
+    network: ControlNetwork
+    notes: tuple[str, ...] = ()
+
+
+def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Collection[str]) -> Kept:
+    """An adjusted network with all that its source says.
+
+    Parameters
+    ----------
+    adjusted : ControlNetwork
+        Its adjusted places, covariances, residuals and rejections stay, its points and measures that the source
+        doesn't have, and its sigmas where the source has none.
+    source : ControlNetwork
+        Its points come first, in its order; measures in other images are left out, with points that have no other.
+    images : collection of str
+        Of the adjustment.
+
+    Raises
+    ------
+    InputError
+        If the source has none of the points.
+    """
+    mine = {point.id: point for point in adjusted.points}
+    points, met = list[ControlPoint](), Counter[str]()
+    for original in source.points:
+        seen = [k for k, one in enumerate(original.measures) if one.serial_number in images]
+        met["elsewhere"] += len(original.measures) - len(seen)
+        own = mine.pop(original.id, None)
+        if not seen and own is None:
+            met["points elsewhere"] += 1
+            continue
+        original = with_measures(original, seen)
+        if own is None:
+            met["unused"] += 1
+            points.append(original)
+        else:
+            met["taken"] += 1
+            points.append(_united(original, own, met))
+    if not met["taken"]:
+        found = "none of the points that were adjusted"
+        raise InputError(source.source, found, "the network that was adjusted", "name another one (--network)")
+    network = structs.replace(
+        adjusted, points=(*points, *mine.values()), network_id=source.network_id or adjusted.network_id,
+        target_name=source.target_name or adjusted.target_name, created=source.created,
+        target_radii=source.target_radii or adjusted.target_radii,
+        description=_described(source.description, adjusted.description),
+    )  # fmt: skip
+    return Kept(network, _notes(met, source.source))
+
+
+def _united(original: ControlPoint, own: ControlPoint, met: Counter[str]) -> ControlPoint:
+    found = {one.serial_number: one for one in own.measures}
+    measures = list[ControlMeasure]()
+    for measure in original.measures:
+        adjusted = None if measure.ignore else found.pop(measure.serial_number, None)
+        met["unused measures"] += adjusted is None
+        measures.append(measure if adjusted is None else _measure(measure, adjusted, met))
+    changed: dict[str, Any] = {name: getattr(own, name) for name in ("jigsaw_rejected", "adjusted",
+                                                                     "adjusted_covariance", "type")}  # fmt: skip
+    if original.apriori is None or original.type != own.type:
+        changed |= {name: getattr(own, name) for name in _OF_A_PRIORI}
+    if original.type != own.type and own.type == PointType.CONSTRAINED:
+        changed |= dict.fromkeys(_CONSTRAINED, True)
+    reference = own.reference if original.reference is None else original.reference
+    return structs.replace(original, measures=(*measures, *found.values()), reference=reference, **changed)
+
+
+def _measure(original: ControlMeasure, adjusted: ControlMeasure, met: Counter[str]) -> ControlMeasure:
+    if apart(original, adjusted) > SAME_PLACE:
+        met["moved"] += 1
+        return adjusted
+    met[MEASURE_TYPES[original.type]] += 1
+    met["AprioriLine"] += original.apriori_line is not None
+    met["GoodnessOfFit"] += any(kind == 2 for kind, _ in original.log)
+    met["sigmas"] += original.line_sigma is None or original.sample_sigma is None
+    return structs.replace(
+        original, line_residual=adjusted.line_residual, sample_residual=adjusted.sample_residual,
+        jigsaw_rejected=adjusted.jigsaw_rejected,
+        line_sigma=adjusted.line_sigma if original.line_sigma is None else original.line_sigma,
+        sample_sigma=adjusted.sample_sigma if original.sample_sigma is None else original.sample_sigma,
+    )  # fmt: skip
+
+
+def _described(earlier: str, now: str) -> str:
+    """What a network said of itself, without the word of an earlier adjustment, and what is said of this one."""
+    own = earlier.partition(ADJUSTED_BY)[0].rstrip(". ")
+    return f"{own}. {now}" if own else now
+
+
+def _notes(met: Counter[str], source: str) -> tuple[str, ...]:
+    types = [f"{met[word]} {word}" for word in MEASURE_TYPES.values() if met[word]]
+    kept = [f"AprioriLine and AprioriSample of {met['AprioriLine']}"] if met["AprioriLine"] else []
+    kept += [f"GoodnessOfFit of {met['GoodnessOfFit']}"] if met["GoodnessOfFit"] else []
+    said = [f"Kept of {source}: all of {many(met['taken'], 'point')}" +
+            (f" and their measures ({listed([*types, *kept])})" if types else "")]  # fmt: skip
+    for word, sentence in (
+        ("sigmas", "Not held: that {} had no sigma; those of the adjustment are written"),
+        ("moved", "Not held: what it says of {} elsewhere than those that were adjusted"),
+        ("elsewhere", "Left out: {} in images that were not adjusted"),
+    ):
+        said += [sentence.format(many(met[word], "measure"))] if met[word] else []
+    if met["points elsewhere"]:
+        said.append(f"Left out: {many(met['points elsewhere'], 'point')} that none of the adjusted images sees")
+    if met["unused"] or met["unused measures"]:
+        what = listed([many(met[word], noun) for word, noun in (("unused", "point"), ("unused measures", "measure"))
+                       if met[word]])  # fmt: skip
+        said.append(f"Without residuals, as the adjustment took nothing of them (ignored ones): {what}")
+    return tuple(said)

@@ -1,0 +1,338 @@
+"""MOLA Precision Experiment Data Records (PEDR), binary, to AltimeterShots.
+
+A frame of 776 bytes holds 20 shots of two seconds, big-endian; what is kept once per frame is interpolated to the shots
+with x = (k - 10.5) / 20, k = 1 .. 20, as the archive's own program PEDR2TAB (2.71828) does it:
+
+* time: frame's midpoint + (k - 10.5) x 0.01 s x 100 MHz / clock;
+* place: midpoint + x delta + parallax (radius of the shot - radius of the midpoint), the radii before the next step;
+* radius: shot's radius - crossover correction - x (correction - correction of the frame before).
+
+The archived range correction is handed on and NOT applied: the archive doesn't say whether the range holds it already.
+Centimetres and millionths of degrees end here.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.places import known_ranges, require_records
+from mgsgraph.files.opening import read_bytes
+from mgsgraph.files.pvl import Block, flat_label
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.geometry.records import Array, Index, read_only
+from mgsgraph.units import DEG
+
+SHOTS = 20
+"""Shots in a frame."""
+_FRAMES = 1 << 14
+"""Frames whose shots are made at a time."""
+HEADER_RECORDS = 10
+"""Records of the label before the first frame."""
+IAU2000_VERSION = "L"
+"""Product version from which on the archive is in the IAU2000 frame; earlier ones are IAU1991 (PDS pedr.html)."""
+_PULSE = 1e-10
+"""s, of the echo's widths."""
+_CM = 1e-2
+_MICRODEG = 1e-6 * DEG
+_DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
+_LEAST, _LARGEST = 3.3e6, 3.5e6
+"""m, between which any radius on Mars lies."""
+_CLOCK, _CLOCK_TOLERANCE = 1e8, 0.01
+"""Hz of the altimeter's clock, and the part by which it may run otherwise; it drifted by 4e-5."""
+_FIRST_CROSSOVERS = 7.125
+"""Software version from which on the frames hold crossover corrections (PEDR2TAB)."""
+
+_FIELDS: tuple[tuple[str, str, int, int], ...] = (
+    # name, type, count, byte (from 0); where no unit is said: cm, or 1e-6 deg
+    ("seconds", "i4", 1, 0),  # of the midpoint, whole s TDB past J2000
+    ("microseconds", "i4", 1, 4),
+    ("orbit", "u4", 1, 8),
+    ("spacecraft_latitude", "i4", 1, 12),
+    ("spacecraft_longitude", "i4", 1, 16),
+    ("spacecraft_radius", "u4", 1, 20),
+    ("midpoint_range", "i4", 1, 24),
+    ("bad_shots", "u4", 1, 28),  # bits
+    ("quality", "u4", 4, 32),  # bits
+    ("shot_radius", "u4", SHOTS, 48),
+    ("midpoint_radius", "u4", 1, 128),
+    ("attitude", "i4", 3, 132),  # right ascension, declination, twist; scale not published
+    ("received_energy", "i2", SHOTS, 144),
+    ("reflectivity", "u2", SHOTS, 184),
+    ("channel", "u1", SHOTS, 224),
+    ("pulse_width", "i2", SHOTS, 244),  # 0.1 ns
+    ("sigma_optical", "i2", SHOTS, 284),  # 0.1 ns
+    ("parallax_latitude", "i4", 1, 324),  # 1e-9 deg per m
+    ("parallax_longitude", "i4", 1, 328),
+    ("crossover", "i4", 1, 332),
+    ("latitude", "i4", 1, 336),
+    ("longitude", "i4", 1, 340),
+    ("laser_energy", "i2", SHOTS, 344),  # 0.01 mJ
+    ("shot_class", "i2", SHOTS, 384),  # 1 ground, 0 noise or cloud
+    ("background", "i4", 8, 424),
+    ("gate_delay", "i4", 1, 456),
+    ("gate_width", "i4", 1, 460),
+    ("frame_index", "i2", 1, 490),  # 1 .. 7 in the packet
+    ("packet", "u2", 1, 494),  # the low 14 bits
+    ("orbit_model", "i2", 1, 536),
+    ("attitude_flag", "i2", 1, 538),  # 2 part of the attitude is missing, 3 all of it
+    ("local_time", "i2", 1, 540),  # 1e-4 rad, as are the next three
+    ("phase", "i2", 1, 542),
+    ("incidence", "i2", 1, 544),
+    ("emission", "i2", 1, 546),
+    ("time", "f8", 1, 552),  # of the midpoint, s TDB past J2000, again
+    ("raw_energy", "u1", SHOTS, 560),
+    ("raw_width", "u1", SHOTS, 580),
+    ("d_spacecraft_latitude", "i4", 1, 600),  # over the frame, as all d_...
+    ("d_spacecraft_longitude", "i4", 1, 604),
+    ("d_spacecraft_radius", "i4", 1, 608),
+    ("areoid_radius", "u4", 1, 612),
+    ("off_nadir", "i4", 1, 616),
+    ("d_areoid_radius", "i4", 1, 640),
+    ("clock", "i4", 1, 644),  # Hz
+    ("range", "i4", SHOTS, 648),  # 0 for none
+    ("range_correction", "i2", SHOTS, 728),
+    ("d_latitude", "i4", 1, 768),
+    ("d_longitude", "i4", 1, 772),
+)
+
+FRAME: np.dtype[np.void] = np.dtype({
+    "names": [name for name, *_ in _FIELDS],
+    "formats": [f">{kind}" if count == 1 else (f">{kind}", (count,)) for _, kind, count, _ in _FIELDS],
+    "offsets": [offset for *_, offset in _FIELDS],
+    "itemsize": 776,
+})
+"""One frame as it lies in the file."""
+
+
+def read_pedr(path: Path, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+    """Read a PEDR file, with its label or without.
+
+    Parameters
+    ----------
+    path : Path
+        Binary file, AP<orbit><version>.B.
+    clock_bias : float
+        s, added to the times of the shots (the footprints stay where the archive has them).
+    version : str, optional
+        Product version, a letter; from the file's name or label when absent. Shots of versions before L are turned
+        from the IAU1991 to the IAU2000 frame.
+
+    Returns
+    -------
+    AltimeterShots
+        All shots with a radius, ground or not, in the file's order; a shot's name is orbit, frame in the file (from 1)
+        and shot (1 .. 20).
+
+    Raises
+    ------
+    InputError
+        Where the file is missing, ends within a frame or before as many as its label counts, has no frame or records
+        of another length, where a frame's clock, times, places or radii can't be, or where the version is not to be
+        found.
+    """
+    return pedr_shots(read_bytes(path), path, clock_bias, version)
+
+
+def pedr_shots(content: bytes, path: Path, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+    """As `read_pedr`, of the content of a file."""
+    label = _label(content, path)
+    frames = _frames(content, label, path)
+    letter = pedr_version(path, label, version)
+    shots = _shots(frames, label, clock_bias, path)
+    return in_iau2000(shots) if letter < IAU2000_VERSION else shots
+
+
+def pedr_version(path: Path, label: Block | None, version: str | None) -> str:
+    """The version letter that the caller, the file's name or its label gives; InputError without one up to L."""
+    names = [path.name] + ([label.text(key) for key in ("PRODUCT_ID", "FILE_NAME") if key in label] if label else [])
+    found = [match[1] for name in names if (match := re.fullmatch(r"ap\d{5}([a-z])\.\w+", name.strip(), re.IGNORECASE))]
+    letter = (version if version is not None else (found or [""])[0]).upper()
+    if not re.fullmatch("[A-L]", letter):
+        raise InputError(
+            str(path), f"the product version {letter!r}" if letter else "no product version in its name or label",
+            "a letter up to L, as in AP18933L.B: it says in which frame the coordinates are",
+            "say which one it is: version = \"L\" for the final archive, which ODE serves, too",
+        )
+    return letter
+
+
+def in_iau2000(shots: AltimeterShots) -> AltimeterShots:
+    """Shots with IAU1991 coordinates, turned to IAU2000 exactly: x2000 = B2000(t) B1991(t)' x1991 at each shot's time.
+
+    Elements: IAU/IAG reports of 1991 and 2000 (the latter as in pck00009.tpc); 0.2375 deg in longitude, 14 km.
+    """
+    days, centuries = shots.times / _DAY, shots.times / _CENTURY
+    old = (317.681 - 0.108 * centuries, 52.886 - 0.061 * centuries, 176.868 + 350.8919830 * days)
+    new = (317.68143 - 0.1061 * centuries, 52.88650 - 0.0609 * centuries, 176.630 + 350.89198226 * days)
+
+    def turned(points: Array) -> Array:
+        """B = R3(W) R1(90 - d0) R3(90 + a0), applied factor by factor: a day has 864,000 shots."""
+        inertial = _about_z(_about_x(_about_z(points, -old[2]), old[1] - 90.0), -old[0] - 90.0)
+        return _about_z(_about_x(_about_z(inertial, new[0] + 90.0), 90.0 - new[1]), new[2])
+
+    return shots.moved(turned(shots.footprints), turned(shots.spacecraft))
+
+
+def _about_z(points: Array, degrees: Array) -> Array:
+    """Components of points (n, 3) in axes turned by angles (n,) about Z: the passive R3."""
+    (x, y, z), sine, cosine = points.T, np.sin(degrees * DEG), np.cos(degrees * DEG)
+    return np.column_stack([cosine * x + sine * y, cosine * y - sine * x, z])
+
+
+def _about_x(points: Array, degrees: Array) -> Array:
+    """Components of points (n, 3) in axes turned by angles (n,) about X: the passive R1."""
+    return np.roll(_about_z(np.roll(points, -1, axis=1), degrees), 1, axis=1)
+
+
+def _label(content: bytes, path: Path) -> Block | None:
+    """The label before the frames, if there is one: a frame begins with seconds, whose first byte is no letter."""
+    start = content[:8]
+    if len(start) < 8 or not all(32 <= byte < 127 or byte in (9, 10, 13) for byte in start):
+        return None
+    return flat_label(content[: HEADER_RECORDS * FRAME.itemsize].decode("ascii", "replace"), f"{path}, label")
+
+
+def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]:
+    size, header = FRAME.itemsize, 0
+    if label is not None:
+        length = label.count("RECORD_BYTES") if "RECORD_BYTES" in label else size
+        if length != size:
+            raise InputError(label.where("RECORD_BYTES"), f"{length}", f"{size}", "is this a PEDR file?")
+        header = size * (label.count("LABEL_RECORDS") if "LABEL_RECORDS" in label else HEADER_RECORDS)
+    body = len(content) - header
+    if body < 0:
+        raise InputError(str(path), f"{len(content)} bytes", f"a label of {header} bytes and frames", "fetch it anew")
+    if body % size:
+        raise InputError(
+            str(path), f"{body} bytes of frames: {body // size} frames and {body % size} bytes more",
+            f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it anew",
+        )
+    if body == 0:
+        raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it anew")
+    if label is not None:
+        require_records(label, len(content) // size, header // size)
+    frames = np.frombuffer(content, FRAME, offset=header)
+    _require_sound(frames, path)
+    return frames
+
+
+def _require_sound(frames: NDArray[np.void], path: Path) -> None:
+    """Values that show another record length or byte order before they show as footprints in the wrong place."""
+    radii = frames["shot_radius"] * _CM
+    wild = np.any((radii > 0.0) & ((radii < _LEAST) | (radii > _LARGEST)), axis=1)
+    for i in np.flatnonzero(wild)[:1]:
+        raise InputError(
+            f"{path}, frame {i + 1}", f"a radius of {radii[i][radii[i] > 0.0].min():.0f} m",
+            f"{_LEAST:.0f} .. {_LARGEST:.0f} m", "the records have another length or byte order",
+        )
+    whole, again = frames["seconds"] + 1e-6 * frames["microseconds"], frames["time"]
+    apart = (again != 0.0) & ~(np.abs(whole - again) < 1e-3)
+    for i in np.flatnonzero(apart)[:1]:
+        raise InputError(
+            f"{path}, frame {i + 1}", f"times {whole[i]:.6f} s and {again[i]:.6f} s", "the same time in both fields",
+        )
+    used = np.any(radii > 0.0, axis=1)
+    slow = ~(np.abs(frames["clock"] / _CLOCK - 1.0) < _CLOCK_TOLERANCE)
+    for i in np.flatnonzero(used & slow)[:1]:
+        raise InputError(f"{path}, frame {i + 1}", f"a clock of {frames['clock'][i]} Hz", "about 1e8 Hz")
+    for name, most in (("latitude", 90.0), ("longitude", 360.0)):
+        for field, what in ((name, name), (f"spacecraft_{name}", f"spacecraft's {name}")):
+            degrees = frames[field] * 1e-6
+            for i in np.flatnonzero(used & (np.abs(degrees) > most))[:1]:
+                found, expected = f"{degrees[i]:g} degrees", f"-{most:g} .. {most:g}"
+                raise InputError(f"{path}, frame {i + 1}, {what}", found, expected, "fetch the file anew")
+
+
+def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:
+    """Crossover corrections of the frames and how they change over a frame, m; both (n, 1).
+
+    The first frame takes its change from the second one, as PEDR2TAB does.
+    """
+    value = frames["crossover"] * _CM
+    change = np.diff(value, prepend=value[:1])
+    if value.size > 1:
+        change[0] = change[1]
+    return value[:, None], change[:, None]
+
+
+def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, path: Path) -> AltimeterShots:
+    """Shots with a radius, of a part of the frames at a time: an archive's file is many times larger in float64."""
+    software, corrections = _software(label), _crossover(frames)
+    parts = [
+        _columns(frames[k : k + _FRAMES], k, software, [one[k : k + _FRAMES] for one in corrections], clock_bias)
+        for k in range(0, frames.size, _FRAMES)
+    ]
+    if not any(part["times"].size for part in parts):
+        raise InputError(str(path), f"{frames.size} frames without a single shot", "shots with a radius")
+    names = tuple(parts[0])
+    every: dict[str, Any] = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in names}
+    return AltimeterShots(source=str(path), **every)
+
+
+def _columns(
+    frames: NDArray[np.void], before: int, software: float | None, crossover: Sequence[Array], clock_bias: float
+) -> dict[str, NDArray[Any]]:
+    """Fields of AltimeterShots, of frames that have so many before them in their file."""
+    x = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
+
+    def field(name: str, scale: float = 1.0) -> Array:
+        return np.asarray(frames[name][:, None] * scale)
+
+    def across(name: str, scale: float) -> Array:
+        return field(name, scale) + x * field(f"d_{name}", scale)
+
+    raw = frames["shot_radius"] * _CM
+    lift = raw - field("midpoint_radius", _CM)
+    corrected = raw
+    if software is None or software >= _FIRST_CROSSOVERS:
+        value, change = crossover
+        corrected = raw - value - x * change
+    else:  # parallax came with the orbits of gravity model 2, in old software of model 3 (PEDR2TAB)
+        lift = np.where(field("orbit_model") >= (3 if software <= 7.0 else 2), lift, 0.0)
+    longitude = across("longitude", _MICRODEG) + field("parallax_longitude", 1e-3 * _MICRODEG) * lift
+    latitude = across("latitude", _MICRODEG) + field("parallax_latitude", 1e-3 * _MICRODEG) * lift
+    spacecraft = [across(f"spacecraft_{name}", _MICRODEG) for name in ("longitude", "latitude")]
+    tick = 1e7 / np.where(frames["clock"] > 0, frames["clock"], np.nan)[:, None]  # s, a tenth by the altimeter's clock
+    times = field("seconds") + field("microseconds", 1e-6) + x * SHOTS * tick + clock_bias
+    kept = (raw > 0.0).ravel()
+
+    def flat(values: Array) -> Array:
+        return np.broadcast_to(values, raw.shape).ravel()[kept]
+
+    def placed(values: Array) -> Array:
+        return from_planetocentric(values).reshape(-1, 3)[kept]
+
+    def whole(values: NDArray[np.integer]) -> Index:
+        return np.broadcast_to(values, raw.shape).ravel()[kept].astype(np.int64)
+
+    ground = frames["shot_class"] == 1
+    ranges, pulses = frames["range"] * _CM, frames["sigma_optical"] * _PULSE
+    return {
+        "orbits": whole(frames["orbit"][:, None]),
+        "frames": whole(np.arange(before + 1, before + frames.size + 1)[:, None]),
+        "shots": whole(np.arange(1, SHOTS + 1)[None, :]),
+        "times": flat(times),
+        "footprints": placed(np.stack([longitude, latitude, corrected], axis=-1)),
+        "areoid_radii": flat(across("areoid_radius", _CM)),
+        "ranges": flat(known_ranges(ranges, ground)),
+        "range_corrections": flat(frames["range_correction"] * _CM),
+        "spacecraft": placed(np.stack([*spacecraft, across("spacecraft_radius", _CM)], axis=-1)),
+        "off_nadir": flat(field("off_nadir", _MICRODEG)),
+        "ground": ground.ravel()[kept],
+        "channels": whole(frames["channel"]),
+        "clocks": flat(field("clock")),
+        "pulses": flat(np.where(pulses > 0.0, pulses, np.nan)),
+    }
+
+
+def _software(label: Block | None) -> float | None:
+    """Version of the software that wrote the file; None where the label doesn't say, and it is taken for a late one."""
+    text = label.text("SOFTWARE_NAME") if label is not None and "SOFTWARE_NAME" in label else ""
+    numbers = re.findall(r"\d+\.\d+", text)
+    return float(numbers[-1]) if numbers else None

@@ -1,0 +1,212 @@
+"""What a file is, by what is in it: images, their support data, networks, shots, kernels, terrain models, case files.
+
+A name is looked at only where the content can't tell: MEGDR's grids have no header.
+"""
+
+import csv
+import re
+import zlib
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.lola import RECORD, is_lola_rdr
+from mgsgraph.files.altimetry.pedr import FRAME
+from mgsgraph.files.altimetry.shots import is_archive_table
+from mgsgraph.files.altimetry.tables import table_of
+from mgsgraph.files.labels.image_label import label_text
+from mgsgraph.files.labels.isis_cube import is_cube_json
+from mgsgraph.files.networks.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
+from mgsgraph.files.networks.table_parquet import MAGIC, parquet_names
+from mgsgraph.files.opening import head_of, json_object, read_bytes, read_text
+from mgsgraph.files.support_data.isd_layout import MODEL
+from mgsgraph.files.support_data.model_state import is_model_state
+
+_HEAD = 1 << 16
+"""bytes that are looked at, of what is no JSON."""
+_LARGEST_JSON, _LARGEST_LIST = 1 << 28, 1 << 24
+"""bytes of JSON and of a list of files, which are read whole."""
+_PROGRAM = "mgsgraph"
+"""How `program` begins in records of results."""
+_MEGDR = re.compile(r"meg([acrt])\d\d[ns]\d{3}[c-h]\w\.img", re.IGNORECASE)
+_MEG = re.compile(r"meg([acrt])", re.IGNORECASE)
+_GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+(\s+[-+.\deE]+){4})+\s*")
+_GEO_KEYS = 34735
+"""TIFF tag of a raster that lies on a map (OGC GeoTIFF)."""
+
+
+class Kind(StrEnum):
+    """Kinds of files, in the words of messages."""
+
+    CUBE = "an ISIS cube"
+    MAPPED_CUBE = "a map-projected ISIS cube"
+    CUBE_LABEL = "the label of an ISIS cube, without its data"
+    CUBE_TABLES = "tables of an ISIS cube (JSON)"
+    PDS3 = "a PDS3 image or its label"
+    SUPPORT_DATA = "image support data"
+    MODEL_STATE = "a model state of usgscsm"
+    NETWORK = "a control network"
+    TIE_TABLE = "a table of tie points"
+    GROUND_CONTROL = "ground control points"
+    LIDAR = "laser shots of ISIS"
+    SHOTS = "laser shots"
+    ALTIMETRY = "laser altimetry"
+    RADII = "a terrain model of radii"
+    TOPOGRAPHY = "a terrain model of heights above the areoid"
+    AREOID = "a grid of the areoid"
+    COUNTS = "a grid of numbers of shots"
+    RASTER = "a georeferenced raster"
+    PICTURE = "a picture"
+    KERNEL = "a SPICE kernel"
+    META_KERNEL = "a SPICE meta-kernel"
+    TRANSFER = "a SPICE kernel in transfer format"
+    LIST = "an ISIS list of files"
+    CASE = "a TOML file with a format"
+    OWN_RECORD = "a record of mgsgraph itself"
+
+
+_MEGDR_KINDS = {"r": Kind.RADII, "t": Kind.TOPOGRAPHY, "a": Kind.AREOID, "c": Kind.COUNTS}
+IMAGES = (Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL, Kind.CUBE_TABLES, Kind.PDS3, Kind.SUPPORT_DATA,
+          Kind.MODEL_STATE)  # fmt: skip
+"""Kinds that say an image's geometry, or a part of it."""
+
+
+def kind_of(path: Path) -> Kind | None:
+    """What a file is; None for what is not known here, for what can't be read, and for what is no file."""
+    try:
+        head = head_of(path, _HEAD)
+        if head.startswith(b"\x1f\x8b"):
+            head = zlib.decompressobj(wbits=31).decompress(head, _HEAD)
+        return next((kind for kind in _possible_kinds(head, path) if kind is not None), None)
+    except (InputError, OSError, zlib.error):
+        return None
+
+
+def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
+    """What each look at a file's head finds, the surest first; None where it finds nothing."""
+    yield _MEGDR_KINDS[found[1].lower()] if (found := _MEGDR.fullmatch(path.name)) else None
+    yield _tiff(head)
+    yield _kernel(head)
+    text = head.split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n").lstrip("\ufeffï»¿ \n\t")
+    yield _label(label, path, path.stat().st_size) if (label := label_text(head)) else None
+    begin = re.match(r"object\s*=\s*(controlnetwork|protobuffer)\b", text, re.IGNORECASE)
+    yield Kind.NETWORK if begin else None
+    yield Kind.MODEL_STATE if text.startswith(MODEL) else None
+    yield _json(path) if text.startswith("{") else None
+    if head.startswith(MAGIC):
+        yield Kind.TIE_TABLE if {"id", "image"} <= set(parquet_names(path)) else None
+        return
+    if b"\0" in head:
+        yield _shots(head, path)
+        return
+    yield Kind.CASE if re.search(r"^format\s*=\s*\d+\s*(#.*)?$", text, re.MULTILINE) else None
+    yield Kind.LIST if listed_files(path, text) else None
+    yield from _rows(text, path)
+
+
+def listed_files(path: Path, text: str | None = None) -> list[Path]:
+    """Files that a text names, one in every line, relative to its folder; none where one of them is not there."""
+    names = listed_names(read_text(path, limit=_LARGEST_LIST, encoding="latin-1") if text is None else text)
+    try:
+        files = [path.parent / name for _, name in names]
+        return files if all(file.is_file() for file in files) else []
+    except (OSError, ValueError):  # a line that is too long for a name, or can't be one
+        return []
+
+
+def listed_names(text: str) -> list[tuple[int, str]]:
+    """Numbers of an ISIS list's lines, from 1 on, with the names in them; blank lines and # comments have none."""
+    lines = enumerate(text.splitlines(), start=1)
+    return [(number, name) for number, line in lines if (name := line.split("#", 1)[0].strip())]
+
+
+def _tiff(head: bytes) -> Kind | None:
+    """By the first directory's tags, as far as it lies at the head; a raster that is written in order has it there."""
+    orders = {b"II": "little", b"MM": "big"}
+    if head[:2] not in orders or head[2:4].strip(b"\0") not in (b"*", b"+"):
+        return Kind.PICTURE if head.startswith((b"\x89PNG", b"\xff\xd8\xff")) else None
+    big, order = head[2:4].strip(b"\0") == b"+", head[:2]
+    tag = _GEO_KEYS.to_bytes(2, "little" if order == b"II" else "big")
+    on_map = big or tag in head or len(head) == _HEAD
+    return Kind.RASTER if on_map and not _of_bytes(head, order == b"II") else Kind.PICTURE
+
+
+def _of_bytes(head: bytes, little: bool) -> bool:
+    """Whether the first directory of a TIFF (not a BigTIFF) says eight bits for each pixel, which no heights have."""
+    entry = b"\x02\x01\x03\x00\x01\x00\x00\x00\x08\x00" if little else b"\x01\x02\x00\x03\x00\x00\x00\x01\x00\x08"
+    return entry in head
+
+
+def _kernel(head: bytes) -> Kind | None:
+    if head.startswith((b"DAFETF", b"DASETF", b"'DAFETF")):
+        return Kind.TRANSFER
+    if head.startswith((b"DAF/", b"NAIF/DAF", b"DAS/", b"NAIF/DAS")):
+        return Kind.KERNEL
+    if head.startswith(b"KPL/MK") or (not head.startswith(b"KPL/") and b"KERNELS_TO_LOAD" in head):
+        return Kind.META_KERNEL
+    text = head.startswith(b"KPL/") or re.search(rb"^[ \t]*\\begin(data|text)\s*$", head, re.MULTILINE)
+    return Kind.KERNEL if text else None
+
+
+def _label(text: str, path: Path, size: int) -> Kind:
+    if text.upper().startswith("PDS_VERSION_ID"):
+        if re.search(r"^[ \t]*OBJECT\s*=\s*IMAGE_MAP_PROJECTION", text, re.MULTILINE):
+            pointer = re.search(r"^[ \t]*\^IMAGE\s*=\s*\(?\s*\"?([^\",\s]+)", text, re.MULTILINE)
+            letter = _MEG.match(pointer[1] if pointer else path.name) or _MEG.match(path.name)
+            return _MEGDR_KINDS[letter[1].lower()] if letter else Kind.RASTER
+        of_table = re.search(r"^[ \t]*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
+        of_image = re.search(r"^[ \t]*\^(IMAGE|\w*QUBE)\s*=", text, re.MULTILINE)
+        return Kind.SHOTS if of_table and not of_image else Kind.PDS3
+    start = re.search(r"^[ \t]*StartByte\s*=\s*(\d{1,18})\b", text, re.MULTILINE | re.IGNORECASE)
+    if re.search(r"^[ \t]*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
+        return Kind.CUBE_LABEL
+    mapped = re.search(r"^[ \t]*Group\s*=\s*Mapping", text, re.MULTILINE | re.IGNORECASE)
+    taken = re.search(r"^[ \t]*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
+    if mapped and not taken:
+        return Kind.RASTER
+    return Kind.MAPPED_CUBE if mapped else Kind.CUBE
+
+
+def _json(path: Path) -> Kind | None:
+    text = read_bytes(path, _LARGEST_JSON)
+    try:
+        content = json_object(text.removeprefix(b"\xef\xbb\xbf"), str(path))
+    except InputError:  # a file that was cut short, which its reader says
+        return Kind.SUPPORT_DATA if b'"instrument_po' in text or b'"name_model"' in text else None
+    if "points" in content and isinstance(content["points"], list):
+        return Kind.LIDAR
+    if is_model_state(content):
+        return Kind.MODEL_STATE
+    if str(content.get("program", "")).startswith(_PROGRAM):
+        return Kind.OWN_RECORD
+    if is_cube_json(content):
+        return Kind.CUBE_TABLES
+    return Kind.SUPPORT_DATA if "name_model" in content or "sensor_position" in content else None
+
+
+def _shots(head: bytes, path: Path) -> Kind | None:
+    """Binary records, which have no header: sizes, and what stands at places of the first ones."""
+    size = path.stat().st_size
+    if path.suffix.lower() == ".b" and size % FRAME.itemsize == 0:
+        return Kind.SHOTS
+    if size % RECORD.itemsize == 0 and is_lola_rdr(head):
+        return Kind.SHOTS
+    return None
+
+
+def _rows(text: str, path: Path) -> Iterator[Kind | None]:
+    """By the header of a table, or the first row of one that has none."""
+    lines = [line for line in text.splitlines()[:100] if line.strip() and not line.lstrip().startswith("#")]
+    first = lines[0] if lines else ""
+    try:
+        names = [name.strip().lower() for name in next(csv.reader([first], strict=True), [])]
+    except csv.Error:
+        return
+    if {"id"} <= set(names) and {"image", "product", "serial_number"} & set(names):
+        yield Kind.TIE_TABLE
+    if first and is_archive_table(table_of("\n".join(lines).encode(), path)):
+        yield Kind.SHOTS
+    placed = set(CARTESIAN) <= set(names) or {*PLANETOCENTRIC[:2]} <= set(names)
+    yield Kind.ALTIMETRY if placed and GEODETIC[1] not in names else None
+    yield Kind.GROUND_CONTROL if _GCP.fullmatch(first) else None

@@ -1,0 +1,278 @@
+"""Images by their labels and SPICE kernels, whichever of the cameras that are known here took them.
+
+Positions are geometric, and the body turns as the frame that the kernels associate with it (SPICE `cidfrm`): IAU_MARS
+and the like, or MOON_ME where moon_assoc_me.tf is among them, as in ISIS.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import spiceypy
+
+from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.cameras.camera import Camera, LineScanLabel
+from mgsgraph.files.cameras.keywords import Keywords
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.cameras.line_times import LineTimes, LineTimesSource
+from mgsgraph.files.opening import understood
+from mgsgraph.files.spice.kernels import (
+    INTERVAL,
+    Constants,
+    Correction,
+    body_code,
+    body_frame,
+    ck_frame,
+    clock_time,
+    ellipsoid,
+    fixed_rotation,
+    loaded,
+    pool_numbers,
+    sample_trajectory,
+    utc_time,
+)
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import MocWideAngleDistortion
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array
+from mgsgraph.sandbox import read_apart
+from mgsgraph.text import listed
+
+_CLOCK_SLACK = 1.0
+"""s by which the label's UTC and its clock count may differ; true labels agree within 0.01 s."""
+_STOP_SLACK = 0.1
+"""s by which the last line may end after the label's STOP_TIME says, both counted from its start; true labels need
+0.007 s (Kaguya, which give the last line's beginning).
+"""
+
+
+def read_labelled_image(
+    label: Path,
+    kernels: Sequence[Path],
+    name: str | None = None,
+    focal_length: float | None = None,
+    constants: Constants = "iak",
+    attitude_bias: float | None = None,
+    position_bias: float = 0.0,
+    interval: float = INTERVAL,
+    aberration: Correction = "NONE",
+    line_times: LineTimesSource = None,
+) -> PushbroomImage:
+    """Read an image's geometry.
+
+    Parameters
+    ----------
+    label : Path
+        PDS3 image or its label, or an ISIS cube or its label, of a camera in `files.cameras.table`.
+    kernels : sequence of Path
+        Leapseconds, SCLK, PCK, frames, IK and then addendum, SPK and CK, or meta-kernels.
+    name : str, optional
+        By which networks call the image; the product id when absent.
+    focal_length : float, optional
+        m; that of the kernels when absent.
+    constants : "iak" or "ik"
+        Camera constants of the ISIS addendum (or those that spiceinit left in the label of a cube, where the kernels
+        have none) or of NAIF's instrument kernel.
+    attitude_bias : float, optional
+        s, see `sample_trajectory`; that of the camera when absent: -1.15 for MOC, none for the others.
+    position_bias : float
+        s, see `sample_trajectory`.
+    interval : float
+        s between nodes of the trajectory.
+    aberration : "NONE", "LT" or "LT+S"
+        of the positions.
+    line_times : Path, "mean" or None
+        of HRSC (`hrsc_lines.read_line_times`); other labels have their line rate in them.
+
+    Raises
+    ------
+    InputError
+        As the readers of label, line times and kernels; another camera; camera constants that are not in the kernels;
+        line times for a camera that needs none.
+    """
+    return read_strip(
+        [label], kernels, [name], focal_length, constants, attitude_bias, position_bias, interval, aberration,
+        [line_times],
+    )[0]  # fmt: skip
+
+
+def read_strip(
+    labels: Sequence[Path],
+    kernels: Sequence[Path],
+    names: Sequence[str | None] = (),
+    focal_length: float | None = None,
+    constants: Constants = "iak",
+    attitude_bias: float | None = None,
+    position_bias: float = 0.0,
+    interval: float = INTERVAL,
+    aberration: Correction = "NONE",
+    line_times: Sequence[LineTimesSource] = (),
+) -> tuple[PushbroomImage, ...]:
+    """Read the images that lines behind one lens took in one pass; they share one trajectory (the very record).
+
+    Parameters as in `read_labelled_image`, where `names` and `line_times` are one for each label, or none at all.
+    """
+    if not labels:
+        raise InputError("strip", "no label", "at least one")
+    if len(names or labels) != len(labels) or len(line_times or labels) != len(labels):
+        found = f"{len(names)} names and {len(line_times)} line times for {len(labels)} labels"
+        raise InputError("strip", found, "one each, or none")
+    said = [
+        _with_line_times(read_line_scan_label(label.absolute()), source)
+        for label, source in zip(labels, line_times or [None] * len(labels), strict=True)
+    ]
+    for other in said[1:]:
+        _require_alike(said[0], other)
+    here, files = Path.cwd(), [Path(path).absolute() for path in kernels]
+
+    def by_kernels() -> tuple[PushbroomImage, ...]:
+        with understood(", ".join(map(str, files)), "sound SPICE kernels", "fetch them again"), loaded(files, here):
+            return _sampled(said, names, focal_length, constants, attitude_bias, position_bias, interval, aberration)
+
+    rotation.from_matrix(np.eye(3))  # loads what is compiled: once, not in every fork
+    with errors_from(*(str(one.path) for one in said)):
+        return read_apart(by_kernels, listed([path.name for path in files]), "SPICE kernels", "fetch them again")
+
+
+def _sampled(
+    said: Sequence[LineScanLabel], names: Sequence[str | None], focal_length: float | None, constants: Constants,
+    attitude_bias: float | None, position_bias: float, interval: float, aberration: Correction,
+) -> tuple[PushbroomImage, ...]:  # fmt: skip
+    """Images of labels by the kernels that are loaded; parameters as in `read_strip`."""
+    camera, target = said[0].camera, said[0].target
+    words = [_Constants.of(one, constants) for one in said]
+    times = [_line_times(one, said_by) for one, said_by in zip(said, words, strict=True)]
+    start, stop = min(one.start for one in times), max(one.stop for one in times)
+    structure = ck_frame(_frame(camera))
+    mount = fixed_rotation(structure, _frame(camera), start)
+    bias = camera.attitude_bias if attitude_bias is None else attitude_bias
+    trajectory = sample_trajectory(
+        camera.spacecraft, target, structure, mount, start, stop, interval,
+        attitude_bias=bias, position_bias=position_bias, aberration=aberration,
+    )  # fmt: skip
+    body = ellipsoid(target)
+    return tuple(
+        PushbroomImage(
+            name=name or one.product,
+            lines=one.lines,
+            samples=one.samples,
+            interior=with_focal_length(said_by.interior(one), focal_length),
+            timing=when.timing(trajectory.epoch),
+            trajectory=trajectory,
+            body=body,
+            remarks=_remarks(one, said_by),
+        )
+        for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
+    )
+
+
+def _with_line_times(label: LineScanLabel, source: LineTimesSource) -> LineScanLabel:
+    if source is None:
+        return label
+    if label.period > 0.0:
+        found = f"line times for {label.camera.name}"
+        raise InputError(str(label.path), found, "none: its label has the line rate")
+    return replace(label, times=source if source == "mean" else Path(source).absolute())
+
+
+def _require_alike(first: LineScanLabel, other: LineScanLabel) -> None:
+    if other.target != first.target:
+        raise InputError(str(other.path), f"an image of {other.target}", f"one of {first.target}, as the others")
+    if _frame(other.camera) != _frame(first.camera):
+        expected = f"one behind the lens of {first.camera.name}, as the others"
+        raise InputError(str(other.path), f"an image of {other.camera.name}", expected)
+
+
+def _frame(camera: Camera) -> int:
+    return camera.frame or camera.instrument
+
+
+def _remarks(label: LineScanLabel, constants: "_Constants") -> tuple[str, ...]:
+    """What was decided that the user may not have meant."""
+    remarks = []
+    if constants.of_label is not None:
+        remarks.append("camera constants of the cube's label, for there is no addendum among the kernels")
+    if label.target == "MOON":
+        frame = body_frame(body_code(label.target))
+        better = "" if frame == "MOON_ME" else (
+            ", 80 m or so from MOON_ME, as ISIS has it (moon_assoc_me.tf, moon_080317.tf, moon_pa_de421_1900-2050.bpc)"
+        )  # fmt: skip
+        remarks.append(f"the Moon turns as {frame}, which the kernels associate with it{better}")
+    return tuple(remarks)
+
+
+# --- camera constants
+
+
+@dataclass(frozen=True, slots=True)
+class _Constants:
+    """Camera constants, as `Keywords`: of the kernels that are loaded, or else of the label of a cube."""
+
+    camera: Camera
+    which: Constants
+    of_label: Keywords | None
+    """Taken where the kernels have no addendum."""
+
+    @classmethod
+    def of(cls, label: LineScanLabel, which: Constants) -> "_Constants":
+        camera = label.camera
+        if which == "ik" and camera.instrument_kernel is None:
+            found, expected = f"constants = 'ik' for {camera.name}", f"'iak': those of the addendum ({camera.addendum})"
+            raise InputError(str(label.path), found, expected)
+        own = which == "iak" and not spiceypy.expool(f"INS{label.detector or camera.instrument}_ITRANSL")
+        return cls(camera, which, label.keywords if own else None)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.of_label if self.of_label is not None else bool(spiceypy.expool(name))
+
+    def numbers(self, name: str, count: int) -> Array:
+        """See `Keywords.numbers`."""
+        if self.of_label is not None:
+            return self.of_label.numbers(name, count)
+        kernel = "the camera's instrument kernel"
+        kernel += f" and addendum ({self.camera.addendum})" if self.which == "iak" else ""
+        return pool_numbers(name, count, f"load {kernel}", more=True)
+
+    def interior(self, label: LineScanLabel) -> InteriorOrientation:
+        """Interior orientation by them."""
+        by = self.camera.interior if self.which == "iak" else self.camera.instrument_kernel
+        assert by is not None
+        return by(self, label)
+
+
+def with_focal_length(interior: InteriorOrientation, focal_length: float | None) -> InteriorOrientation:
+    """The same camera with another focal length in m; as it is where that is None."""
+    if focal_length is None:
+        return interior
+    distortion = interior.distortion
+    if isinstance(distortion, MocWideAngleDistortion):  # its polynomial is one of angles
+        distortion = replace(distortion, focal_length=focal_length)
+    return replace(interior, focal_length=focal_length, distortion=distortion)
+
+
+# --- times
+
+
+def _line_times(label: LineScanLabel, keywords: Keywords) -> LineTimes:
+    camera = label.camera
+    stated = utc_time(label.utc, f"{label.path}, start time {label.utc}") if label.utc else np.nan
+    if camera.start_is_utc:
+        start = stated
+    else:
+        start = clock_time(camera.clock or camera.spacecraft, label.start)
+        if abs(stated - start) > _CLOCK_SLACK:
+            raise InputError(
+                str(label.path), f"clock count {label.start}, which is {start - stated:.3f} s after the label's UTC",
+                f"the two within {_CLOCK_SLACK:g} s", "check the label, and that the SCLK kernel is the spacecraft's",
+            )  # fmt: skip
+    stop = utc_time(label.stop, f"{label.path}, stop time {label.stop}") if label.stop else np.nan
+    times = camera.line_times(keywords, label, start, stop)
+    over = (times.stop - start) - (stop - stated)  # NaN where the label doesn't say both
+    if label.period > 0.0 and over > _STOP_SLACK:
+        raise InputError(
+            str(label.path), f"{label.lines} lines of {times.periods[0]:.6g} s, {over:.3f} s past the stop time",
+            f"an end by {label.stop}", "check the number of lines, the line period and the summing",
+        )  # fmt: skip
+    return times

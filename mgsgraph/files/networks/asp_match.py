@@ -1,0 +1,298 @@
+"""Match files of the Ames Stereo Pipeline: places of the same ground in two images, one file for each pair of them.
+
+Binary (``.match``), little-endian: two counts (uint64), which are equal; then a record for every place in the first
+image, then those in the second: column, row (float32, first pixel's centre at 0, 0), the same as int32, orientation,
+scale, interest (float32), polarity (1 byte), octave, level (uint32), number of descriptors (uint64), descriptors
+(float32). The scale is what bundle_adjust takes for the sigma of column and row (pixels). Sources: StereoPipeline,
+src/asp/Tools/parse_match_file.py; VisionWorkbench, src/vw/InterestPoint/{MatcherIO.cc,InterestPoint.h},
+src/vw/BundleAdjustment/CameraRelation.cc (IPFeature::control_measure).
+
+Text (``--matches-as-txt``, since 2026): ``x1 y1 unc1 x2 y2 unc2`` in every line, the same columns, rows and sigmas.
+Source: StereoPipeline, docs, "Plain text match files".
+
+Matches of pairs are joined to points of many images as VisionWorkbench does it (src/vw/BundleAdjustment:
+ControlNetworkLoader.cc, build_control_network; CameraRelation.cc, write_controlnetwork): places of an image are one
+where column and row are equal to the last bit; what hangs together by matches is one point; a point that comes by an
+image twice, at two places, is dropped.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.asp_match_names import match_path, require_distinct
+from mgsgraph.files.networks.asp_measures import UNSTATED_SIGMA, PixelMeasures, candidate, measures_of
+from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, PointType, with_names
+from mgsgraph.files.opening import number_of, read_bytes, read_text
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.text import root_mean_square
+
+_COUNTS = np.dtype("<u8")
+
+
+def _layout(descriptors: int = 0) -> np.dtype:
+    """A record with so many descriptors."""
+    return np.dtype([
+        ("x", "<f4"), ("y", "<f4"), ("column", "<i4"), ("row", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
+        ("interest", "<f4"), ("polarity", "u1"), ("octave", "<u4"), ("level", "<u4"), ("descriptors", "<u8"),
+        ("descriptor", "<f4", (descriptors,)),
+    ])  # fmt: skip
+
+
+_RECORD = _layout()
+_HEAD = 2 * _COUNTS.itemsize
+_DESCRIPTOR = 4
+"""bytes."""
+_EXPECTED = "a whole match file of the Ames Stereo Pipeline"
+_LEAST_SIGMA = 1e-12
+"""pixels; the square of much less is nothing."""
+_LARGEST = 2.0**31 - 1.0
+"""Columns and rows must fit into int32."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchFile:
+    """What a match file holds, but for how its places were found."""
+
+    source: str
+    """File, for messages."""
+    images: tuple[str, str]
+    """Their names."""
+    pixels: Array
+    """(2, n, 2) image, match; row, column, first pixel's centre at (0, 0)."""
+    sigmas: Array
+    """(2, n) pixels, of row and column alike; NaN where the file says 0 or less."""
+
+
+def read_match(path: Path, images: tuple[str, str]) -> MatchFile:
+    """Read a binary match file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, cut short or longer than it says, its counts differ, or a place or scale is no finite number.
+    """
+    data = read_bytes(path)
+    if len(data) < _HEAD:
+        raise InputError(str(path), f"{len(data)} bytes", _EXPECTED)
+    first, second = np.frombuffer(data, _COUNTS, 2).tolist()
+    if first != second:
+        raise InputError(str(path), f"{first} places in one image, {second} in the other", "as many in both")
+    if first == 0:
+        raise InputError(str(path), "no match", "at least one")
+    if first + second > (len(data) - _HEAD) // _RECORD.itemsize:
+        raise InputError(str(path), f"{len(data)} bytes for {first} matches", _EXPECTED, "it is cut short, or no such")
+    records = _records(data, first + second, str(path)).reshape(2, first)
+    with np.errstate(invalid="ignore"):  # NaN of any kind is refused below
+        places = np.stack([records["y"], records["x"]], axis=-1).astype(np.float64)
+        scales = records["scale"].astype(np.float64)
+    return _checked(str(path), images, places, scales)
+
+
+def _records(data: bytes, count: int, where: str) -> np.ndarray:
+    """All records, without their descriptors."""
+    if (records := _even_records(data, count)) is not None:
+        return records
+    starts, position, size = np.empty(count, dtype=np.int64), _HEAD, _RECORD.itemsize
+    for k in range(count):
+        starts[k] = position
+        number = int.from_bytes(data[position + size - _COUNTS.itemsize : position + size], "little")
+        position += size + _DESCRIPTOR * number
+        if position > len(data):
+            raise InputError(where, f"place {k + 1} of {count} lies beyond its end", _EXPECTED, "it is cut short")
+    if position != len(data):
+        raise InputError(where, f"{len(data) - position} bytes after the last place", _EXPECTED)
+    rows = np.frombuffer(data, np.uint8)[starts[:, None] + np.arange(size)]
+    return np.asarray(rows.view(_RECORD)[:, 0])
+
+
+def _even_records(data: bytes, count: int) -> np.ndarray | None:
+    """The same where all have equally many descriptors, which is the rule; else None."""
+    each, left = divmod(len(data) - _HEAD, count)
+    number, odd = divmod(each - _RECORD.itemsize, _DESCRIPTOR)
+    if left or odd:
+        return None
+    records = np.frombuffer(data, _layout(number), count, _HEAD)
+    return records if np.all(records["descriptors"] == number) else None
+
+
+def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
+    """Read a match file in text; the same errors, and for sigmas that are not positive, with the line."""
+    rows, lines = list[list[float]](), list[int]()
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
+        if fields := line.split():
+            rows.append(_numbers(fields, f"{path}, line {number}"))
+            lines.append(number)
+    if not rows:
+        raise InputError(str(path), "no match", "at least one")
+    table = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).swapaxes(0, 1)
+    for k in np.flatnonzero(np.any(table[..., 2] <= 0.0, axis=0))[:1]:
+        raise InputError(f"{path}, line {lines[k]}", f"uncertainty {table[:, k, 2].min():g} px", "a positive one")
+    return _checked(str(path), images, table[..., 1::-1], table[..., 2])
+
+
+def _numbers(fields: list[str], where: str) -> list[float]:
+    if len(fields) != 6:
+        raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
+    return [number_of(text, where) for text in fields]
+
+
+def _checked(source: str, images: tuple[str, str], places: Array, sigmas: Array) -> MatchFile:
+    fine = np.all(np.isfinite(places), axis=(0, 2)) & np.all(np.isfinite(sigmas), axis=0)
+    for k in np.flatnonzero(~fine)[:1]:
+        raise InputError(f"{source}, match {k + 1}", "a place or scale that is no finite number", "finite numbers")
+    return MatchFile(source, images, places, np.where(sigmas > 0.0, sigmas, np.nan))
+
+
+def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> dict[Path, bytes]:
+    """Contents of the match files of a network by their paths, one for each pair of images with common points.
+
+    Parameters
+    ----------
+    network : ControlNetwork
+        Its free points that two images or more see, ignored ones left out; constrained and fixed points go into a
+        ``.gcp``, as with the pipeline's own ``--output-cnet-type match-files``.
+    prefix : Path
+        What the files' names begin with.
+    text : bool
+        Plain text instead of binary; it keeps float64, which the pipeline reads as float32.
+
+    Raises
+    ------
+    InputError
+        If there is no such point, or images can't be told apart by their files' names.
+    """
+    measures = measures_of(network, {PointType.FREE}, least=2)
+    if not measures.points:
+        raise InputError(network.source or "network", "no free point that two images see", "at least one")
+    require_distinct(measures.images)
+    if not np.all(np.abs(measures.pixels) < _LARGEST):
+        raise InputError(network.source or "network", "a place beyond 2^31 pixels", "a place in an image")
+    if np.any((measures.sigmas < _LEAST_SIGMA) | (measures.sigmas > _LARGEST)):
+        expected = f"{_LEAST_SIGMA:g} .. {_LARGEST:.1g} px"
+        raise InputError(network.source or "network", "a sigma that a match file can't hold", expected)
+    made = {}
+    for (i, j), one, other in pairs_of(measures):
+        path = match_path(prefix, measures.images[i], measures.images[j], ".txt" if text else ".match")
+        made[path] = (_text if text else _binary)(measures, one, other)
+    return made
+
+
+def pairs_of(measures: PixelMeasures) -> Iterator[tuple[tuple[int, int], np.ndarray, np.ndarray]]:
+    """Every pair of images (i < j) with common points, and indices of their measures, point by point."""
+    order = np.lexsort((measures.image, measures.point))
+    point = measures.point[order]
+    ones, others = list[np.ndarray](), list[np.ndarray]()
+    for apart in range(1, int(np.bincount(point).max(initial=0))):
+        same = np.flatnonzero(point[:-apart] == point[apart:])
+        ones.append(order[same])
+        others.append(order[same + apart])
+    one, other = np.concatenate(ones), np.concatenate(others)
+    sorting = np.lexsort((measures.point[one], measures.image[other], measures.image[one]))
+    one, other = one[sorting], other[sorting]
+    images = np.stack([measures.image[one], measures.image[other]], axis=1)
+    starts = np.flatnonzero(np.any(np.diff(images, axis=0, prepend=-1), axis=1))
+    for start, stop in zip(starts, [*starts[1:], len(one)], strict=True):
+        yield (int(images[start, 0]), int(images[start, 1])), one[start:stop], other[start:stop]
+
+
+def one_sigma(sigmas: Array) -> Array:
+    """(k,) the one sigma that a format holds for rows and columns (k, 2): their quadratic mean; 1 px for unknown."""
+    return np.where(np.isnan(sigmas).any(axis=1), UNSTATED_SIGMA, root_mean_square(sigmas, 1))
+
+
+def _binary(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
+    chosen = np.concatenate([one, other])
+    records = np.zeros(len(chosen), dtype=_RECORD)
+    records["y"], records["x"] = measures.pixels[chosen].T
+    records["row"], records["column"] = np.trunc(measures.pixels[chosen]).T
+    records["scale"] = one_sigma(measures.sigmas[chosen])
+    return np.array([len(one), len(other)], dtype=_COUNTS).tobytes() + records.tobytes()
+
+
+def _text(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
+    columns = [
+        np.column_stack([measures.pixels[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (one, other)
+    ]  # fmt: skip
+    return "".join(" ".join(map(repr, row)) + "\n" for row in np.hstack(columns).tolist()).encode()
+
+
+# --- points of many images
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """A network made of matches."""
+
+    network: ControlNetwork
+    """Its points are counted (match1, ...) in the order of their first matches."""
+    contradictory: int
+    """Points that were dropped, having two places in one image."""
+
+
+def joined(files: Sequence[MatchFile]) -> Tracks:
+    """Make a network of match files.
+
+    The sigma of a measure is that of the first file it is in. Raises InputError where nothing is left.
+    """
+    images = list(dict.fromkeys(name for file in files for name in file.images))
+    source = ", ".join(file.source for file in files[:3]) + (", ..." if len(files) > 3 else "")
+    of_file = [np.array([images.index(name) for name in file.images]) for file in files]
+    sizes = [file.pixels.shape[1] for file in files]
+    image = np.concatenate([np.repeat(mine, size) for mine, size in zip(of_file, sizes, strict=True)])
+    places = np.concatenate([file.pixels.reshape(-1, 2) for file in files])
+    sigmas = np.concatenate([file.sigmas.reshape(-1) for file in files])
+    one = np.concatenate([np.arange(size) for size in sizes])
+    one += np.repeat(2 * np.cumsum([0, *sizes[:-1]]), sizes)  # where the file's places begin
+    first, place = _distinct(image, places)
+    track = _components(len(first), place[one], place[one + np.repeat(sizes, sizes)])
+    return _network(images, image[first], places[first], sigmas[first], track, source)
+
+
+def _distinct(image: Index, places: Array) -> tuple[Index, Index]:
+    """Where each distinct place first stands, in that order, and which of them every place is."""
+    keys = np.column_stack([image.astype(np.float64), places]) + 0.0  # -0.0 is 0.0
+    _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[which.reshape(-1)]
+
+
+def _components(count: int, one: Index, other: Index) -> Index:
+    """(count,) the smallest number that hangs together with each by the links (one, other)."""
+    label = np.arange(count)
+    while True:
+        low, high = np.minimum(label[one], label[other]), np.maximum(label[one], label[other])
+        if np.array_equal(low, high):
+            return label
+        np.minimum.at(label, high, low)
+        while not np.array_equal(label, up := label[label]):
+            label = up
+
+
+def _network(
+    images: list[str], image: Index, places: Array, sigmas: Array, track: Index, source: str
+) -> Tracks:  # fmt: skip
+    order = np.lexsort((image, track))
+    track, image, places, sigmas = track[order], image[order], places[order], sigmas[order]
+    twice = (np.diff(track) == 0) & (np.diff(image) == 0)
+    wrong = np.unique(track[1:][twice])
+    fine = np.isin(track, wrong, invert=True)
+    if not np.any(fine):
+        raise InputError(source, f"only contradictory matches ({len(wrong)} points)", "one place of a point per image")
+    measures = [
+        candidate(images[j], row, column, sigma, sigma)
+        for j, (row, column), sigma in zip(
+            image[fine].tolist(), places[fine].tolist(), sigmas[fine].tolist(), strict=True
+        )
+    ]
+    starts = np.flatnonzero(np.diff(track[fine], prepend=-1)).tolist()
+    points = tuple(
+        ControlPoint(id=f"match{k}", type=PointType.FREE, measures=tuple(measures[start:stop]))
+        for k, (start, stop) in enumerate(zip(starts, [*starts[1:], len(measures)], strict=True), start=1)
+    )
+    return Tracks(with_names(ControlNetwork("", "", points, source=source)), len(wrong))

@@ -1,0 +1,340 @@
+"""ISIS's binary control networks, version 5 written and read, versions 1 and 2 read (there are no others).
+
+A label in PVL, padded with NUL to 65536 bytes; ProtoBuffer/Core in it says where the messages are (HeaderStartByte,
+HeaderBytes, PointsStartByte, PointsBytes), ProtoBuffer/ControlNetworkInfo the version, and the rest for human eyes.
+Then the header, and the points: in version 5 each behind its size (uint32, little endian), in version 2 one upon the
+other, with their sizes in the header. Points begin where the header ends, and in version 5 end after PointsBytes. In
+version 1 (that of a label without one) there are two messages, at StartByte, Bytes of Core and of LogData.
+Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVersioner.cpp (write, writeFirstPoint,
+readProtobufV0005, readProtobufV0002, readProtobufV0001); 2 and 5 in DOI-USGS/plio, plio/io/io_controlnetwork.py, too
+(IsisStore.read). Messages: `networks.messages`.
+"""
+
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec.structs import replace
+
+from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.networks.first_version import second_versions
+from mgsgraph.files.networks.messages import messages
+from mgsgraph.files.networks.point_messages import Texts, encoded, finite, point_message, read_point
+from mgsgraph.files.networks.pvl_writing import Value, keyword_lines, text_value
+from mgsgraph.files.networks.record import ControlNetwork, of_mars
+from mgsgraph.files.pvl import Block, Document, whole_label
+from mgsgraph.files.writing import write_file
+from mgsgraph.geometry.records import Index
+
+LABEL_BYTES = 65536
+"""Of a label, or a multiple of them."""
+_SIZE = struct.Struct("<I")
+_BEGINNING = re.compile(
+    rb"(?:\s++|#[^\n]*+|/\*.*?\*/)*+(?:begin_)?object\s*+=\s*+protobuffer\b", re.IGNORECASE | re.DOTALL
+)
+_LOOKED_AT = 4096
+"""Bytes from the file's start in which a binary network says that it is one."""
+_ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
+_HEAD = (
+    ("network_id", "networkId"), ("target_name", "targetName"), ("created", "created"),
+    ("last_modified", "lastModified"), ("description", "description"), ("user_name", "userName"),
+)  # fmt: skip
+"""The head's texts: in the record and in ISIS's message."""
+
+
+def is_binary(data: bytes) -> bool:
+    """Whether a file's content is a binary network, by how it begins."""
+    return _BEGINNING.match(data[:_LOOKED_AT]) is not None
+
+
+def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
+    """The network that a file's content holds.
+
+    Parameters
+    ----------
+    data : bytes
+        All of the file; sizes stated in it are believed only as far as it reaches.
+    source : str
+        File, for messages.
+
+    Raises
+    ------
+    InputError
+        With file, and number and id of the point: a label that is none or contradicts itself; another version; content
+        cut short; a message that is none; an unknown type, a number that is not finite, text that is not UTF-8;
+        a point without id or type, an id twice, a place or covariance in part; no point at all.
+    """
+    version, buffer = _label_of(data, source)
+    head, messages_of_points = (_first if version == "1" else _later)(data, version, buffer, source)
+    texts = Texts()
+    known = _head_of(head, version, texts, source)
+    points = tuple(
+        read_point(message, f"{source}, point {number}", texts)
+        for number, message in enumerate(messages_of_points, start=1)
+    )
+    if not points:
+        raise InputError(source, "no control point", "an ISIS control network that has some")
+    return replace(known, points=points)
+
+
+def head_and_spans(data: bytes, source: str) -> tuple[ControlNetwork, Index, Index] | None:
+    """The network of version 2 or 5 that a file's content holds, without its points, and the bytes at which their
+    messages begin (n,) and end (n,); None for version 1, and for sizes that don't fit the file. `parse_binary_network`
+    has the errors of label and header.
+    """
+    version, buffer = _label_of(data, source)
+    if version == "1":
+        return None
+    head, start, size = _header(data, version, buffer, source)
+    spans = _spans(data, version, head, start, size)
+    return None if spans is None else (_head_of(head, version, Texts(), source), *spans)
+
+
+def _spans(data: bytes, version: str, head: Any, start: int, size: int) -> tuple[Index, Index] | None:
+    """Where messages of points begin and end, from a byte on, of `size` in all; None where they don't fit the file."""
+    if version == "5":
+        from mgsgraph.files.networks.wire import walk_sizes
+
+        if start + size > len(data) or data[start + size :].strip(b"\0"):
+            return None
+        begin, end = walk_sizes(np.frombuffer(data, dtype=np.uint8), start, start + size)
+        return begin, end
+    sizes = np.array(head.pointMessageSizes, dtype=np.int64)
+    ends = start + np.cumsum(sizes)
+    return None if np.any(sizes < 0) or ends.max(initial=0) > len(data) else (ends - sizes, ends)
+
+
+def _label_of(data: bytes, source: str) -> tuple[str, Block]:
+    """Version, and what the label says of the messages."""
+    label = (data[: data.find(b"\0")] if b"\0" in data else data).decode("latin-1")
+    return _version(Document(source, label.replace("\r\n", "\n").replace("\r", "\n")))
+
+
+def _head_of(head: Any, version: str, texts: Texts, source: str) -> ControlNetwork:
+    """Of a header's message a network without points."""
+    with errors_from(f"{source}, header"):
+        values = {attribute: texts[getattr(head, name)] for attribute, name in _HEAD}
+        values["target_name"] = of_mars(values["target_name"])
+        radii = _radii(head.targetRadii) if version == "5" else ()
+    return ControlNetwork(points=(), source=source, target_radii=radii, **values)
+
+
+def _first(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
+    """Head of a network of version 1, and messages of its points as of version 2."""
+    kinds, parts = messages(), []
+    for name, kind in (("Core", kinds.first_network), ("LogData", kinds.first_log)):
+        with _anew():
+            start, size = (_bytes(buffer.inner(name), key) for key in ("StartByte", "Bytes"))
+        if start + size > len(data):
+            raise _cut_short(f"{source}, {name}", f"{len(data)} bytes", f"its end at byte {start + size}")
+        parts.append(_parsed(kind(), data[start : start + size], f"{source}, {name}"))
+    return parts[0], second_versions(parts[0], parts[1], source)
+
+
+def _later(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
+    """Head of a network of version 2 or 5, and messages of its points."""
+    kinds = messages()
+    head, end, points_size = _header(data, version, buffer, source)
+    if version == "5":
+        parts = _points_behind_sizes(data, end, points_size, source)
+    else:
+        parts = _points_by_sizes(data, end, head.pointMessageSizes, source)
+    return head, (
+        _parsed(kinds.point(), part, f"{source}, point {number}") for number, part in enumerate(parts, start=1)
+    )
+
+
+def _header(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, int, int]:
+    """Message of the header of a network of version 2 or 5, where it ends, and the size of all points."""
+    start, header_size, points_size = _layout(buffer)
+    end = start + header_size
+    if end > len(data):
+        raise _cut_short(source, f"{len(data)} bytes", f"a header up to byte {end}")
+    kind = messages().header if version == "5" else messages().old_header
+    return _parsed(kind(), data[start:end], f"{source}, header"), end, points_size
+
+
+def _radii(values: Sequence[float]) -> tuple[float, ...]:
+    if len(values) not in (0, 3):
+        raise InputError("TargetRadii", f"{len(values)} numbers", "3")
+    return tuple(finite(value, "TargetRadii") for value in values)
+
+
+def _version(document: Document) -> tuple[str, Block]:
+    """Version, and what the label says of the messages."""
+    with _anew():
+        buffer = whole_label(document).inner("ProtoBuffer")
+        info = buffer.inner("ControlNetworkInfo")
+        version = info.text("Version") if "Version" in info else "1"
+        if version not in ("1", "2", "5"):
+            raise InputError(info.where("Version"), f"version {version}", "5 (1 and 2 are understood too)")
+    return version, buffer
+
+
+def _layout(buffer: Block) -> tuple[int, int, int]:
+    """The header's first byte and size, and the size of all points."""
+    with _anew():
+        core = buffer.inner("Core")
+        start, header, points_start, points = (
+            _bytes(core, key) for key in ("HeaderStartByte", "HeaderBytes", "PointsStartByte", "PointsBytes")
+        )
+        if points_start != start + header:
+            found = f"points from byte {points_start}, and a header that ends at {start + header}"
+            raise InputError(core.where("PointsStartByte"), found, "one behind the other")
+    return start, header, points
+
+
+@contextmanager
+def _anew() -> Iterator[None]:
+    """What is wrong with a label has one remedy."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(error.where, error.found, error.expected, f"binary network: {_ANEW}") from None
+
+
+def _bytes(core: Block, key: str) -> int:
+    text = core.text(key)
+    if not re.fullmatch(r"\d{1,18}", text, re.ASCII):
+        raise InputError(core.where(key), repr(text[:60]), "a number of bytes")
+    return int(text)
+
+
+def _points_behind_sizes(data: bytes, start: int, size: int, source: str) -> Iterator[bytes]:
+    """Messages of version 5."""
+    stop, number = start + size, 0
+    if stop > len(data):
+        raise _cut_short(source, f"{len(data)} bytes", f"points up to byte {stop}")
+    while start < stop:
+        number += 1
+        behind = start + _SIZE.size
+        end = behind + _SIZE.unpack_from(data, start)[0] if behind <= stop else behind
+        if end > stop:
+            raise _cut_short(f"{source}, point {number}", f"its end at byte {end}", f"none behind byte {stop}")
+        yield data[behind:end]
+        start = end
+    if data[stop:].strip(b"\0"):
+        raise _cut_short(source, f"{len(data)} bytes", f"points up to byte {stop}, and nothing behind them")
+
+
+def _points_by_sizes(data: bytes, start: int, sizes: Any, source: str) -> Iterator[bytes]:
+    """Messages of version 2."""
+    for number, size in enumerate(sizes, start=1):
+        end = start + size
+        if size < 0 or end > len(data):
+            found = f"its end at byte {end}" if size >= 0 else f"{size} bytes"
+            raise _cut_short(f"{source}, point {number}", found, f"none behind byte {len(data)}")
+        yield data[start:end]
+        start = end
+
+
+def _cut_short(where: str, found: str, expected: str) -> InputError:
+    return InputError(where, found, expected, "the file is cut short or damaged: write it anew")
+
+
+def _parsed(message: Any, data: bytes, where: str) -> Any:
+    from google.protobuf.message import DecodeError
+
+    try:
+        message.ParseFromString(data)
+    except DecodeError:
+        raise InputError(where, f"{len(data)} bytes that are no such message", "ISIS's", _ANEW) from None
+    return message
+
+
+def write_binary_network(network: ControlNetwork, path: Path) -> None:
+    """Write a network as ISIS's binary version 5.
+
+    Parameters
+    ----------
+    network : ControlNetwork
+        All of it is kept.
+    path : Path
+        Its folder is made when absent; a file of that name is replaced, once the new one is there whole.
+
+    Raises
+    ------
+    InputError
+        A network without points, a number that is not finite, or a file that can't be written.
+    """
+    write_file(path, binary_network(network))
+
+
+def binary_network(network: ControlNetwork) -> bytes:
+    """What `write_binary_network` writes."""
+    if not network.points:
+        raise InputError(network.source or "network", "no control point", "some to write")
+    parts = list[bytes]()
+    for index, point in enumerate(network.points):
+        try:
+            message = point_message(point).SerializeToString()
+        except InputError as error:
+            raise error.within(network.where(index)) from None
+        parts += (_SIZE.pack(len(message)), message)
+    points, measures = b"".join(parts), sum(len(point.measures) for point in network.points)
+    header = network_header(network)
+    label = network_label(network, len(network.points), measures, len(header), len(points))
+    return b"".join((label, header, points))
+
+
+def network_header(network: ControlNetwork) -> bytes:
+    """The header's message, of a network with or without its points."""
+    head = messages().header(targetRadii=_radii(network.target_radii))
+    for attribute, name in _HEAD:
+        setattr(head, name, encoded(getattr(network, attribute)) or b"")  # all of them, as in ISIS
+    return head.SerializeToString()  # type: ignore[no-any-return]
+
+
+def network_label(network: ControlNetwork, points: int, measures: int, header: int, size: int) -> bytes:
+    """The label, padded to a multiple of 65536 bytes, of a network with so many points and measures, whose header and
+    points take `header` and `size` bytes; its own points aren't looked at.
+    """
+    start, label = 0, b""
+    while len(label) >= start:  # a longer label moves the bytes whose positions it gives
+        start += LABEL_BYTES
+        label = _label_text(network, (points, measures), start, header, size).encode("utf-8")
+    return label.ljust(start, b"\0")
+
+
+def _label_text(network: ControlNetwork, counts: tuple[int, int], start: int, header: int, points: int) -> str:
+    core: list[tuple[str, Value]] = [
+        ("HeaderStartByte", f"{start}"),
+        ("HeaderBytes", f"{header}"),
+        ("PointsStartByte", f"{start + header}"),
+        ("PointsBytes", f"{points}"),
+    ]
+    radii = tuple(map(repr, network.target_radii))
+    info: list[tuple[str, Value]] = [
+        ("NetworkId", _for_eyes(network.network_id)),
+        ("TargetName", _for_eyes(network.target_name)),
+        *([("TargetRadii", radii)] if radii else []),
+        ("UserName", _for_eyes(network.user_name)),
+        ("Created", _for_eyes(network.created)),
+        ("LastModified", _for_eyes(network.last_modified)),
+        ("Description", _for_eyes(network.description)),
+        ("NumberOfPoints", f"{counts[0]}"),
+        ("NumberOfMeasures", f"{counts[1]}"),
+        ("Version", "5"),
+    ]
+    return "\n".join([
+        "Object = ProtoBuffer",
+        "  Object = Core",
+        *keyword_lines(core, 4),
+        "  End_Object",
+        "",
+        "  # This group is for informational purposes only",
+        "  Group = ControlNetworkInfo",
+        *keyword_lines(info, 4),
+        "  End_Group",
+        "End_Object",
+        "End\n",
+    ])
+
+
+def _for_eyes(text: str) -> str:
+    """A text for the label, where nothing reads it: without what PVL or the label can't hold."""
+    return text_value(re.sub(r"[\0\r\n]+", " ", text).replace('"', "'"), "label")

@@ -1,0 +1,265 @@
+"""ISIS control networks as PVL text: versions 1 to 5 read, version 5 written.
+
+ISIS takes the points of versions 3, 4 and 5 with one and the same code: only the names of point types changed, Ground
+to Fixed and Tie to Free; what 1 and 2 have of their own is in `networks.pvl_old`. Keywords, their order and names:
+DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVersioner.cpp (toPvl) and ControlPointV0003.cpp, and
+what ISIS wrote, ControlNetVersioner.truth beside them; figures of merit:
+ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
+"""
+
+from collections.abc import Mapping
+from enum import IntEnum
+from itertools import islice
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.pvl_old import renew_keywords, renewed_point
+from mgsgraph.files.networks.record import (
+    AprioriSource,
+    ControlMeasure,
+    ControlNetwork,
+    ControlPoint,
+    MeasureType,
+    PointType,
+    Where,
+    of_mars,
+)
+from mgsgraph.files.pvl import LENGTHS, Block, Document, inner_blocks
+from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.units import DEG
+
+_TURN = 360.5 * DEG
+"""rad of a longitude at most, east or west, and what its rounding may add."""
+_VERSIONS = ("1", "2", "3", "4", "5")
+_OLD = ("1", "2")
+_ANGLES = dict.fromkeys(("", "deg", "degree", "degrees"), DEG) | dict.fromkeys(("rad", "radian", "radians"), 1.0)
+PIXEL_UNITS = dict.fromkeys(("", "pixel", "pixels"), 1.0)
+
+HEAD_TEXTS = {
+    "NetworkId": "network_id", "TargetName": "target_name", "UserName": "user_name", "Created": "created",
+    "LastModified": "last_modified", "Description": "description",
+}  # fmt: skip
+"""Keywords of the head by what they are in the record, in ISIS's order."""
+NAME_TEXTS = {"ChooserName": "chooser_name", "DateTime": "date_time"}
+LOCKS = {"EditLock": "edit_lock", "Ignore": "ignore"}
+CONSTRAINTS = {
+    "LatitudeConstrained": "latitude_constrained", "LongitudeConstrained": "longitude_constrained",
+    "RadiusConstrained": "radius_constrained",
+}  # fmt: skip
+PLACES = {"Sample": "sample", "Line": "line", "Diameter": "diameter", "AprioriSample": "apriori_sample",
+          "AprioriLine": "apriori_line"}  # fmt: skip
+"""Numbers of a measure that ISIS writes without a unit."""
+PIXELS = {
+    "SampleSigma": "sample_sigma", "LineSigma": "line_sigma", "SampleResidual": "sample_residual",
+    "LineResidual": "line_residual",
+}  # fmt: skip
+"""Numbers of a measure that ISIS writes in <pixels>."""
+POINT_TYPES = {PointType.FREE: "Free", PointType.CONSTRAINED: "Constrained", PointType.FIXED: "Fixed"}
+MEASURE_TYPES = {
+    MeasureType.CANDIDATE: "Candidate", MeasureType.MANUAL: "Manual",
+    MeasureType.REGISTERED_PIXEL: "RegisteredPixel", MeasureType.REGISTERED_SUBPIXEL: "RegisteredSubPixel",
+}  # fmt: skip
+SOURCES = {
+    AprioriSource.NONE: "None", AprioriSource.USER: "User", AprioriSource.AVERAGE_OF_MEASURES: "AverageOfMeasures",
+    AprioriSource.REFERENCE: "Reference", AprioriSource.ELLIPSOID: "Ellipsoid", AprioriSource.DEM: "DEM",
+    AprioriSource.BASEMAP: "Basemap", AprioriSource.BUNDLE_SOLUTION: "BundleSolution",
+}  # fmt: skip
+LOG_NAMES = {
+    1: "Obsolete_Eccentricity", 2: "GoodnessOfFit", 3: "MinimumPixelZScore", 4: "MaximumPixelZScore", 5: "PixelShift",
+    6: "WholePixelCorrelation", 7: "SubPixelCorrelation", 8: "Obsolete_AverageResidual",
+}  # fmt: skip
+"""Figures of merit by ISIS's number; 1 and 8 were once called so without Obsolete_."""
+
+
+def _by_word(words: Mapping[Any, str]) -> dict[str, Any]:
+    return {word.lower(): value for value, word in words.items()}
+
+
+WORDS_OF_POINT_TYPE = _by_word(POINT_TYPES) | {"tie": PointType.FREE, "ground": PointType.FIXED}
+WORDS_OF_MEASURE_TYPE, WORDS_OF_SOURCE = _by_word(MEASURE_TYPES), _by_word(SOURCES)
+WORDS_OF_LOG = _by_word(LOG_NAMES) | {"eccentricity": 1, "averageresidual": 8}
+"""What the words for a choice mean, in lower case, those of old networks too."""
+_NUMBER_KEYS = {key.lower(): (key, attribute) for key, attribute in (PLACES | PIXELS).items()}
+_TEXT_KEYS = {key.lower(): (key, attribute) for key, attribute in NAME_TEXTS.items()}
+_FLAG_KEYS = {key.lower(): (key, attribute) for key, attribute in LOCKS.items()} | {
+    "jigsawrejected": ("JigsawRejected", "jigsaw_rejected")
+}
+_OTHER_KEYS = ("serialnumber", "measuretype", "reference")
+_Choice = TypeVar("_Choice", bound=IntEnum)
+
+
+def parse_pvl_network(document: Document) -> ControlNetwork:
+    """The network that a text holds.
+
+    A measure without MeasureType, which ISIS doesn't write, is a Candidate; latitude, longitude (degrees,
+    planetocentric) and radius (m) stand in for X, Y, Z where these are not there; comments are not kept.
+
+    Raises
+    ------
+    InputError
+        With file, line and point: no control network or another version; text cut short or malformed; a point without
+        PointId or PointType, or an id twice; a measure without SerialNumber, or with a keyword that ISIS does not know;
+        a number, choice or truth value that is none.
+    """
+    network, version, points = None, "", list[ControlPoint]()
+    positions: dict[str, int] = {}
+    for outer, block in inner_blocks(document):
+        if outer is not network:
+            network, version = outer, _version(outer, network)
+        if block.name != "controlpoint":
+            raise InputError(block.where(), f"{block.kind} {block.name}", "Object = ControlPoint")
+        if version == "1":
+            renew_keywords(block)
+        point = _point(block)
+        if version in _OLD:
+            point = renewed_point(point, block, version)
+        if point.id in positions:
+            first = document.where(positions[point.id])
+            raise InputError(block.where("PointId"), f"the id twice, first at {first}", "each id once")
+        positions[point.id] = block.position
+        points.append(point)
+    if network is None:
+        raise InputError(
+            document.source, "no control point", "an ISIS control network in PVL text (Object = ControlNetwork)"
+        )
+    texts = {attribute: _text(network, key) for key, attribute in HEAD_TEXTS.items()}
+    return ControlNetwork(
+        **texts | {"target_name": of_mars(texts["target_name"])},
+        points=tuple(points),
+        source=document.source,
+        target_radii=_numbers(network, "TargetRadii", 3),
+    )
+
+
+def where_in(document: Document) -> Where:
+    """Where something stands in a text that was read: file, line, point, image and keyword."""
+
+    def where(point: int, measure: int | None = None, key: str = "") -> str:
+        block = next(islice(inner_blocks(document), point, None))[1]
+        _label(block)
+        if measure is None:
+            return block.where(key)
+        _label_measure(block.blocks[measure], block)
+        return block.blocks[measure].where(key)
+
+    return where
+
+
+def _version(outer: Block, earlier: Block | None) -> str:
+    """The version; InputError unless this is the file's one control network, in one that is understood."""
+    if outer.name != "controlnetwork":
+        raise InputError(outer.where(), f"{outer.kind} {outer.name}", "Object = ControlNetwork")
+    if earlier is not None:
+        raise InputError(outer.where(), "a second network", "one in a file", "put it into a file of its own")
+    version = outer.text("Version") if "Version" in outer else "1"
+    if version not in _VERSIONS:
+        remedy = "let ISIS write it anew: cnetpvl2bin, then cnetbin2pvl"
+        raise InputError(outer.where("Version"), f"version {version}", "1 to 5", remedy)
+    return version
+
+
+def _label(point: Block) -> str:
+    """The point's id, said in its messages from now on."""
+    name = point.text("PointId")
+    point.label = f"point {name}"
+    return name
+
+
+def _label_measure(measure: Block, point: Block) -> str:
+    """The measure's image, said in its messages from now on."""
+    measure.label = point.label
+    image = measure.text("SerialNumber")
+    measure.label += f", image {image}"
+    return image
+
+
+def _point(block: Block) -> ControlPoint:
+    name = _label(block)
+    kind = WORDS_OF_POINT_TYPE.get(block.text("PointType").lower())
+    if kind is None:
+        raise InputError(block.where("PointType"), repr(block.text("PointType")), "Free, Constrained or Fixed")
+    for measure in block.blocks:
+        if measure.name != "controlmeasure":
+            raise InputError(measure.where(), f"{measure.kind} {measure.name}", "Group = ControlMeasure")
+    measures = tuple(_measure(measure, block) for measure in block.blocks)
+    texts: dict[str, Any] = {attribute: _text(block, key) for key, attribute in NAME_TEXTS.items()}
+    flags: dict[str, Any] = {attribute: block.flag(key) for key, attribute in (LOCKS | CONSTRAINTS).items()}
+    references = [k for k, measure in enumerate(block.blocks) if measure.flag("Reference")]
+    return ControlPoint(
+        id=name,
+        type=kind,
+        measures=measures,
+        reference=references[-1] if references else None,  # the last one, as in ControlPointV0003
+        apriori_source=_choice(block, "AprioriXYZSource", WORDS_OF_SOURCE, AprioriSource.NONE),
+        apriori_source_file=_text(block, "AprioriXYZSourceFile"),
+        apriori_radius_source=_choice(block, "AprioriRadiusSource", WORDS_OF_SOURCE, AprioriSource.NONE),
+        apriori_radius_source_file=_text(block, "AprioriRadiusSourceFile"),
+        apriori=_place(block, "Apriori"),
+        apriori_covariance=_numbers(block, "AprioriCovarianceMatrix", 6),
+        adjusted=_place(block, "Adjusted"),
+        adjusted_covariance=_numbers(block, "AdjustedCovarianceMatrix", 6),
+        jigsaw_rejected=block.flag("JigsawRejected"),
+        **texts,
+        **flags,
+    )
+
+
+def _measure(block: Block, point: Block) -> ControlMeasure:
+    image = _label_measure(block, point)
+    values: dict[str, Any] = {}
+    figures = []
+    for key in block.entries:
+        if key in _NUMBER_KEYS:
+            name, attribute = _NUMBER_KEYS[key]
+            values[attribute] = block.number(name, PIXEL_UNITS) if key in block else None
+        elif key in _TEXT_KEYS:
+            name, attribute = _TEXT_KEYS[key]
+            values[attribute] = _text(block, name)
+        elif key in _FLAG_KEYS:
+            name, attribute = _FLAG_KEYS[key]
+            values[attribute] = block.flag(name)
+        elif key in WORDS_OF_LOG:
+            if key in block:
+                figures.append((WORDS_OF_LOG[key], block.number(key, PIXEL_UNITS)))
+        elif key not in _OTHER_KEYS:
+            raise InputError(block.where(key), f"the keyword {key}", "ISIS's keywords of a measure", "take it out")
+    kind = _choice(block, "MeasureType", WORDS_OF_MEASURE_TYPE, MeasureType.CANDIDATE)
+    return ControlMeasure(serial_number=image, type=kind, log=tuple(figures), **values)
+
+
+def _text(block: Block, key: str) -> str:
+    """A text; empty where it is left out, or Null."""
+    entry = block.entries.get(key.lower())
+    return block.text(key) if key in block and entry and entry.value != "" else ""
+
+
+def _choice(block: Block, key: str, choices: Mapping[str, _Choice], otherwise: _Choice) -> _Choice:
+    if key not in block:
+        return otherwise
+    word = block.text(key)
+    if word.lower() not in choices:
+        raise InputError(block.where(key), repr(word[:60]), f"one of {', '.join(choices)}")
+    return choices[word.lower()]
+
+
+def _numbers(block: Block, key: str, count: int) -> tuple[float, ...]:
+    return tuple(block.numbers(key, count)) if key in block else ()
+
+
+def _place(block: Block, stage: str) -> tuple[float, float, float] | None:
+    """A-priori or adjusted place, m body-fixed."""
+    if any(stage + axis in block for axis in "XYZ"):
+        x, y, z = (block.number(stage + axis, LENGTHS) for axis in "XYZ")
+        return x, y, z
+    if not any(stage + part in block for part in ("Latitude", "Longitude", "Radius")):
+        return None
+    longitude, latitude = block.number(f"{stage}Longitude", _ANGLES), block.number(f"{stage}Latitude", _ANGLES)
+    radius = block.number(f"{stage}Radius", LENGTHS)
+    if abs(latitude) > 90.0 * DEG or abs(longitude) > _TURN or radius <= 0.0:
+        found = f"latitude {latitude / DEG:g}, longitude {longitude / DEG:g} degrees, radius {radius:g} m"
+        expected = "-90 .. 90 and -360 .. 360 degrees, and a positive radius"
+        raise InputError(block.where(f"{stage}Latitude"), found, expected)
+    x, y, z = from_planetocentric(np.array([longitude, latitude, radius])).tolist()
+    return x, y, z

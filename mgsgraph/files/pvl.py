@@ -1,0 +1,351 @@
+"""PVL text (Parameter Value Language) as ISIS and PDS3 write it, read in one pass, with errors that name file and line.
+
+Understood: nested Object and Group, keywords in any case, quoted strings, lists in parentheses or braces, units in
+angle brackets, values carried over lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments
+``/* */`` anywhere and ``#`` up to the end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.opening import finite_number
+from mgsgraph.units import KM
+
+LENGTHS = dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0) | dict.fromkeys(
+    ("km", "kilometer", "kilometers", "kilometre", "kilometres"), KM
+)
+"""m, of the units of lengths, in lower case; without one it is m."""
+
+_BEGIN = {"object": "object", "begin_object": "object", "group": "group", "begin_group": "group"}
+_CLOSE = {"end_object": "object", "end_group": "group"}
+_LARGEST_COUNT = 1e15
+"""Exact as a float64; no file is as long."""
+FLAGS = {"true": True, "t": True, "yes": True, "y": True, "on": True, "1": True,
+          "false": False, "f": False, "no": False, "n": False, "off": False, "0": False}
+"""Truth values, as in ISIS toBool."""
+
+# nearly all lines are "keyword = word <unit>" or "End_...": one match takes them whole, the rest goes the long way
+_PLAIN = re.compile(
+    r"\s*([A-Za-z_]\w*)(?:[ \t]*=[ \t]*([^\s\"'(){}<>#,=]+)(?<!-)(?:[ \t]*<([^<>\n]*)>)?)?[ \t]*(?:\n|\Z)"
+)
+_BLANK = re.compile(r"(?:\s+|/\*.*?\*/|#[^\n]*)*", re.DOTALL)
+_KEYWORD = re.compile(r"([A-Za-z_^](?:[\w:^.-]|/(?!\*))*)\s*(=?)")
+"""SPICE's, which cubes keep, are such as INS-41210_F/RATIO and CLOCK_ET_-131_922997380.174174_COMPUTED."""
+_QUOTED = re.compile(r"\"([^\"]*)\"|'([^']*)'")
+_CHARACTER = r"(?:(?!/\*)[^\s,(){}\"'<>=])"
+_WORD = re.compile(rf"{_CHARACTER}+(?:(?<=-)\n\s*{_CHARACTER}+)*")
+_UNIT = re.compile(r"\s*<([^<>]*)>")
+_ENVELOPE = re.compile(r"\A\s*CCSD[^\n]*\n")
+"""First line of an SFDU, in which PEDR labels lie; it is no PVL."""
+_LINE_END = re.compile(r"[ \t]*(?:/\*.*?\*/[ \t]*)*(?:#[^\n]*)?(?:\n|\Z)", re.DOTALL)
+_Value = TypeVar("_Value", str, tuple[str, ...])
+
+
+class Entry(NamedTuple):
+    """What stands behind a keyword."""
+
+    value: str | tuple[str, ...]
+    """A word or string, or the items of a list."""
+    unit: str
+    """In lower case; empty where none is given."""
+    position: int
+    """Of the keyword, in characters from the text's start."""
+
+
+class Document(NamedTuple):
+    """A text and the name of its file."""
+
+    source: str
+    text: str
+
+    def where(self, position: int) -> str:
+        """File and line (counted from 1) of a character."""
+        return f"{self.source}, line {self.text.count(chr(10), 0, position) + 1}"
+
+    def excerpt(self, position: int) -> str:
+        """What stands there up to the end of the line, shortened, in quotes."""
+        rest = self.text[position : position + 60].split("\n", 1)[0].strip()
+        return repr(rest) if rest else "nothing"
+
+
+@dataclass(slots=True, eq=False)
+class Block:
+    """An Object or Group; its look-ups take keywords in any case and raise InputError with file and line."""
+
+    document: Document
+    kind: str
+    """object or group."""
+    name: str
+    position: int
+    """Of its first keyword, in characters from the text's start."""
+    entries: dict[str, Entry] = field(default_factory=dict)
+    """By keyword in lower case."""
+    blocks: list["Block"] = field(default_factory=list)
+    """Blocks inside it; empty for an outermost block."""
+    label: str = ""
+    """What the block describes, said in its messages once it is known."""
+
+    def where(self, key: str = "") -> str:
+        """File, line of the keyword (or of the block) and label."""
+        entry = self.entries.get(key.lower())
+        place = self.document.where(entry.position if entry else self.position)
+        return ", ".join(part for part in (place, self.label, key) if part)
+
+    def __contains__(self, key: str) -> bool:
+        entry = self.entries.get(key.lower())
+        return entry is not None and not (isinstance(entry.value, str) and entry.value.lower() == "null")
+
+    def text(self, key: str) -> str:
+        """A word or string that is not empty, or the only item of a list; ISIS's Null counts as missing."""
+        items = self.words(key)
+        if len(items) != 1 or not items[0]:
+            found = "a list" if len(items) > 1 else "an empty text"
+            raise InputError(self.where(key), found, "one word or string")
+        return items[0]
+
+    def words(self, key: str) -> tuple[str, ...]:
+        """The items of a list; one of a word or string."""
+        if key not in self:
+            raise InputError(self.where(), f"no {key}", f"{key} = ... in this {self.name}")
+        value = self.entries[key.lower()].value
+        return (value,) if isinstance(value, str) else value
+
+    def number(self, key: str, units: Mapping[str, float] | None = None) -> float:
+        """A finite number times the factor of its unit, which must be one of `units` ("" for none), or any without."""
+        value = self._finite(key, self.text(key))
+        unit = self.entries[key.lower()].unit
+        if units is None:
+            return value
+        if unit not in units:
+            raise InputError(self.where(key), f"the unit <{unit}>", f"one of {', '.join(filter(None, units))}, or none")
+        return value * units[unit]
+
+    def numbers(self, key: str, count: int) -> list[float]:
+        """A list of `count` finite numbers."""
+        if key not in self:
+            raise InputError(self.where(), f"no {key}", f"{key} = ... in this {self.name}")
+        values = self.entries[key.lower()].value
+        if isinstance(values, str) or len(values) != count:
+            found = "one word" if isinstance(values, str) else f"{len(values)} items"
+            raise InputError(self.where(key), found, f"a list of {count} numbers")
+        return [self._finite(key, value) for value in values]
+
+    def count(self, key: str) -> int:
+        """A whole number of at least 1."""
+        value = self.number(key)
+        if not 1.0 <= value < _LARGEST_COUNT or value % 1.0 != 0.0:
+            raise InputError(self.where(key), f"{value:g}", "a whole number above zero")
+        return int(value)
+
+    def inner(self, name: str) -> "Block":
+        """The block of this name (in any case) inside."""
+        for block in self.blocks:
+            if block.name == name.lower():
+                return block
+        raise InputError(self.where(), f"no {name}", f"Object = {name} or Group = {name} in this {self.name}")
+
+    def flag(self, key: str) -> bool:
+        """A truth value; False where it is left out, which is how ISIS writes it."""
+        if key not in self:
+            return False
+        value = self.text(key).lower()
+        if value not in FLAGS:
+            raise InputError(self.where(key), repr(value), "True or False")
+        return FLAGS[value]
+
+    def _finite(self, key: str, value: str) -> float:
+        try:
+            return finite_number(value)
+        except ValueError:
+            raise InputError(self.where(key), f"{value[:60]!r}", "a finite number") from None
+
+
+def inner_blocks(document: Document) -> Iterator[tuple[Block, Block]]:
+    """Blocks directly inside an outermost one, each with that one, as soon as they are read.
+
+    The outermost block never holds them, so a large file is never in memory as a tree; it holds the keywords that
+    stood before.
+
+    Raises
+    ------
+    InputError
+        Where the text is no PVL, a keyword stands twice in a block, or blocks are not closed, at the latest when the
+        text is exhausted.
+    """
+    stack: list[Block] = []
+    for keyword, entry in _statements(document):
+        if keyword in _BEGIN:
+            block = Block(document, _BEGIN[keyword], str(entry.value).lower(), entry.position)
+            if len(stack) > 1:
+                stack[-1].blocks.append(block)
+            stack.append(block)
+        elif keyword in _CLOSE:
+            closed = _closed(document, stack, _CLOSE[keyword], entry)
+            if len(stack) == 1:
+                yield stack[0], closed
+        elif keyword == "end":
+            break
+        elif stack:
+            _enter(stack[-1], keyword, entry)
+    if stack:
+        raise _never_closed(stack[-1])
+
+
+def whole_label(document: Document) -> Block:
+    """All keywords and blocks of a label, up to its END, in one outermost block called label.
+
+    Raises
+    ------
+    InputError
+        Where the text is no PVL, a keyword stands twice in a block, or blocks are not closed.
+    """
+    root = Block(document, "label", "label", 0)
+    stack = [root]
+    for keyword, entry in _statements(document):
+        if keyword in _BEGIN:
+            block = Block(document, _BEGIN[keyword], str(entry.value).lower(), entry.position)
+            stack[-1].blocks.append(block)
+            stack.append(block)
+        elif keyword in _CLOSE:
+            _closed(document, stack, _CLOSE[keyword], entry)
+        elif keyword == "end":
+            break
+        else:
+            _enter(stack[-1], keyword, entry)
+    if len(stack) > 1:
+        raise _never_closed(stack[-1])
+    return root
+
+
+def flat_label(text: str, source: str) -> Block:
+    """Keywords of a PDS3 label up to its END in one block, whichever object they stand in; of several that of the
+    outermost and first object counts.
+    """
+    plain = _ENVELOPE.sub("\n", text.replace("\r\n", "\n"), count=1)
+    root = whole_label(Document(source, plain))
+    flat, blocks = Block(root.document, "label", "label", 0), [root]
+    for block in blocks:
+        flat.entries = block.entries | flat.entries
+        blocks += block.blocks
+    return flat
+
+
+def _enter(block: Block, keyword: str, entry: Entry) -> None:
+    """Put a keyword into its block, once."""
+    if keyword in block.entries:
+        raise InputError(block.document.where(entry.position), f"{keyword} twice in one {block.kind}", "it once")
+    block.entries[keyword] = entry
+
+
+def _never_closed(block: Block) -> InputError:
+    return InputError(
+        block.document.where(block.position), f"the {block.kind} that begins here is never closed",
+        f"End_{block.kind.capitalize()}", "the file is cut short: write it anew",
+    )
+
+
+def _closed(document: Document, stack: list[Block], kind: str, entry: Entry) -> Block:
+    """Take the innermost block off the stack; it has to be the one that the entry closes."""
+    block = stack.pop() if stack else None
+    if block is None or block.kind != kind or entry.value not in ("", block.name):
+        expected = f"the end of {block.kind} {block.name}" if block else "no block to close"
+        raise InputError(document.where(entry.position), f"the end of {kind} {entry.value}".rstrip(), expected)
+    return block
+
+
+def _statements(document: Document) -> Iterator[tuple[str, Entry]]:
+    """Keywords in lower case with what stands behind them, in the text's order."""
+    text, position = document.text, 0
+    while True:
+        plain = _PLAIN.match(text, position)
+        if plain:
+            keyword, value, unit = plain.groups("")
+            keyword = keyword.lower()
+            if keyword in _CLOSE:
+                value = value.lower()
+            if (value or keyword in _CLOSE) and "/*" not in value:
+                yield keyword, Entry(value, unit.lower(), plain.start(1))
+                position = plain.end()
+                continue
+        position = _skipped(text, position)
+        if position == len(text):
+            return
+        if plain is None and _PLAIN.match(text, position):
+            continue  # past a comment the short way may do again
+        keyword, entry, position = _statement(document, position)
+        yield keyword, entry
+
+
+def _statement(document: Document, position: int) -> tuple[str, Entry, int]:
+    """Keyword in lower case, what stands behind it, and where the next statement may begin."""
+    match = _KEYWORD.match(document.text, position)
+    keyword = match[1].lower() if match else ""
+    closes = keyword in _CLOSE or keyword == "end"
+    if not match or not (match[2] or closes):
+        open_comment = document.text.startswith("/*", position)
+        found = "a comment that is never closed" if open_comment else document.excerpt(position)
+        raise InputError(document.where(position), found, "PVL text: keyword = value")
+    if keyword == "end":
+        return keyword, Entry("", "", position), match.end()
+    if not match[2]:
+        value: str | tuple[str, ...] = ""
+        unit, end = "", match.end(1)
+    else:
+        value, unit, end = _value(document, match.end())
+    rest = _LINE_END.match(document.text, end)
+    if not rest:
+        raise InputError(
+            document.where(position), f"{document.excerpt(end)} after the value of {match[1]}",
+            "one value, in quotes if it has blanks, or a list in parentheses",
+        )
+    if closes or keyword in _BEGIN:
+        value = str(value).lower()
+    return keyword, Entry(value, unit, position), rest.end()
+
+
+def _value(document: Document, position: int) -> tuple[str | tuple[str, ...], str, int]:
+    """A word, string or list, its unit in lower case, and where it ends."""
+    start = _skipped(document.text, position)
+    if not document.text.startswith(("(", "{"), start):
+        return _item(document, start)
+    items: list[str] = []
+    unit, position = "", _skipped(document.text, start + 1)
+    while not document.text.startswith((")", "}"), position):
+        item, item_unit, position = _item(document, position)
+        items.append(item)
+        unit = unit or item_unit
+        position = _skipped(document.text, position)
+        if document.text.startswith(",", position):
+            position = _skipped(document.text, position + 1)
+        elif not document.text.startswith((")", "}"), position):
+            raise InputError(document.where(start), f"a list broken by {document.excerpt(position)}", "',' or ')'")
+    return _with_unit(document.text, tuple(items), unit, position + 1)
+
+
+def _item(document: Document, position: int) -> tuple[str, str, int]:
+    """A word or string, its unit in lower case, and where it ends."""
+    quoted = _QUOTED.match(document.text, position)
+    if quoted:
+        joined = re.sub(r"-\n\s*", "", quoted[1] if quoted[1] is not None else quoted[2])
+        return _with_unit(document.text, re.sub(r"\s*\n\s*", " ", joined), "", quoted.end())
+    word = _WORD.match(document.text, position)
+    if not word:
+        broken = document.text.startswith(('"', "'"), position)
+        found = "a quote that is never closed" if broken else document.excerpt(position)
+        raise InputError(document.where(position), found, "a value")
+    return _with_unit(document.text, re.sub(r"-\n\s*", "", word[0]), "", word.end())
+
+
+def _with_unit(text: str, value: _Value, unit: str, position: int) -> tuple[_Value, str, int]:
+    """The value with the unit that follows it, if one does."""
+    match = _UNIT.match(text, position)
+    return (value, match[1].strip().lower(), match.end()) if match else (value, unit, position)
+
+
+def _skipped(text: str, position: int) -> int:
+    """The position behind blanks and comments."""
+    blank = _BLANK.match(text, position)
+    return blank.end() if blank else position

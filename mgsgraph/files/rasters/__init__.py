@@ -1,0 +1,1 @@
+"""Raster files: pixels of images, terrain models, map projections and coordinate systems."""

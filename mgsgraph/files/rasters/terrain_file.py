@@ -1,0 +1,301 @@
+"""Terrain models as GeoTIFF, or another raster that stands alone, in any projection that PROJ knows.
+
+Degrees, projected units and kilometres end here. A raster whose rows are parallels of a sphere, and whose columns are
+meridians, is a TerrainGrid as it is; of any other each post is where its projection has it (`TerrainRaster`). Of a
+large file only what lies around the images is read.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.rasters.map_projection import MapProjection, map_projection
+from mgsgraph.files.rasters.raster_file import open_raster, read_band, require_in_file
+from mgsgraph.geometry.bilinear import between_nodes
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, in_turn, planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, window
+from mgsgraph.units import DEG, KM
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
+
+Reference = float | Ellipsoid | TerrainGrid
+"""What a file's heights are above: a sphere by its radius (m; zero: they are radii), an ellipsoid, along its normal, or
+the areoid.
+"""
+_UNITS = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0} | dict.fromkeys(
+    ("km", "kilometre", "kilometer", "kilometres", "kilometers"), KM
+)
+"""m, by what a file calls the unit of its heights; metres where it says nothing."""
+_MARGIN = 4
+"""Posts kept beyond the points around which a file is read."""
+_STEPS = 3
+"""Of the search for the point at a place and height: each leaves 1e-5 of the error of the one before."""
+_MOST = 1 << 24
+"""Posts of a grid that a raster is laid out on."""
+_EDGE = 1e-6
+"""Pixels by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
+_NULL = 1e30
+"""What is beyond is no height: special values of ISIS, and of programs that don't say which they write."""
+_RELIEF, _SMALL_BODY, _ANOTHER = 0.009, 0.3, 0.05
+"""Shares of a body's equatorial radius that heights on it reach at most, flattening included: Mars's poles lie 20 km
+below the equator's level, and -32768 m is no height; those of a body of less than `_ROUND` (Vesta's south pole lies
+70 km below its equator's 285 km, Phobos's 3.9 km below 13.0 km); and from which on all posts are another body's.
+"""
+_ROUND = 1e6
+"""m, radius from which on bodies are round."""
+_CHUNK = 1 << 20
+"""Of these at once."""
+_OUTLINE = 65
+"""Rows and columns by which the extent of a raster is found."""
+_NEAR_POLE = 75.0 * DEG
+"""Latitude, rad, beyond which a raster may hold a pole."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TerrainRaster:
+    """Heights or radii in rows and columns of a projection, not along meridians and parallels of a sphere."""
+
+    source: str
+    """File it comes from, for messages."""
+    values: NDArray[np.float32] | Array
+    """(rows, columns) m, above `reference`; NaN where a post is missing."""
+    projection: MapProjection
+    reference: Reference
+    vertical_sigma: float | None = None
+    """m, of a post; None where unknown."""
+    planimetric_sigma: float | None = None
+    """m, of the posts' common horizontal place; None where unknown."""
+
+    def points(self, rows: Array, columns: Array, values: Array) -> Array:
+        """Points (n, 3) in m, body-fixed, at rows and columns (n,), fractional ones too, with values (n,) in m."""
+        longitudes, latitudes = self.projection.places(rows, columns).T
+        upward = np.zeros(rows.size)
+        for _ in range(_STEPS):
+            upward += values - self._height(self.projection.points(longitudes, latitudes, upward))
+        return self.projection.points(longitudes, latitudes, upward)
+
+    def lattice(self) -> PostLattice:
+        """Its posts."""
+        return PostLattice(self.source, self.values, self.points, self.vertical_sigma, self.planimetric_sigma)
+
+    def grid(self, kind: TerrainKind = "radius") -> TerrainGrid:
+        """Radii at equal steps of longitude and planetocentric latitude, as far apart as its posts, bilinear between
+        these; missing ones where one of the four is.
+
+        Raises
+        ------
+        InputError
+            Where that is too many posts.
+        """
+        low, high, step = self._extent()
+        if not (np.all(step > 0.0) and np.all(np.isfinite([low, high, step]))):
+            found = f"posts whose places don't tell where they lie, in the projection {self.projection.name!r}"
+            raise InputError(self.source, found, "places on the body", "look at them: gdalinfo")
+        columns, rows = (np.ceil((high - low) / step).astype(int) + 1).tolist()
+        if rows * columns > _MOST:
+            raise InputError(
+                self.source, f"{rows} x {columns} posts under the images, in the projection {self.projection.name!r}",
+                f"{_MOST} at most, for tie points on it", "average it (gdalwarp -tr), or name it after the first",
+            )  # fmt: skip
+        step = (high - low) / [columns - 1, rows - 1]
+        wraps = bool(high[0] - low[0] == 2.0 * np.pi)
+        columns -= wraps
+        longitudes, latitudes = np.meshgrid(
+            low[0] + step[0] * np.arange(columns), np.linspace(high[1], low[1], rows)
+        )
+        parts = np.array_split(np.arange(rows), -(-rows * columns // _CHUNK))
+        radii = [self._radii(longitudes[part].ravel(), latitudes[part].ravel()) for part in parts]
+        return TerrainGrid(
+            self.source, np.concatenate(radii).reshape(rows, columns), float(low[0]), float(high[1]), float(step[0]),
+            float(step[1]), wraps, kind, self.vertical_sigma, self.planimetric_sigma,
+        )  # fmt: skip
+
+    def _height(self, points: Array) -> Array:
+        """(n,) m, of points (n, 3) above the reference."""
+        if isinstance(self.reference, Ellipsoid):
+            return np.asarray(geodetic(points, self.reference)[:, 2])
+        level = self.reference.at(points) if isinstance(self.reference, TerrainGrid) else self.reference
+        return np.asarray(np.linalg.norm(points, axis=1) - level)
+
+    def _extent(self) -> tuple[Array, Array, Array]:
+        """Least and largest longitude and latitude of its posts, and steps as wide as those between them; (2,) rad."""
+        last, level = np.array(self.values.shape) - 1.0, float(np.nanmean(self.values))
+        row, column = (one.ravel() for one in np.meshgrid(*(np.linspace(0.0, end, _OUTLINE) for end in last)))
+        longitudes, latitudes, radii = planetocentric(self.points(row, column, np.full(row.size, level))).T
+        longitudes = in_turn(longitudes, float(np.angle(np.mean(np.exp(1j * longitudes)))))
+        low, high = (np.array([cut(longitudes), cut(latitudes)]) for cut in (np.nanmin, np.nanmax))
+        for side in (-1.0, 1.0):
+            if side * low[1] < _NEAR_POLE and side * high[1] < _NEAR_POLE:
+                continue
+            at = self.projection.pixels(np.zeros(1), np.array([0.5 * side * np.pi]))[0]
+            if np.all(np.abs(at - 0.5 * last) <= 0.5 * last):
+                low[0], high[0] = -np.pi, np.pi
+                (low if side < 0.0 else high)[1] = 0.5 * side * np.pi
+        middle = 0.5 * last + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        places = self.points(middle[:, 0], middle[:, 1], np.full(3, level))
+        side = float(np.linalg.norm(places[1:] - places[0], axis=1).min() / np.nanmean(radii))
+        nearest = 0.0 if low[1] < 0.0 < high[1] else min(abs(low[1]), abs(high[1]))
+        return low, high, np.array([side / np.cos(nearest), side])
+
+    def _radii(self, longitudes: Array, latitudes: Array) -> Array:
+        """(n,) m at planetocentric places (n,) in rad; NaN beside the posts and missing ones."""
+        last = np.array(self.values.shape) - 1.0
+        found, there = np.full(longitudes.size, np.nan), np.arange(longitudes.size)
+        radii = np.full(longitudes.size, self.projection.ellipsoid.equatorial)
+        values = np.zeros(0)
+        for step in range(_STEPS):
+            points = from_planetocentric(np.column_stack([longitudes[there], latitudes[there], radii]))
+            if step == 0 or not self.projection.sphere:  # on an ellipsoid latitudes depend on the height a little
+                at = self.projection.pixels_of(points)
+                inside = np.all((at > -_EDGE) & (at < last + _EDGE), axis=1)
+                at[~inside] = 0.0
+                values = between_nodes(self.values, np.clip(at, 0.0, last))
+                inside &= np.isfinite(values)
+                there, radii, values, points = there[inside], radii[inside], values[inside], points[inside]
+            radii += values - self._height(points)
+        found[there] = radii
+        return found
+
+
+def read_terrain(
+    path: Path,
+    reference: Reference = 0.0,
+    kind: TerrainKind = "radius",
+    vertical_sigma: float | None = None,
+    planimetric_sigma: float | None = None,
+    near: Array | None = None,
+    body: Ellipsoid | None = None,
+) -> TerrainGrid | TerrainRaster | None:
+    """Read a terrain model, or the part of it around points; None where it has nothing there.
+
+    Parameters
+    ----------
+    path : Path
+        GeoTIFF or another raster, first band: scale, offset and unit are applied, missing posts are NaN. Its coordinate
+        reference system says whether latitudes are planetocentric (a sphere) or planetographic (an ellipsoid).
+    reference : float, Ellipsoid or TerrainGrid
+        What the file's heights are above: the radius of a sphere (m), an ellipsoid, or the areoid's radii. Zero: values
+        are radii.
+    kind : str
+        What the values are without a reference: "radius", "topography" (above the areoid) or "areoid".
+    vertical_sigma, planimetric_sigma : float, optional
+        m, handed on.
+    near : (n, 3), optional
+        m, body-fixed; all of the file is read when absent.
+    body : Ellipsoid, optional
+        Whose terrain it has to be.
+
+    Returns
+    -------
+    TerrainGrid
+        Where posts lie at equal steps of longitude and planetocentric latitude.
+    TerrainRaster
+        Anywhere else.
+
+    Raises
+    ------
+    InputError
+        Where the file can't be read, is of another body, has no place, or holds heights although radii are asked for.
+    """
+    with open_raster(path, "a terrain model") as file:
+        projection, turn = map_projection(file, path, body), None
+        rows, columns = slice(0, file.height), np.arange(file.width)
+        if near is not None or projection.by_meridians:
+            turn = projection.turn()
+        wraps = turn is not None and abs(turn - file.width) < 0.5
+        if near is not None:
+            around = window(projection.pixels_of(near), file.shape, _MARGIN, file.width if wraps else turn, wraps)
+            if around is None:
+                return None
+            rows, columns = around
+        values = _values(file, rows, columns, path)
+    if kind == "topography" and not projection.by_meridians:
+        raise InputError(
+            str(path), f"topography in the projection {projection.name!r}",
+            "geographic or simple cylindrical coordinates on a sphere", "give areoid, and heights above it as radius",
+        )  # fmt: skip
+    _require_plausible(values, reference, kind, path, body)
+    raster = TerrainRaster(
+        str(path), values, projection.cut(rows.start, int(columns[0])), reference, vertical_sigma, planimetric_sigma
+    )
+    return _by_meridians(raster, kind, turn if wraps else None) if projection.by_meridians else raster
+
+
+def _values(file: "DatasetReader", rows: slice, columns: NDArray[np.int64], path: Path) -> NDArray[Any]:
+    """(rows, columns) m; NaN where a post is missing."""
+    from rasterio.windows import Window
+
+    require_in_file(path, ("Scale", "Offset", "UnitType"))
+    said = (file.units[0] or "").strip().lower()
+    if said not in _UNITS:
+        raise InputError(str(path), f"heights in {said!r}", "metres or kilometres", "state it: gdal_edit.py -units m")
+    if not file.dtypes[0].startswith(("int", "uint", "float")):
+        raise InputError(str(path), f"posts of type {file.dtypes[0]}", "heights")
+    scale, offset = file.scales[0] * _UNITS[said], file.offsets[0] * _UNITS[said]
+    if not (0.0 < abs(scale) < _NULL and abs(offset) < _NULL):
+        raise InputError(str(path), f"a scale of {scale:g} and an offset of {offset:g}", "a scale of heights")
+    high = rows.stop - rows.start
+    runs = [
+        read_band(file, path, Window(int(run[0]), rows.start, run.size, high), masked=True)
+        for run in np.split(columns, np.flatnonzero(np.diff(columns) != 1) + 1)
+    ]
+    posts = runs[0] if len(runs) == 1 else np.ma.hstack(runs)
+    exact = posts.dtype in (np.float32, np.int16, np.uint16, np.uint8) and (scale, offset) == (1.0, 0.0)
+    values = np.ma.filled(posts.astype(np.float32 if exact else np.float64), np.nan)
+    values[~(np.abs(values) < _NULL)] = np.nan
+    return values if exact else values * scale + offset
+
+
+def _by_meridians(raster: TerrainRaster, kind: TerrainKind, turn: float | None) -> TerrainGrid:
+    """A raster whose posts lie at equal steps of longitude and planetocentric latitude, `turn` columns all around."""
+    projection, (rows, columns) = raster.projection, raster.values.shape
+    terms, affine = projection.terms, projection.affine
+    scale, origin = np.array([DEG, DEG]), np.zeros(2)
+    if projection.name != "longlat":
+        radius = projection.ellipsoid.equatorial
+        scale = 1.0 / (radius * np.array([np.cos(float(terms.get("lat_ts", 0.0)) * DEG), 1.0]))
+        false = np.array([float(terms.get("x_0", 0.0)), float(terms.get("y_0", 0.0))])
+        origin, scale = np.array([float(terms.get("lon_0", 0.0)) * DEG, 0.0]) - false * scale, scale * projection.unit
+    (longitude, latitude), step = origin + scale * affine[:, 2], scale * [affine[0, 0], -affine[1, 1]]
+    wraps = turn is not None and columns == round(turn)
+    if wraps:  # metres on a rounded radius don't come out as a whole turn
+        step[0] = 2.0 * np.pi / columns
+    if isinstance(raster.reference, float):
+        radii = raster.values + raster.reference if raster.reference else raster.values
+    else:
+        i, j = (one.ravel() for one in np.indices((rows, columns), dtype=np.float64))
+        radii = np.linalg.norm(raster.points(i, j, raster.values.ravel().astype(np.float64)), axis=1)
+    return TerrainGrid(
+        raster.source, radii.reshape(rows, columns), float(longitude), float(latitude), float(step[0]), float(step[1]),
+        wraps, kind, raster.vertical_sigma, raster.planimetric_sigma,
+    )  # fmt: skip
+
+
+def _require_plausible(
+    values: NDArray[Any], reference: Reference, kind: TerrainKind, path: Path, body: Ellipsoid | None
+) -> None:
+    if not np.any(np.isfinite(values)):
+        raise InputError(str(path), "no valid value", "a terrain model")
+    extremes = np.array([np.nanmin(values), np.nanmax(values)], dtype=np.float64)
+    if reference == 0.0 and kind != "topography" and extremes[0] < 1e5:
+        raise InputError(
+            str(path), f"values from {extremes[0]:g} m on", "radii",
+            "say above what they are: reference_radius_m = 3396190.0, reference_ellipsoid_m or areoid",
+        )
+    if body is None or kind == "counts":
+        return
+    level = 0.0 if kind == "topography" or not isinstance(reference, float) else body.equatorial - reference
+    near, off = sorted(extremes, key=lambda post: abs(post - level))
+    share = _RELIEF if body.equatorial > _ROUND else _SMALL_BODY
+    most = share * body.equatorial
+    if abs(off - level) > most and abs(near - level) < max(share, _ANOTHER) * body.equatorial:
+        raise InputError(
+            str(path), f"a post of {off:g} m", f"posts within {most / KM:.0f} km of {level / KM:g} km",
+            "say above what they are and in which unit; state the value of missing ones: gdal_edit.py -a_nodata",
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""SPICE kernels: what they hold, and records read from them."""

@@ -1,0 +1,333 @@
+"""SPICE kernels to records: a kernel pool for the length of one reading, and trajectories sampled from it.
+
+SPICE keeps one pool for the whole process: nothing here may run in two threads at once. Kilometres become metres on the
+line of the call.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import spiceypy
+from spiceypy.utils.exceptions import NotFoundError
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.opening import finite_number
+from mgsgraph.files.spice.kernel_contents import ck_cover, ck_frames, ck_records, covered_interval, members, spk_cover
+from mgsgraph.files.spice.kernel_contents import spice_words as spice_words  # for other readers that ask SPICE
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import Ellipsoid, require_possible
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
+from mgsgraph.units import KM
+
+Constants = Literal["iak", "ik"]
+"""Whose camera constants: the ISIS addendum's or the instrument kernel's."""
+Correction = Literal["NONE", "LT", "LT+S"]
+"""Aberration correction of positions, the body being the observer (as in ISIS and ALE tables of MGS)."""
+
+INTERVAL = 0.5
+"""s between nodes. On M04/02852 positions are then within 2e-9 m, attitude within 3e-6 arcsec of SPICE."""
+MARGIN = 2.0
+"""s before the first and after the last line that a table holds where the kernels do."""
+
+_CK_TOLERANCE = 1e-4
+"""ticks (0.4 microseconds of MGS): rounding of a time at the very end of a segment, no more."""
+_FIXED = 4
+"""SPICE's class of frames that are fixed to another."""
+_LARGEST = 1e100
+"""Larger ones measure nothing."""
+_PAGE = 1000
+"""Pool variables asked for at once."""
+_NEAR = 1e-4
+"""s: a record of the CK this near to a node is that node."""
+
+
+# --- the pool
+
+
+class _Pool(NamedTuple):
+    """What was loaded: files in their order, and all variables."""
+
+    files: tuple[tuple[str, str, str], ...]
+    """Name, kind, and the meta-kernel that loaded it (empty when furnished itself)."""
+    variables: dict[str, tuple[str | float, ...]]
+
+
+@contextmanager
+def loaded(kernels: Sequence[Path], home: Path = Path()) -> Iterator[None]:
+    """A kernel pool that holds these kernels and no others, and afterwards again what it held before.
+
+    Parameters
+    ----------
+    kernels : sequence of Path
+        In the order of loading: where two define the same, the later wins.
+    home : Path
+        From which files that a meta-kernel names are looked for, and then beside the meta-kernel; as SPICE does, the
+        working directory.
+
+    Raises
+    ------
+    InputError
+        A file that is missing, no kernel, or a transfer file; a meta-kernel that names a missing file; or a kernel of
+        the caller's own that could not be loaded again afterwards (nothing has been changed then).
+    """
+    before = _pool()
+    for name, _, _ in before.files:
+        if not Path(name).is_file():
+            raise InputError(
+                name, "a kernel that is loaded has gone from its place", "it there, to be loaded again afterwards",
+                "unload it (spiceypy.unload) first",
+            )
+    try:
+        spiceypy.kclear()
+        with spice_words(", ".join(map(str, kernels)), "one of these kernels contradicts the others, or itself"):
+            for path in kernels:
+                for file in members(Path(path), home):
+                    with spice_words(str(file)):
+                        spiceypy.furnsh(str(file))
+            yield
+    finally:
+        _restore(before)
+
+
+def _pool() -> _Pool:
+    """What is loaded now."""
+    files = tuple(spiceypy.kdata(k, "ALL", 1024, 32, 1024)[:3] for k in range(spiceypy.ktotal("ALL")))
+    variables: dict[str, tuple[str | float, ...]] = {}
+    for name in _names():
+        count, kind = spiceypy.dtpool(name)
+        values = spiceypy.gcpool(name, 0, count, 256) if kind == "C" else spiceypy.gdpool(name, 0, count)
+        variables[name] = tuple(values)
+    return _Pool(files, variables)
+
+
+def _names() -> list[str]:
+    """Names of all pool variables, asked in pages: spiceypy is slow with large buffers."""
+    names: list[str] = []
+    while True:
+        try:
+            page = spiceypy.gnpool("*", len(names), _PAGE, 33)
+        except NotFoundError:
+            return names
+        names += page
+        if len(page) < _PAGE:
+            return names
+
+
+def _restore(before: _Pool) -> None:
+    spiceypy.kclear()
+    for name, _, source in before.files:
+        if not source:
+            spiceypy.furnsh(name)
+    kept = {name for name, _, _ in before.files}
+    for name, _, _ in _pool().files:  # the caller may have unloaded a member of a meta-kernel
+        if name not in kept:
+            spiceypy.unload(name)
+    now = _pool().variables
+    for name in now.keys() - before.variables.keys():
+        spiceypy.dvpool(name)
+    for name, values in before.variables.items():  # those that were put in without a file, or overwrote one
+        if now.get(name) != values:
+            (spiceypy.pcpool if isinstance(values[0], str) else spiceypy.pdpool)(name, list(values))
+
+
+# --- constants
+
+
+def pool_numbers(
+    name: str, count: int, remedy: str = "load the kernel that defines it", more: bool = False
+) -> Array:
+    """Numbers (count,) of a pool variable; InputError when it is missing, a text, or of another length (the first ones,
+    and it may be longer, when `more`).
+    """
+    try:
+        size, kind = spiceypy.dtpool(name)
+    except NotFoundError:
+        raise InputError("kernels", f"no {name}", f"{name} = {count} number(s)", remedy) from None
+    if kind != "N" or size < count or (size > count and not more):
+        raise InputError(f"kernels, {name}", f"{size} {'texts' if kind == 'C' else 'numbers'}", f"{count} number(s)")
+    values = np.asarray(spiceypy.gdpool(name, 0, count), dtype=np.float64)
+    if not (np.abs(values) < _LARGEST).all():
+        raise InputError(f"kernels, {name}", f"the numbers {values.tolist()}", f"{count} finite number(s)", remedy)
+    return values
+
+
+def clock_time(spacecraft: int, count: str) -> float:
+    """Time in s TDB past J2000 of a spacecraft clock count such as ``619971158:28``, or of ticks."""
+    remedy, fields = f"load the SCLK kernel of {spacecraft} and a leapseconds kernel", f"SCLK01_N_FIELDS_{-spacecraft}"
+    with spice_words(f"spacecraft clock count {count}", remedy):
+        if spiceypy.expool(fields) and pool_numbers(fields, 1)[0] == 1.0:  # ticks, of which Kaguya has fractions
+            return float(spiceypy.sct2e(spacecraft, finite_number(count)))
+        return float(spiceypy.scs2e(spacecraft, count))
+
+
+def utc_time(text: str, where: str) -> float:
+    """Time in s TDB past J2000 of one in UTC, by the leap seconds that are loaded; `where` names it in errors."""
+    with spice_words(where, "write 2008-02-08T12:08:53.843; load a leapseconds kernel"):
+        return float(spiceypy.str2et(text.strip().removesuffix("Z")))
+
+
+def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
+    """Constant rotation (3, 3) from one frame to another that is fixed to it; InputError when it is not.
+
+    `time` (s TDB past J2000) has no say in it, but SPICE asks the spacecraft's clock: let it be one that this knows.
+    """
+    with spice_words(f"frames {from_frame} and {to_frame}", "load the instrument or frames kernel"):
+        names = [spiceypy.frmnam(frame) for frame in (from_frame, to_frame)]
+        for frame, name in zip((from_frame, to_frame), names, strict=True):
+            if not name:
+                raise InputError("kernels", f"no frame {frame}", remedy="load the instrument or frames kernel")
+        return np.asarray(spiceypy.pxform(names[0], names[1], time), dtype=np.float64)
+
+
+def ck_frame(frame: int) -> int:
+    """Class id of the frame that CK orient, to which a frame is fixed; its own where they orient it (as new ones do
+    LROC's cameras, which older frames kernels have fixed to the spacecraft).
+    """
+    with spice_words(f"frame {frame}", "load the instrument or frames kernel"):
+        try:
+            _, kind, class_id = spiceypy.frinfo(frame)
+            while kind == _FIXED:
+                _, kind, class_id = spiceypy.frinfo(spiceypy.tkfram(class_id)[1])
+        except NotFoundError:
+            raise InputError("kernels", f"no frame {frame}", remedy="load the instrument or frames kernel") from None
+    return int(class_id)
+
+
+def ellipsoid(body: str | int) -> Ellipsoid:
+    """Ellipsoid of revolution of a body, as the PCK has it."""
+    a, b, c = pool_numbers(f"BODY{body_code(body)}_RADII", 3) * KM
+    if abs(a - b) > 1e-9 * a:
+        raise InputError(f"kernels, radii of {body}", f"{a} and {b} m on the equator", "a body of revolution")
+    found = Ellipsoid(float(a), float(c))
+    require_possible(found, str(body), f"kernels, radii of {body}")
+    return found
+
+
+def body_code(body: str | int) -> int:
+    """NAIF id of a body; InputError for a name that SPICE doesn't know."""
+    try:
+        return int(spiceypy.bods2c(str(body)))
+    except NotFoundError:
+        raise InputError("body", f"{body!r}", "a name or number that SPICE knows, such as MARS") from None
+
+
+# --- the trajectory
+
+
+def sample_trajectory(
+    spacecraft: int,
+    body: str | int,
+    frame_id: int,
+    camera_constant: Array,
+    start: float,
+    stop: float,
+    interval: float = INTERVAL,
+    *,
+    attitude_bias: float,
+    position_bias: float = 0.0,
+    aberration: Correction = "NONE",
+    margin: float = MARGIN,
+) -> Trajectory:
+    """Trajectory of a camera out of the kernels that are loaded.
+
+    The tables hold `start`, the middle (which is their epoch) and `stop` as nodes, so that they are SPICE's own values
+    there, and go on by `margin` on both sides as far as the kernels do. Attitude has nodes at the CK's own records,
+    too: between these it turns uniformly in SPICE as it does here.
+
+    Parameters
+    ----------
+    spacecraft : int
+        NAIF id (MGS -94), also that of its clock.
+    body : str or int
+        In whose fixed frame, the one that the kernels associate with it, the camera moves.
+    frame_id : int
+        CK class id of the spacecraft's structure (MGS -94000), or of a camera whose CK is relative to that (LROC).
+    camera_constant : (3, 3)
+        structure to camera frame.
+    start, stop : float
+        s TDB past J2000, edges of the first and the last line.
+    interval : float
+        s between nodes, at most.
+    attitude_bias : float
+        s; attitude(t) := CK(t + bias). The archive's CK of MGS carry time tags that NAIF calls 1.14 s later than they
+        should be (file comments: filter latency on board, found by the MOLA team), and segments named 'Partly
+        corrected data'. ISIS and ALE look them up at t - 1.15 s, so -1.15 is ISIS's way. Taken literally, tags that
+        are late would want +1.14 in data not corrected at all: how much the archive holds already is not documented.
+    position_bias : float
+        s; position(t) := SPK(t + bias).
+    aberration : "NONE", "LT" or "LT+S"
+        positions are geometric by default; cameras and ranges need that.
+
+    Raises
+    ------
+    InputError
+        When the kernels do not cover the time (with the intervals they cover), or know other spacecraft only.
+    """
+    if not (np.isfinite([start, stop]).all() and start < stop and interval > 0.0 and margin >= 0.0):
+        raise InputError("trajectory", f"{start} .. {stop} s every {interval} s", "start < stop, a positive interval")
+    code = body_code(body)
+    place = covered_interval(spk_cover(spacecraft), start + position_bias, stop + position_bias)
+    frames = ck_frames(frame_id)
+    turned = [covered_interval(ck_cover(one), start + attitude_bias, stop + attitude_bias) for one in frames]
+    first = max(start - margin, place[0] - position_bias, *(begin - attitude_bias for begin, _ in turned))
+    last = min(stop + margin, place[1] - position_bias, *(end - attitude_bias for _, end in turned))
+    times, middle = _nodes(start, stop, first, last, interval)
+    records = np.unique(np.concatenate([
+        ck_records(one, spacecraft, first + attitude_bias, last + attitude_bias) for one in frames
+    ])) - attitude_bias
+    apart = np.abs(times[np.clip(np.searchsorted(times, records) - np.array([[1], [0]]), 0, times.size - 1)] - records)
+    camera_times = np.union1d(times, records[apart.min(axis=0) > _NEAR])
+    return Trajectory(
+        epoch=middle,
+        position=_positions(spacecraft, code, times, position_bias, aberration, middle),
+        camera=_attitude(frame_id, spacecraft, camera_times, attitude_bias, camera_constant, middle),
+        body=_body_rotation(code, times, middle),
+    )
+
+
+def _nodes(start: float, stop: float, first: float, last: float, interval: float) -> tuple[Array, float]:
+    """Times of nodes from `first` to `last`, `start`, `stop` and the middle among them; and that middle."""
+    count = 2 * max(1, int(np.ceil(0.5 * (stop - start) / interval)))
+    inner = np.linspace(start, stop, count + 1)
+    outer = [
+        inner[0] - np.linspace(0.0, 1.0, 1 + int(np.ceil((start - first) / interval)))[1:] * (start - first),
+        inner[-1] + np.linspace(0.0, 1.0, 1 + int(np.ceil((last - stop) / interval)))[1:] * (last - stop),
+    ]
+    return np.unique(np.clip(np.concatenate([inner, *outer]), first, last)), float(inner[count // 2])
+
+
+def _positions(
+    spacecraft: int, body: int, times: Array, bias: float, aberration: Correction, epoch: float
+) -> PositionTable:
+    remedy = f"load SPK that join {spacecraft} and {body} at this time"
+    with spice_words(f"positions of {spacecraft} about {body}", remedy):
+        states, _ = spiceypy.spkezr(str(spacecraft), times + bias, "J2000", aberration, str(body))
+    states = np.asarray(states) * KM
+    return PositionTable(times - epoch, states[:, :3], states[:, 3:])
+
+
+def _attitude(
+    frame_id: int, spacecraft: int, times: Array, bias: float, constant: Array, epoch: float
+) -> AttitudeTable:
+    matrices = np.empty((times.size, 3, 3))
+    with spice_words(f"attitude of {frame_id}", "load a CK (and SCLK) that covers this time"):
+        for k, time in enumerate(times):
+            matrices[k], _ = spiceypy.ckgp(frame_id, spiceypy.sce2c(spacecraft, time + bias), _CK_TOLERANCE, "J2000")
+    return AttitudeTable(times - epoch, rotation.continuous(rotation.from_matrix(matrices)), constant)
+
+
+def body_frame(body: int) -> str:
+    """Name of the fixed frame that the kernels associate with a body, as ISIS takes it."""
+    with spice_words(f"the frame of {body}", "load a frames kernel that has one"):
+        return str(spiceypy.cidfrm(body)[1])
+
+
+def _body_rotation(body: int, times: Array, epoch: float) -> AttitudeTable:
+    frame = body_frame(body)
+    with spice_words(f"rotation of {body} by {frame}", "load the PCK (for MOON_ME: text, binary, and its frames)"):
+        matrices = np.stack([spiceypy.pxform("J2000", frame, time) for time in times])
+    return AttitudeTable(times - epoch, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3))

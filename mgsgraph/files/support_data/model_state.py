@@ -1,0 +1,276 @@
+"""Line-scanner model states of usgscsm, as Ames Stereo Pipeline's bundle_adjust and jitter_solve write them.
+
+``*.adjusted_state.json``: the model's name, then JSON. Keys: usgscsm src/UsgsAstroLsSensorModel.cpp
+(replaceModelState); line times: getImageTime, whose lines count from 0 at the first one's edge and have half a line
+added; positions and attitudes are body-fixed at even times, between which Lagrange's polynomials through the nearest
+eight of them hold (src/Utilities.cpp, lagrangeInterp; of four where m_platformFlag is 0, of six, four, two near the
+ends). Ours are cubic and great arcs, and samples are added where these would differ.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.decoding import Count, Number, Positive, validated
+from mgsgraph.files.opening import read_json
+from mgsgraph.files.support_data.isd_layout import MODEL
+from mgsgraph.files.support_data.optics import distortion_of_state
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.plausibility import require_near_sun
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable
+from mgsgraph.units import MM
+
+_HIGHEST, _HIGHEST_OF_PLATFORM_0 = 8, 4
+_HALVINGS = 16
+"""Of a sample's distance, at the most."""
+_ORDER = 4.0
+"""By which power of the distance between samples what is lost between them falls, at the best."""
+_MOST = 200_000
+"""Samples; those of a WorldView image that jitter_solve has bent are 180,000."""
+_NORMS = 0.5, 2.0
+"""Of quaternions."""
+_TOLERANCE = 2e-4
+"""Pixels by which positions, and attitudes, may be off between samples."""
+_BETWEEN = np.array([0.25, 0.5, 0.75])
+_STEP = 1e-3
+"""Of a sample's distance, of the difference that gives velocities."""
+_CORNER = 1e-6
+"""Of a sample's distance, within which a path may turn sharply at a sample."""
+_Vector = tuple[Number, Number, Number]
+Table = TypeVar("Table", PositionTable, AttitudeTable)
+_Numbers = Annotated[list[Number], msgspec.Meta(min_length=1)]
+
+
+class _State(msgspec.Struct, kw_only=True):
+    m_modelName: str
+    m_nLines: Count
+    m_nSamples: Count
+    m_platformFlag: int = 1
+    m_zDirection: Number = 1.0
+    m_focalLength: Positive
+    m_distortionType: int
+    m_opticalDistCoeffs: list[Number]
+    m_iTransS: _Vector
+    m_iTransL: _Vector
+    m_detectorSampleOrigin: Number
+    m_detectorLineOrigin: Number
+    m_detectorSampleSumming: Positive
+    m_startingDetectorSample: Number
+    m_startingDetectorLine: Number
+    m_centerEphemerisTime: Number
+    m_intTimeLines: _Numbers
+    m_intTimeStartTimes: _Numbers
+    m_intTimes: _Numbers
+    m_t0Ephem: Number
+    m_dtEphem: Positive
+    m_positions: _Numbers
+    m_t0Quat: Number
+    m_dtQuat: Positive
+    m_quaternions: _Numbers
+    m_majorAxis: Positive
+    m_minorAxis: Positive
+    m_currentParameterValue: list[Number] = []
+
+
+def is_model_state(content: dict[str, Any]) -> bool:
+    """Whether JSON is a model state."""
+    return "m_modelName" in content
+
+
+def read_state_json(path: Path) -> dict[str, Any]:
+    """The JSON of a model state, behind the model's name."""
+    return read_json(path, heading=MODEL)
+
+
+def read_model_state(path: Path, name: str) -> PushbroomImage:
+    """Read a model state as an image.
+
+    Parameters
+    ----------
+    path : Path
+        ``*.adjusted_state.json``.
+    name : str
+        By which control networks call the image.
+
+    Raises
+    ------
+    InputError
+        Missing or malformed file, another model than a line scanner's, parameters of an adjustment that are not in the
+        tables, or tables that are not dense enough for their own interpolation.
+    """
+    content, source = read_state_json(path), str(path)
+    if (model := content.get("m_modelName", MODEL)) != MODEL:
+        raise InputError(f"{source}, m_modelName", repr(model)[:60], f"{MODEL} (a line scanner)")
+    state = validated(content, _State, source)
+    _require_plain(state, source)
+    with errors_from(source):
+        interior, timing = _interior(state, source), _timing(state, source)
+        trajectory = _trajectory(state, interior, timing, source)
+        return PushbroomImage(
+            name=name, lines=state.m_nLines, samples=state.m_nSamples, interior=interior, timing=timing,
+            trajectory=trajectory, body=Ellipsoid(state.m_majorAxis, state.m_minorAxis),
+        )  # fmt: skip
+
+
+def _require_plain(state: _State, source: str) -> None:
+    """Refuse what usgscsm would do beside its tables."""
+    if any(state.m_currentParameterValue):
+        raise InputError(
+            f"{source}, m_currentParameterValue", "parameters that are not zero", "zeros",
+            "apply them to positions and quaternions, as bundle_adjust and jitter_solve do",
+        )  # fmt: skip
+    if state.m_zDirection != 1.0:
+        raise InputError(f"{source}, m_zDirection", f"{state.m_zDirection:g}", "1, as usgscsm itself makes states")
+
+
+def _interior(state: _State, source: str) -> InteriorOrientation:
+    to_pixel = np.array([state.m_iTransL, state.m_iTransS])
+    to_pixel[:, 1:] /= MM
+    focal_length = state.m_focalLength * MM
+    return InteriorOrientation(
+        focal_length=focal_length,
+        to_pixel=to_pixel,
+        centre=np.array([state.m_detectorLineOrigin, state.m_detectorSampleOrigin]),
+        first=np.array([state.m_startingDetectorLine, state.m_startingDetectorSample]),
+        sample_summing=state.m_detectorSampleSumming,
+        distortion=distortion_of_state(state.m_distortionType, state.m_opticalDistCoeffs, focal_length, source),
+    )
+
+
+def _timing(state: _State, source: str) -> LineTiming:
+    columns = (state.m_intTimeLines, state.m_intTimeStartTimes, state.m_intTimes)
+    if len({len(column) for column in columns}) > 1:
+        found = " and ".join(str(len(column)) for column in columns)
+        raise InputError(f"{source}, m_intTimeLines, m_intTimeStartTimes, m_intTimes", found, "as many of each")
+    lines, starts, periods = (np.array(column) for column in columns)
+    return LineTiming(lines, starts + 0.5 * periods, periods)
+
+
+# --- the tables
+
+
+def _trajectory(state: _State, interior: InteriorOrientation, timing: LineTiming, source: str) -> FixedTrajectory:
+    highest = _HIGHEST if state.m_platformFlag else _HIGHEST_OF_PLATFORM_0
+    places = _EvenTable(
+        _table(state.m_positions, 3, f"{source}, m_positions"), state.m_t0Ephem, state.m_dtEphem, highest
+    )
+    turns = _EvenTable(
+        _table(state.m_quaternions, 4, f"{source}, m_quaternions"), state.m_t0Quat, state.m_dtQuat, highest
+    )
+    _require_samples(places.nodes, turns.nodes, source)
+    edges, _ = timing.at(np.array([0.0, float(state.m_nLines)]))
+    _, slope = interior.focal_plane(np.array([0.5 * state.m_nSamples]))
+    angle = float(np.linalg.norm(slope[0])) / interior.focal_length
+    flight = np.linalg.norm(places.nodes, axis=1).min() - min(state.m_majorAxis, state.m_minorAxis)
+
+    def misplaced(table: PositionTable, times: Array) -> Array:
+        off = np.linalg.norm(table.at(times)[0] - places.at(times), axis=1)
+        return np.asarray(off / (angle * max(float(flight), 1.0)))
+
+    def misturned(table: AttitudeTable, times: Array) -> Array:
+        off = table.at(times)[0] - rotation.to_matrix(_to_camera(turns.at(times)))
+        return np.asarray(np.linalg.norm(off, axis=(1, 2)) / angle)
+
+    corners = places.times(np.arange(len(places.nodes) - 1)[:, None] + [_CORNER, 1.0 - _CORNER]).ravel()
+    samples = turns.times(np.arange(len(turns.nodes)))
+    return FixedTrajectory(
+        state.m_centerEphemerisTime,
+        _dense(corners, lambda times: _placed(places, times), misplaced, edges, f"{source}, m_positions"),
+        _dense(samples, lambda times: _turned(turns, times), misturned, edges, f"{source}, m_quaternions"),
+    )
+
+
+def _require_samples(places: Array, turns: Array, source: str) -> None:
+    """Raise InputError for positions that are none, and quaternions that are far from unit ones."""
+    require_near_sun(places, f"{source}, m_positions")
+    largest = np.abs(turns).max(axis=1)
+    norms = np.linalg.norm(np.where(largest[:, None] < _NORMS[1], turns, 0.0), axis=1)
+    for k in np.flatnonzero((norms < _NORMS[0]) | (norms > _NORMS[1]))[:1]:
+        raise InputError(f"{source}, m_quaternions", f"{turns[k].tolist()} at [{k}]", "a unit quaternion")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _EvenTable:
+    """Samples in even steps, and the polynomials between them."""
+
+    nodes: Array
+    """(n, k)"""
+    first: float
+    """s, time of the first."""
+    step: float
+    """s."""
+    highest: int
+    """Number of samples that a polynomial goes through, at the most."""
+
+    def times(self, at: Array | Index) -> Array:
+        """Times of places, in steps from the first sample."""
+        return np.asarray(self.first + at * self.step, dtype=np.float64)
+
+    def at(self, times: Array, moved: float = 0.0) -> Array:
+        """Values (n, k) at times (n,); those `moved` by a part of a step along the very polynomials of these times."""
+        where = (times - self.first) / self.step
+        index = np.clip(np.trunc(where).astype(int), 0, len(self.nodes) - 2)
+        beside = np.minimum(index, len(self.nodes) - 2 - index)
+        orders = np.minimum(2 * np.minimum(beside, 3) + 2, self.highest)
+        values = np.empty((times.size, self.nodes.shape[1]))
+        for order in np.unique(orders).tolist():
+            mine = np.flatnonzero(orders == order)
+            offsets = np.arange(order) - (order // 2 - 1)
+            apart = (where - index + moved)[mine, None] - offsets
+            factors = np.where(np.eye(order, dtype=bool), 1.0, apart[:, None, :])
+            weights = np.prod(factors, axis=2) / np.prod(offsets[:, None] - offsets + np.eye(order), axis=1)
+            values[mine] = np.einsum("no,nok->nk", weights, self.nodes[index[mine, None] + offsets])
+        return values
+
+
+def _placed(places: _EvenTable, times: Array) -> PositionTable:
+    motion = (places.at(times, _STEP) - places.at(times, -_STEP)) / (2.0 * _STEP * places.step)
+    return PositionTable(times, places.at(times), motion)
+
+
+def _turned(turns: _EvenTable, times: Array) -> AttitudeTable:
+    return AttitudeTable(times, _to_camera(turns.at(times)), np.eye(3))
+
+
+def _dense(
+    times: Array, made: Callable[[Array], Table], off: Callable[[Table, Array], Array], edges: Array, where: str
+) -> Table:
+    """A table at times and as many between them that its own interpolation is near enough to usgscsm's while the image
+    is taken, between its edges (2,).
+    """
+    for _ in range(_HALVINGS):
+        table = made(times)
+        checked = np.flatnonzero((times[1:] > edges[0]) & (times[:-1] < edges[1]))
+        between = times[checked, None] + np.diff(times)[checked, None] * _BETWEEN
+        pixels = off(table, between.ravel()).reshape(-1, _BETWEEN.size).max(axis=1, initial=0.0)
+        poor = checked[~(pixels <= _TOLERANCE)]
+        if poor.size == 0:
+            return table
+        halvings = np.log2(np.median(pixels[~(pixels <= _TOLERANCE)]) / _TOLERANCE) / _ORDER
+        if times.size + 0.5 * poor.size * 2.0**halvings > _MOST:
+            break
+        times = np.sort(np.concatenate([times, 0.5 * (times[poor] + times[poor + 1])]))
+    found = f"{poor.size} intervals with {pixels.max():.2g} pixels lost by interpolation, as dense as they may be"
+    raise InputError(where, found, f"a path smooth enough to lose less than {_TOLERANCE:g}")
+
+
+def _table(values: list[float], width: int, where: str) -> Array:
+    if len(values) % width or len(values) < 2 * width:
+        raise InputError(where, f"{len(values)} numbers", f"{width} for each of two samples or more")
+    return np.array(values).reshape(-1, width)
+
+
+def _to_camera(quaternions: Array) -> Array:
+    """Unit quaternions (n, 4), scalar first, body-fixed to camera axes, of ones the other way, scalar last."""
+    turned = quaternions[:, [3, 0, 1, 2]] * [1.0, -1.0, -1.0, -1.0]
+    return np.asarray(turned / np.linalg.norm(turned, axis=1)[:, None])

@@ -1,0 +1,424 @@
+"""How laser footprints and images lie to each other: where footprints fall, and by how much images contradict.
+
+Footprints are projected into images by Newton's method and, for comparison, by the five steps of Shan et al. (2004)
+with linear orientation. No image content is needed for that; whether a place is the right one, the projection can't
+tell.
+
+Two images contradict each other about a footprint when its two places show different ground. Where the place in the
+first image lies in the second one, only the images' own tie points know. So the DISCREPANCY is
+
+    projected place in the second image - transferred place of the one projected into the first image,
+
+and the transfer goes over the ground that the ties themselves span under the current orientation: the ray of the place
+in the first image is cut at the height of that surface (a plane through the nearest intersected ties), projected into
+the second image, and moved by the ties' own misplacement there (measured minus transferred the same way; a low-order
+polynomial of line and sample, so that measuring noise averages out). An orientation error across the epipolar plane
+shows in the misplacement; one within it lifts the ties' surface off the footprints and shows by the parallax of that
+height. A horizontal error of the footprints moves both places alike and shows in neither: ties don't know it. Relief
+between the ties enters within the epipolar plane only (across the flight, for a pair taken from two orbits); the stated
+sigmas hold it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.five_steps import five_steps
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+
+Corrections = Sequence[OrientationCorrection | None]
+"""One correction of the nominal orientation per image, None for none."""
+
+_REACH = 40e3
+"""m beyond an image's own ground within which footprints are projected: Mars' relief seen at up to 60 degrees."""
+_NEAREST = 8
+"""Ties that make the plane under a footprint."""
+_MISPLACEMENT_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1))
+"""Powers of the normalised line and sample in the ties' misplacement; as many as three ties each can carry."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Footprints in images: m images, n shots."""
+
+    images: tuple[PushbroomImage, ...]
+    """(m) images."""
+    shots: AltimeterShots
+    """(n) shots."""
+    places: Array
+    """(m, n, 2) line and sample by Newton's method; NaN where the image doesn't see the footprint."""
+    linear: Array
+    """(m, n, 2) line and sample by the five steps with linear orientation; NaN likewise."""
+    inside: Mask
+    """(m, n) True where the place by Newton's method lies in the image."""
+    simultaneous: Mask
+    """(m, n) True for shots between the times of the image's first and last line."""
+
+    def profiles(self, image: int) -> "tuple[ProfileInImage, ...]":
+        """The profiles (shots of one orbit) that belong to an image: simultaneous ones first, then by their orbits."""
+        mine = self.inside[image] | self.simultaneous[image]
+        found = [
+            ProfileInImage(
+                int(orbit), bool(np.any(self.simultaneous[image, members])), members,
+                int(np.count_nonzero(self.inside[image, members])),
+            )
+            for orbit in np.unique(self.shots.orbits[mine])
+            for members in [np.flatnonzero(mine & (self.shots.orbits == orbit))]
+        ]
+        return tuple(sorted(found, key=lambda one: (not one.simultaneous, one.orbit)))
+
+    def simultaneous_image(self, along: Mask, remedy: str) -> int | None:
+        """Index of the only image with shots in `along` (m, n), whose trajectory carries their ranges; None for none.
+
+        Raises InputError with the remedy when there are several.
+        """
+        found = np.flatnonzero(np.any(along, axis=1)).tolist()
+        if len(found) > 1:
+            names = " and ".join(self.images[j].name for j in found)
+            raise InputError(self.shots.source, f"shots simultaneous with {names}", "one image", remedy)
+        return found[0] if found else None
+
+    def shots_with(self, image: int | None) -> Mask:
+        """(n,) True for shots that fall in an image and were fired while it was taken; without one, in any image."""
+        found: Mask = np.any(self.inside, axis=0) if image is None else self.inside[image] & self.simultaneous[image]
+        return found
+
+    def __repr__(self) -> str:
+        counts = ", ".join(
+            f"{image.name}: {n}" for image, n in zip(self.images, self.inside.sum(axis=1).tolist(), strict=True)
+        )
+        return f"Registration({self.shots.times.size} shots; inside {counts})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProfileInImage:
+    """Shots of one orbit that fall in an image, or were fired while it was taken."""
+
+    orbit: int
+    """As the altimeter's archive counts it."""
+    simultaneous: bool
+    """True when the shots were fired while the image was taken."""
+    shots: Index
+    """(k,) which shots."""
+    inside: int
+    """How many of them fall in the image."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Misregistration:
+    """By how much projected places of footprints are off in one image, along the flight and to its right."""
+
+    image: str
+    """In whose pixels."""
+    against: str
+    """Against what: the other image's name, or "truth"."""
+    shots: Index
+    """(k,) which footprints."""
+    lines: Array
+    """(k,) where they lie along the image."""
+    pixels: Array
+    """(k, 2) line and sample, projected minus where it should be."""
+    pixel_sigmas: Array
+    """(k, 2) pixels; zero against truth."""
+    metres: Array
+    """(k, 2) m on the ground at the footprints' heights, along the spacecraft's track over the turning body and to its
+    right."""
+    metre_sigmas: Array
+    """(k, 2) m."""
+    spacing: float
+    """m, distance between footprints of a profile; NaN where unknown."""
+
+    @property
+    def spacings(self) -> Array:
+        """(k, 2) the metres in units of the distance between footprints."""
+        return self.metres / self.spacing
+
+    def __repr__(self) -> str:
+        (along, across), k = self.metres.mean(axis=0) if self.shots.size else (np.nan, np.nan), self.shots.size
+        return f"Misregistration({k} footprints in {self.image} against {self.against}: {along:.1f}, {across:.1f} m)"
+
+
+def footprints_in_images(
+    images: Sequence[PushbroomImage],
+    shots: AltimeterShots,
+    corrections: Corrections | None = None,
+    points: Array | None = None,
+) -> Registration:
+    """Project every footprint into every image that sees it.
+
+    Parameters
+    ----------
+    images : sequence of PushbroomImage
+        All of them.
+    shots : AltimeterShots
+        Footprints and their times.
+    corrections : sequence, optional
+        Of the images' orientation; none when absent.
+    points : (n, 3), optional
+        m, places of the footprints instead of their own (adjusted ones).
+    """
+    given = corrections if corrections is not None else [None] * len(images)
+    if len(given) != len(images):
+        raise InputError("registration", f"{len(given)} corrections", f"one for each of {len(images)} images")
+    ground = shots.footprints if points is None else points
+    shape = (len(images), shots.times.size)
+    places, linear = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
+    inside, simultaneous = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    for j, (image, correction) in enumerate(zip(images, given, strict=True)):
+        near = _visible(image, ground, correction)
+        if near.size:
+            places[j, near], _ = image.ground_to_image(ground[near], correction)
+            with np.errstate(all="ignore"):  # far beside the detector the distortion has no bounds: NaN is right there
+                linear[j, near] = five_steps(image, ground[near], correction)
+        inside[j] = _within(image, places[j])
+        simultaneous[j] = seconds_from_image(image, shots.times) == 0.0
+    return Registration(tuple(images), shots, places, linear, inside, simultaneous)
+
+
+def seconds_from_image(image: PushbroomImage, times: Array) -> Array:
+    """S (n,) by which times (s TDB past J2000) lie after an image's last line, negative before its first; 0 within."""
+    first, last = image.span
+    return np.asarray(np.minimum(times - first, 0.0) + np.maximum(times - last, 0.0))
+
+
+def points_in_images(
+    images: Sequence[PushbroomImage],
+    points: Array,
+    margin: float = 0.0,
+    corrections: Corrections | None = None,
+) -> Mask:
+    """Which ground points are in which images.
+
+    Parameters
+    ----------
+    images : sequence of PushbroomImage
+        All of them.
+    points : (n, 3)
+        m, body-fixed.
+    margin : float
+        pixels by which a point may lie outside of an image.
+    corrections : sequence, optional
+        Of the images' orientation; none when absent.
+
+    Returns
+    -------
+    (m, n)
+        True where a point's pixel lies in the image or its margin.
+
+    Examples
+    --------
+    >>> from mgsgraph.network.footprints import points_in_images
+    >>> points_in_images(network.images, solution.places).sum(axis=1)
+    array([28, 28])
+    """
+    inside = np.zeros((len(images), points.shape[0]), dtype=bool)
+    for j, (image, correction) in enumerate(zip(images, corrections or [None] * len(images), strict=True)):
+        near = _visible(image, points, correction)
+        if near.size:
+            inside[j, near] = _within(image, image.ground_to_image(points[near], correction)[0], margin)
+    return inside
+
+
+def _within(image: PushbroomImage, places: Array, margin: float = 0.0) -> Mask:
+    with np.errstate(invalid="ignore"):
+        size = np.array([image.lines, image.samples])
+        inside: Mask = np.all((places >= -margin) & (places <= size + margin), axis=-1)
+    return inside
+
+
+def _visible(image: PushbroomImage, points: Array, correction: OrientationCorrection | None) -> Index:
+    """Points that are near the image's own ground and on its side of the body."""
+    edge = np.array([0.0, 0.5, 1.0])
+    lines, samples = (one.ravel() for one in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
+    ground, _ = image.image_to_ground(lines, samples, correction=correction)
+    eye = image.pose(np.array([0.5 * image.lines]), correction).position[0]
+    facing = np.einsum("ni,ni->n", points, eye - points) > 0.0
+    if not np.all(np.isfinite(ground)):
+        return np.flatnonzero(facing)
+    centre = ground.mean(axis=0)
+    reach = np.linalg.norm(ground - centre, axis=1).max() * 2.0 + _REACH  # Newton follows half a length beyond the ends
+    return np.flatnonzero(facing & (np.linalg.norm(points - centre, axis=1) < reach))
+
+
+def misregistration(
+    image: PushbroomImage,
+    shots: AltimeterShots,
+    true_places: Array,
+    correction: OrientationCorrection | None = None,
+    points: Array | None = None,
+) -> Misregistration:
+    """Projected minus true places of footprints, as only a simulation knows them.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        In which they are projected.
+    shots : AltimeterShots
+        Footprints.
+    true_places : (n, 2)
+        line and sample of each; NaN where it is not in the image.
+    correction : OrientationCorrection, optional
+        of the nominal orientation; none when absent.
+    points : (n, 3), optional
+        m, places of the footprints instead of their own (adjusted ones).
+    """
+    ground = shots.footprints if points is None else points
+    projected, _ = image.ground_to_image(ground, correction, np.nan_to_num(true_places[:, 0], nan=0.5 * image.lines))
+    kept = np.flatnonzero(np.all(np.isfinite(projected + true_places), axis=1))
+    off = projected[kept] - true_places[kept]
+    metres = on_ground(image, projected[kept], ground[kept], correction)
+    return Misregistration(
+        image.name, "truth", kept, true_places[kept, 0], off, np.zeros_like(off),
+        np.einsum("nij,nj->ni", metres, off), np.zeros_like(off), shots.spacing,
+    )
+
+
+def discrepancy(
+    pair: tuple[PushbroomImage, PushbroomImage],
+    shots: AltimeterShots,
+    ties: TiePoints,
+    corrections: Corrections = (None, None),
+    points: Array | None = None,
+) -> Misregistration:
+    """By how much two images contradict each other about footprints, in pixels of the second; see the module's text.
+
+    Parameters
+    ----------
+    pair : two PushbroomImage
+        First and second image.
+    shots : AltimeterShots
+        Footprints; those that fall in both images are taken.
+    ties : TiePoints
+        Among them at least three that are measured in both images.
+    corrections : sequence
+        of the two images' orientation.
+    points : (n, 3), optional
+        m, places of the footprints instead of their own (adjusted ones).
+    """
+    first, second = pair
+    ground = shots.footprints if points is None else points
+    places = footprints_in_images(pair, shots, corrections, ground).places
+    kept = np.flatnonzero(_within(first, places[0]) & _within(second, places[1]))
+    in_first, in_second = places[0, kept], places[1, kept]
+    measured = _common_measures(pair, ties)
+    heights = _tie_heights(pair, measured, corrections)
+    surface, surface_sigma = _plane_heights(first, measured[0], heights, in_first)
+    transferred, by_height = _transfer(pair, in_first, surface, corrections)
+    over_ties, _ = _transfer(pair, measured[0], heights, corrections)
+    misplaced, sigmas = _smooth(first, measured[0], measured[1] - over_ties, in_first)
+    off = in_second - transferred - misplaced
+    lifted = by_height * surface_sigma[:, None]
+    metres = on_ground(second, in_second, ground[kept], corrections[1])
+    variance = np.einsum("nij,nj->ni", metres**2, sigmas**2) + np.einsum("nij,nj->ni", metres, lifted) ** 2
+    return Misregistration(
+        second.name, first.name, kept, in_second[:, 0], off, np.hypot(sigmas, lifted),
+        np.einsum("nij,nj->ni", metres, off), np.sqrt(variance), shots.spacing,
+    )
+
+
+def on_ground(
+    image: PushbroomImage, places: Array, points: Array, correction: OrientationCorrection | None
+) -> Array:
+    """(n, 2, 2) metres along the flight and to its right per line and per sample, at the points' heights."""
+    height = geodetic(points, image.body)[:, 2]
+    _, to_ground = image.image_to_ground(places[:, 0], places[:, 1], height, correction)
+    up = points / np.linalg.norm(points, axis=1, keepdims=True)
+    flight = image.pose(places[:, 0], correction).velocity
+    along = flight - np.einsum("ni,ni->n", flight, up)[:, None] * up
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(np.stack([along, np.cross(along, up)], axis=1) @ to_ground)
+
+
+def _common_measures(pair: tuple[PushbroomImage, PushbroomImage], ties: TiePoints) -> tuple[Array, Array]:
+    """Places (k, 2) in the first and in the second image of the ties measured in both."""
+    number = ties.measure_image.over([image.name for image in pair])
+    one, two = (np.flatnonzero(number == k) for k in range(2))
+    _, i, j = np.intersect1d(ties.measure_point[one], ties.measure_point[two], return_indices=True)
+    if i.size < 3:
+        raise InputError(
+            f"{ties.source}, images {pair[0].name} and {pair[1].name}", f"{i.size} common tie points",
+            "at least 3", "measure tie points in both images: without them their discrepancy can't be known",
+        )
+    return ties.measures[one[i]], ties.measures[two[j]]
+
+
+def _tie_heights(
+    pair: tuple[PushbroomImage, PushbroomImage], measured: tuple[Array, Array], corrections: Corrections
+) -> Array:
+    """Heights (k,) in m above the ellipsoid at which the rays of ties meet under the current orientation."""
+    rays = [
+        image.sightlines(places[:, 0], places[:, 1], correction)
+        for image, places, correction in zip(pair, measured, corrections, strict=True)
+    ]
+    origins, directions = (np.concatenate([ray[part] for ray in rays]) for part in (0, 1))
+    count = measured[0].shape[0]
+    points, _, _ = intersect_rays(origins, directions, np.tile(np.arange(count), 2), count)
+    for k in np.flatnonzero(np.isnan(points[:, 0]))[:1]:
+        line, sample = measured[0][k]
+        raise InputError(
+            f"images {pair[0].name} and {pair[1].name}",
+            f"parallel rays of the tie at line {line:.1f}, sample {sample:.1f}", "images from different places",
+        )
+    return geodetic(points, pair[0].body)[:, 2]
+
+
+def _transfer(
+    pair: tuple[PushbroomImage, PushbroomImage], places: Array, heights: Array, corrections: Corrections
+) -> tuple[Array, Array]:
+    """Places (n, 2) in the second image of places in the first, over ground at heights (n,), and their rates by it."""
+
+    def over(height: Array) -> Array:
+        ground, _ = pair[0].image_to_ground(places[:, 0], places[:, 1], height, corrections[0])
+        return pair[1].ground_to_image(ground, corrections[1])[0]
+
+    return over(heights), 0.5 * (over(heights + 1.0) - over(heights - 1.0))
+
+
+def _plane_heights(image: PushbroomImage, ties: Array, heights: Array, places: Array) -> tuple[Array, Array]:
+    """Heights (n,) in m at places (n, 2) from planes through the nearest ties, and their sigmas; NaN of three ties.
+
+    The sigma is what the heights of the plane's ties leave, carried to the place, and once again for the relief there.
+    """
+    down, across = (places[:, None, k] - ties[None, :, k] for k in (0, 1))
+    middle = np.array([[0.5 * image.lines, 0.5 * image.samples]])
+    _, by_pixel = image.image_to_ground(middle[:, 0], middle[:, 1])
+    size = np.linalg.norm(by_pixel[0], axis=0)  # m per line and per sample
+    distance = np.hypot(down * size[0], across * size[1])
+    count = min(_NEAREST, ties.shape[0])
+    near = np.argsort(distance, axis=1)[:, :count]
+    rows = np.arange(places.shape[0])[:, None]
+    design = np.stack([np.ones_like(distance[rows, near]), down[rows, near], across[rows, near]], axis=2)
+    design[:, :, 1:] *= size / 1e3  # km, so that the columns are of one size
+    normal = np.swapaxes(design, 1, 2) @ design
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)  # ties in one line make no plane
+    inverse = np.linalg.inv(normal)
+    found = np.einsum("nij,nkj,nk->ni", inverse, design, heights[near])
+    left = heights[near] - np.einsum("nki,ni->nk", design, found)
+    spread = np.sum(left**2, axis=1) / (count - 3) if count > 3 else np.full(places.shape[0], np.nan)
+    return found[:, 0], np.sqrt(spread * (1.0 + inverse[:, 0, 0]))
+
+
+def _smooth(image: PushbroomImage, ties: Array, misplacement: Array, places: Array) -> tuple[Array, Array]:
+    """Misplacements (n, 2) in pixels at places, and their sigmas: polynomials fitted to those of the ties (k, 2)."""
+    terms = _MISPLACEMENT_TERMS[: max(1, min(len(_MISPLACEMENT_TERMS), ties.shape[0] // 3))]
+
+    def design(at: Array) -> Array:
+        u, v = 2.0 * at[:, 0] / image.lines - 1.0, 2.0 * at[:, 1] / image.samples - 1.0
+        return np.stack([u**p * v**q for p, q in terms], axis=1)
+
+    rows = design(ties)
+    inverse = np.linalg.pinv(rows.T @ rows)
+    found = inverse @ rows.T @ misplacement
+    left = misplacement - rows @ found
+    spread = np.sum(left**2, axis=0) / (ties.shape[0] - len(terms))
+    at = design(places)
+    share = np.einsum("ni,ij,nj->n", at, inverse, at)
+    return at @ found, np.sqrt(share[:, None] * spread)

@@ -1,0 +1,312 @@
+"""A candidates file (TOML): images, laser profiles and control points that might be observed; units in the key names.
+
+Paths are relative to the file. What is there is read, and becomes candidates over a network that was adjusted.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from mgsgraph.case.images import read_image
+from mgsgraph.case.numbers import Positive, Sigma
+from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
+from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.decoding import read_toml, validated
+from mgsgraph.geometry.altimetry import require_on_body
+from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array
+from mgsgraph.network.definitions import joining
+from mgsgraph.network.footprints import footprints_in_images
+from mgsgraph.network.parts import KnownImage
+from mgsgraph.planning.candidates import (
+    Candidate,
+    PlannedShots,
+    PlannedTies,
+    planned_control,
+    planned_image,
+    planned_profile,
+)
+from mgsgraph.planning.coverage import ImageCoverage
+from mgsgraph.planning.state import NetworkState
+from mgsgraph.units import DEG
+
+_MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000
+_SAME_TIME, _SAME_LOOK = 1e-3, 1e-4
+"""s and rad: images nearer to each other than this are one; a spacecraft's two cameras look apart, or elsewhere."""
+_NAME_THE_IMAGE = "name it: image = ... in [[profiles]]"
+_FAR = 0.1
+"""Share of the body's radius by which a control point may be off it."""
+
+
+class CandidateImage(ImageInput, forbid_unknown_fields=True, frozen=True):
+    """An image that might be added: as in a case file, and the tie points that it would get."""
+
+    ties: Annotated[int, msgspec.Meta(ge=0, le=_MOST_TIES)] | None = None
+    """New tie points on an even grid over each overlap with an image of the network; 20 when neither this nor
+    ties_per_cell is said."""
+    ties_per_cell: Positive | None = None
+    """New tie points in each cell of the overlap, instead."""
+    cell_px: Positive = 512.0
+    """Side of such a cell, in the image of the two that covers less ground."""
+    sigma_px: Sigma = 1.0
+    """Sigma of line and sample of these; in the candidate measure_sigma_px, where that is said."""
+    existing: bool = False
+    """Whether tie points of the network that it shows are measured in it, too."""
+    everywhere: bool = True
+    """Whether a new tie point is measured in all images that show it, or in the two of the overlap alone."""
+    of_pass: str = ""
+    """Name of the pass of the network on whose trajectory it is taken, which goes on over its lines; when absent it has
+    an orientation of its own."""
+
+    def planned(self, where: str) -> PlannedTies:
+        """As the planner takes them."""
+        if self.ties is not None and self.ties_per_cell is not None:
+            raise InputError(where, "both ties and ties_per_cell", "one of them")
+        count = 20 if self.ties is None else self.ties
+        return PlannedTies(
+            count, self.ties_per_cell, self.cell_px, self.sigma_px, self.measure_sigma_px, self.existing,
+            self.everywhere,
+        )  # fmt: skip
+
+
+class CandidateProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A laser profile that might be taken in: its shots' file, or the track of an image of the network."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1)]
+    """What to call it."""
+    file: str | None = None
+    """ISIS lidar data (.json), PEDR binary (.b) or table: footprints and times count, ranges and heights needn't."""
+    image: str | None = None
+    """Image of the network whose trajectory carries the ranges; with a file, found by its times when absent."""
+    every_s: Positive | None = None
+    """Without a file: a shot every so many seconds at the nadir of the image, from its first line to its last."""
+    range_sigma_m: Sigma = 10.0
+    """Sigma of the ranges."""
+    ground_sigma_m: Sigma = 10.0
+    """Sigma of each footprint in each direction."""
+    shift_sigma_m: Sigma | None = None
+    """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
+    image_sigma_px: Sigma | None = None
+    """Sigma of the footprints' image coordinates, in all images that show them; absent: they aren't measured."""
+    ranges: bool = True
+    """Use the ranges."""
+
+
+class CandidateControl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A ground control point that might be surveyed."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1)]
+    """What to call it."""
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
+    """East."""
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+    """Geodetic with height_m, planetocentric with radius_m."""
+    height_m: float | None = None
+    """Above the ellipsoid."""
+    radius_m: Positive | None = None
+    """From the body's centre, instead."""
+    sigma_m: Sigma | list[Sigma] = 1.0
+    """Sigma of the place: one number, or eastward, northward and upward."""
+    sigma_px: Sigma = 1.0
+    """Sigma of line and sample in the images."""
+    images: tuple[str, ...] | None = None
+    """Images in which it would be measured; all that show it when absent."""
+
+
+class CandidatesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A candidates file."""
+
+    format: int
+    """Version of this layout: that of case files."""
+    orientation: OrientationInput = OrientationInput()
+    """For images without sigmas of their own."""
+    spice: SpiceInput | None = None
+    """SPICE kernels for images that name none."""
+    images: tuple[CandidateImage, ...] = ()
+    """Images."""
+    profiles: tuple[CandidateProfile, ...] = ()
+    """Laser profiles."""
+    control: tuple[CandidateControl, ...] = ()
+    """Control points."""
+
+
+def read_candidates(
+    path: str | Path, state: NetworkState, progress: Callable[[int, int], None] = lambda _done, _most: None
+) -> tuple[Candidate, ...]:
+    """Read a candidates file and everything that it names, and plan the measures of each candidate.
+
+    Parameters
+    ----------
+    path : path
+        TOML file.
+    state : NetworkState
+        The network over which they are planned.
+    progress : callable
+        Called with how many are planned, and how many there are.
+
+    Raises
+    ------
+    InputError
+        With the place, the finding and the remedy: no candidate, unknown keys, a name that is in the network already.
+    """
+    path = Path(path)
+    wanted = decode_candidates(path)
+    kinds = (wanted.images, wanted.profiles, wanted.control)
+    names = [one.name for kind in kinds for one in kind]
+    if not names:
+        expected = "at least one of [[images]], [[profiles]] and [[control]]"
+        raise InputError(str(path), "no candidate", expected)
+    for name in sorted({one for one in names if names.count(one) > 1})[:1]:
+        raise InputError(str(path), f"two candidates named {name!r}", "each name once")
+    coverage, found = ImageCoverage(state), list[Candidate]()
+    plans = [
+        *(partial(_image, coverage, one, wanted, path, k) for k, one in enumerate(wanted.images)),
+        *(partial(_profile, coverage, one, path, k) for k, one in enumerate(wanted.profiles)),
+        *(partial(_control, coverage, one, path, k) for k, one in enumerate(wanted.control)),
+    ]
+    for planned in plans:
+        with errors_from(str(path)):
+            found.append(planned())
+        progress(len(found), len(plans))
+    return tuple(found)
+
+
+def decode_candidates(path: Path) -> CandidatesInput:
+    """A candidates file's tables, validated; InputError with the path of what is wrong."""
+    return validated(read_toml(path, "candidates file"), CandidatesInput, path, "see docs/plan.md")
+
+
+def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:
+    where = f"{path}, images[{k}]"
+    orientation = entry.orientation or wanted.orientation
+    prior = orientation.prior(f"{where}.orientation" if entry.orientation else f"{path}, orientation")
+    ties = entry.planned(where)
+    if entry.name in coverage.views:
+        found = f"the image {entry.name!r}, which is in the network already"
+        raise InputError(where, found, "a new image", "take it out of the candidates")
+    image = read_image(entry, wanted.spice, path.parent, where)
+    if image.body != coverage.network.images[0].body:
+        raise InputError(where, "an image of another body than the network's", "one body")
+    for known in coverage.network.images:
+        if not entry.of_pass and _same_exposure(image, known):
+            found = f"image {entry.name!r}, which is {known.name!r} of the network under another name"
+            raise InputError(where, found, "a new image", "take it out of the candidates")
+    image, _ = orientation.nominal_of(image)
+    brought = joining(coverage.definitions, entry.name, entry.of_pass, where=f"{where}, of_pass")
+    return planned_image(coverage, KnownImage(image, prior, entry.held), ties, brought)
+
+
+def _same_exposure(one: PushbroomImage, other: PushbroomImage) -> bool:
+    """Whether two images were taken at the same time from the same place."""
+    middles = [image.timing.at(np.array([0.5 * image.lines]))[0] + image.trajectory.epoch for image in (one, other)]
+    if abs(float(middles[0][0] - middles[1][0])) > _SAME_TIME:
+        return False
+    apart = [image.pose(np.array([0.5 * image.lines])).matrix[0, 2] for image in (one, other)]
+    return bool(np.linalg.norm(apart[0] - apart[1]) < _SAME_LOOK)
+
+
+def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: int) -> Candidate:
+    where = f"{path}, profiles[{k}]"
+    if (entry.file is None) == (entry.every_s is None):
+        found = "neither file nor every_s" if entry.file is None else "both file and every_s"
+        raise InputError(where, found, "a file, or image and every_s")
+    if entry.image is not None:
+        _require_image(coverage, entry.image, where)
+    elif entry.file is None:
+        raise InputError(where, "every_s without image", "the image of the network along whose track shots are planned")
+    if entry.file is None:
+        times, footprints, image = _track(coverage, entry, where)
+    elif entry.file.lower().endswith(".json"):
+        times, footprints, image = _of_lidar(coverage, entry, path.parent / entry.file)
+    else:
+        times, footprints, image = _of_pedr(coverage, entry, path.parent / entry.file)
+    n = times.size
+    shots = PlannedShots(
+        times, footprints, image if entry.ranges else None, np.full(n, entry.range_sigma_m),
+        np.broadcast_to(np.eye(3) * entry.ground_sigma_m**2, (n, 3, 3)), entry.shift_sigma_m, entry.image_sigma_px,
+    )  # fmt: skip
+    return planned_profile(coverage, entry.name, shots)
+
+
+_Shots = tuple[Array, Array, str | None]
+"""Times (n,) in s TDB past J2000, footprints (n, 3) in m, and the image that carries the ranges."""
+
+
+def _track(coverage: ImageCoverage, entry: CandidateProfile, where: str) -> _Shots:
+    """Shots at the nadir of an image, evenly in time about its middle."""
+    assert entry.image is not None
+    assert entry.every_s is not None
+    view = coverage.views[entry.image]
+    first, last = view.image.span
+    count = int((last - first) / entry.every_s) + 1
+    if count > _MOST_SHOTS:
+        raise InputError(f"{where}, every_s", f"{count} shots", f"at most {_MOST_SHOTS}", "take a longer interval")
+    times = 0.5 * (first + last) + entry.every_s * (np.arange(count) - 0.5 * (count - 1))
+    return times, coverage.below(view.positions(times), view.height), entry.image
+
+
+def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
+    """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
+    profile = read_lidar(path)
+    require_on_body(profile.footprints, coverage.network.images[0].body, profile.source, profile.ids)
+    named = sorted(name for name in profile.simultaneous_image.used if name in coverage.views)
+    if entry.image is None and len(named) > 1:
+        raise InputError(str(path), f"shots simultaneous with {' and '.join(named)}", "one image", _NAME_THE_IMAGE)
+    if not (entry.image or named):
+        return profile.times, profile.footprints, None
+    owner = entry.image or named[0]
+    mine = np.unique(profile.simultaneous_shot[profile.simultaneous_image.over([owner]) == 0])
+    return profile.times[mine], profile.footprints[mine], owner
+
+
+def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
+    """Shots of MOLA that fall in images: those taken along with one of them (or with the one named), if any were."""
+    shots, views = read_shots(path), list(coverage.views.values())
+    require_on_body(shots.footprints, coverage.network.images[0].body, shots.source)
+    images, corrections = [view.image for view in views], [view.correction for view in views]
+    seen = footprints_in_images(images, shots, corrections)
+    if entry.image is not None:
+        owner: int | None = [image.name for image in images].index(entry.image)
+    else:
+        owner = seen.simultaneous_image(seen.inside & seen.simultaneous & shots.ground, _NAME_THE_IMAGE)
+    taken = seen.shots_with(owner) & shots.ground
+    return shots.times[taken], shots.footprints[taken], None if owner is None else images[owner].name
+
+
+def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: int) -> Candidate:
+    where = f"{path}, control[{k}]"
+    if (entry.height_m is None) == (entry.radius_m is None):
+        found = "neither height_m nor radius_m" if entry.height_m is None else "both height_m and radius_m"
+        raise InputError(where, found, "one of them")
+    for name in entry.images or ():
+        _require_image(coverage, name, where)
+    if entry.images is not None and len(set(entry.images)) < len(entry.images):
+        raise InputError(f"{where}, images", "an image twice", "each once")
+    at = entry.longitude_deg * DEG, entry.latitude_deg * DEG
+    if entry.height_m is not None:
+        place = from_geodetic(np.array([*at, entry.height_m]), coverage.network.images[0].body)
+    else:
+        place = from_planetocentric(np.array([[*at, entry.radius_m]]))[0]
+    radius = coverage.network.images[0].body.equatorial
+    if abs(float(np.linalg.norm(place)) - radius) > _FAR * radius:
+        found = f"a point {np.linalg.norm(place):.6g} m from the body's centre"
+        raise InputError(where, found, f"one near the ground, {radius:.6g} m from it", "give metres")
+    sigmas = np.atleast_1d(np.asarray(entry.sigma_m, dtype=np.float64))
+    if sigmas.size not in (1, 3):
+        raise InputError(f"{where}, sigma_m", f"{sigmas.size} numbers", "one, or three: eastward, northward, upward")
+    axes = east_north_up(place[None])[0]
+    covariance = axes.T @ np.diag(np.broadcast_to(sigmas, 3) ** 2) @ axes
+    return planned_control(coverage, entry.name, place, covariance, entry.sigma_px, entry.images)
+
+
+def _require_image(coverage: ImageCoverage, name: str, where: str) -> None:
+    if name not in coverage.views:
+        known = ", ".join(list(coverage.views)[:4])
+        raise InputError(where, f"the image {name!r}", f"an image of the network ({known})")

@@ -1,0 +1,237 @@
+"""A terrain model of dense matches, with what it was made from and how it was checked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.errors import InputError, require
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
+from mgsgraph.libraries import library
+from mgsgraph.matching.scene import Scene
+from mgsgraph.progress import Progress, no_progress
+from mgsgraph.record import Record
+from mgsgraph.registration.dem.checking import CheckProfile, HeightChecks, checked
+from mgsgraph.registration.dem.gridding import HeightGrid, gridded
+from mgsgraph.registration.dem.map import MapGrid
+from mgsgraph.registration.dem.points import intersected
+from mgsgraph.text import root_mean_square
+from mgsgraph.units import KM
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from mgsgraph.matching.dense import DenseMatches
+
+Heights = Literal["sphere", "areoid"]
+"""What heights are above."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemSettings(Record):
+    """Choices of a terrain model.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.DemSettings(post=25.0, heights="areoid")
+    >>> settings.post, settings.heights
+    (25.0, 'areoid')
+    """
+
+    post: float | None = None
+    """m between its posts; as the matches' when None."""
+    spacing: float | None = None
+    """m between matches; five pixels of the ground grid when None."""
+    heights: Heights = "sphere"
+    """Above the sphere of its coordinate system, or above the case's areoid."""
+    ortho_pixel: float | None = None
+    """m, pixel of the ortho image; as the image's own on the ground when None."""
+    images: tuple[str, ...] = ()
+    """Names of the images to take; all of the case when empty."""
+    mola: tuple[Path, ...] = ()
+    """More laser shots to check heights by: PEDR files or tables."""
+
+    def __post_init__(self) -> None:
+        for name in ("post", "spacing", "ortho_pixel"):
+            value = getattr(self, name)
+            good = value is None or 0.0 < value < np.inf
+            require(good, f"terrain model, {name.replace('_', ' ')}", f"{value} m", "a positive number")
+        known = get_args(Heights)
+        require(self.heights in known, "terrain model, heights", repr(self.heights), " or ".join(known))
+
+
+class MatchedPair(NamedTuple):
+    """How densely, and how well, two images were matched."""
+
+    images: tuple[str, str]
+    """Names of both."""
+    matched: int
+    """Posts with a match."""
+    posts: int
+    """Posts on ground that both images show."""
+    miss: float
+    """m rms, by which the rays of a match pass each other."""
+    miss_sigma: float
+    """m rms, what matching explains of that."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dem(Record):
+    """A terrain model, what it was made from, and how it was checked.
+
+    Examples
+    --------
+    >>> print(dem)
+    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.938 km^2 with heights, 0 check shots)
+    >>> height, sigma = np.nanmedian(dem.heights), np.nanmedian(dem.model.sigmas)
+    >>> print(f"{height:.0f} +- {sigma:.0f} m")
+    -3972 +- 5 m
+    >>> dem.heights.shape, dem.model.sigmas.shape
+    ((24, 61), (24, 61))
+    """
+
+    name: str
+    """Of the case."""
+    images: tuple[str, ...]
+    """Names of the scene's pictures."""
+    ortho: int
+    """Picture of the ortho image."""
+    model: HeightGrid
+    """Heights above the sphere, and sigmas."""
+    heights: Array
+    """(rows, columns) m above `reference`."""
+    reference: str
+    """What the heights are above, in words."""
+    pairs: tuple[MatchedPair, ...]
+    """Pairs of images that were matched."""
+    spacing: float
+    """m between matches."""
+    window: float
+    """m, width of a matching window."""
+    checks: HeightChecks
+    """Laser shots that took no part."""
+    profiles: tuple[CheckProfile, ...]
+    """Where these come from."""
+
+    @property
+    def covered(self) -> float:
+        """m^2 with heights."""
+        return float(np.isfinite(self.heights).sum()) * self.model.map.post**2
+
+    def to_xarray(self) -> "Dataset":
+        """The bands of dem.tif as a Dataset of xarray (extra ``[tables]``) over y (northward, falling) and x (eastward)
+        in m of the map; the variable `spatial_ref` has the coordinate system as CF and rioxarray know it.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
+        xarray, grid = library("xarray", "tables", "terrain model"), self.model.map
+        system, there = grid.crs, np.isfinite(self.heights)
+        bands = {
+            "height": (self.heights, "m", f"height above {self.reference}"),
+            "sigma": (self.model.sigmas, "m", "sigma of the height, for sigma0 = 1"),
+            "sigma_by_matching": (self.model.matching, "m", "its part by matching and relief"),
+            "sigma_by_orientation": (self.model.orientation, "m", "its part by the orientation, common to neighbours"),
+            "number_of_points": (self.model.counts.astype(np.float64), "1", "points that the height is of"),
+        }
+        variables = {
+            name: (("y", "x"), np.where(there, values, np.nan),
+                   {"units": unit, "long_name": meaning, "grid_mapping": "spatial_ref"})
+            for name, (values, unit, meaning) in bands.items()
+        }  # fmt: skip
+        corner = f"{grid.west!r} {grid.post!r} 0.0 {grid.north!r} 0.0 {-grid.post!r}"
+        reference = xarray.Variable((), 0, {"crs_wkt": system, "spatial_ref": system, "GeoTransform": corner})
+        return xarray.Dataset(
+            variables,
+            {
+                "y": ("y", grid.north - (np.arange(grid.rows) + 0.5) * grid.post,
+                      {"units": "m", "standard_name": "projection_y_coordinate"}),
+                "x": ("x", grid.west + (np.arange(grid.columns) + 0.5) * grid.post,
+                      {"units": "m", "standard_name": "projection_x_coordinate"}),
+                "spatial_ref": reference,
+            },
+            {"title": f"Terrain model {self.name}", "images": ", ".join(self.images)},
+        )  # fmt: skip
+
+    def __repr__(self) -> str:
+        grid = self.model.map
+        return (
+            f"Dem({self.name!r}: {grid.rows} x {grid.columns} posts every {grid.post:.4g} m, "
+            f"{self.covered / KM**2:.4g} km^2 with heights, {len(self.checks)} check shots)"
+        )
+
+
+def dem_of(
+    name: str, posterior: Posterior, scene: Scene, matches: Sequence["DenseMatches"], window: float,
+    settings: DemSettings, profiles: Sequence[CheckProfile] = (), workers: int | None = None,
+    progress: Progress = no_progress,
+) -> Dem:
+    """A terrain model of dense matches, in memory; `window` in m is the width of the windows that were matched."""
+    require_reference(posterior, settings)
+    progress("intersecting", 0, 1)
+    points = intersected(posterior, scene, matches)
+    spacing = max(one.spacing for one in matches)
+    grid = MapGrid.around(points.positions, scene.ground.body, settings.post or spacing)
+    related = replace(points, pair=_kin([(one.first, one.second) for one in matches])[points.pair])
+    model = gridded(related, grid, spacing, window, workers, progress)
+    heights, reference = model.heights, f"a sphere of {grid.radius / KM:.3f} km"
+    areoid = posterior.network.areoid
+    if settings.heights == "areoid" and areoid is not None:
+        heights, reference = _above_areoid(model, areoid), "the areoid"
+    names = tuple(picture.image.name for picture in scene.pictures)
+    pairs = tuple(
+        MatchedPair(
+            (names[one.first], names[one.second]), len(one.anchors), one.posts,
+            *(root_mean_square(misses[points.pair == k]) for misses in (points.misses, points.miss_sigmas)),
+        )
+        for k, one in enumerate(matches)
+    )  # fmt: skip
+    ortho = max(matches, key=lambda one: len(one.anchors)).first
+    checks = checked(model, profiles)
+    return Dem(
+        name, names, ortho, model, heights, reference, pairs, spacing, window, checks, tuple(profiles)
+    )
+
+
+def _kin(pairs: Sequence[tuple[int, int]]) -> Index:
+    """(n,) the same number for pairs that share an image, whose noise is in both, or are linked by pairs that do."""
+    kin = np.arange(len(pairs))
+    for i, j in combinations(range(len(pairs)), 2):
+        if set(pairs[i]) & set(pairs[j]):
+            kin[kin == kin[j]] = kin[i]
+    return kin
+
+
+def ortho_grid(dem: Dem, scene: Scene, settings: DemSettings) -> MapGrid:
+    """The pixels of the ortho image: over the terrain model, as large as the image's own where nothing is asked for."""
+    pixel = settings.ortho_pixel
+    if pixel is None:
+        pixel = float(scene.pixel_sizes[dem.ortho])
+    return dem.model.map.resampled(pixel)
+
+
+def require_reference(posterior: Posterior, settings: DemSettings) -> None:
+    """Raise InputError where heights are asked for above an areoid that nobody knows."""
+    if settings.heights == "areoid" and posterior.network.areoid is None:
+        raise InputError(
+            "terrain model, heights", "areoid, which the adjusted case doesn't have",
+            "[terrain] with topography or areoid", "adjust with it, or ask for heights above the sphere",
+        )  # fmt: skip
+
+
+def _above_areoid(model: HeightGrid, areoid: TerrainGrid) -> Array:
+    """(rows, columns) m; NaN where the areoid isn't known."""
+    there = np.isfinite(model.heights)
+    found = np.full(there.shape, np.nan)
+    points = model.map.points(model.map.posts()[there.ravel()], model.heights[there])
+    found[there] = areoid_heights(points, areoid)
+    if not np.any(np.isfinite(found)):
+        raise InputError(f"terrain {areoid.source}", "no areoid under the terrain model", "one of the images' ground")
+    return found

@@ -1,0 +1,292 @@
+"""What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mgsgraph.analysis.components import Components, components_of, iterated_components
+from mgsgraph.analysis.measures import Levels
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
+from mgsgraph.analysis.separability import not_told_apart
+from mgsgraph.analysis.snooping import snoop
+from mgsgraph.analysis.suspects import suspects
+from mgsgraph.analysis.weak import weakest
+from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import write_json
+from mgsgraph.files.output.folders import ANALYSIS, PROGRAM, fresh_folder
+from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.results.answers import Answer, Questions, answered
+from mgsgraph.results.likelihood import likelihood_section, linearity_section
+from mgsgraph.results.reliability import (
+    reliability_record,
+    reliability_table,
+    reliability_text,
+    snooping_record,
+    snooping_text,
+)
+from mgsgraph.results.sigmas import Section, curve_section, raster_section
+from mgsgraph.results.unexplained import unexplained_section
+from mgsgraph.results.vibrations import vibrations_section
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
+
+_PROMISED = (
+    f"{'  (a normal law promises)':<28} {'':>9} {'':>8} {0:>6} {1:>6} {0:>6} {0:>6} "
+    + " ".join(f"{100.0 * share:>6.3g}" for share in PROMISED)
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What an analysis is to hold."""
+
+    questions: Questions = field(default_factory=Questions)
+    """Asked of the posterior."""
+    curves: tuple[str, ...] = ()
+    """Images along whose lines sigmas are wanted."""
+    raster: tuple[str, ...] | None = None
+    """Images over whose overlap sigmas are wanted, empty for all; None for no raster."""
+    cell: float | None = None
+    """m, side of the raster's cells."""
+    sigma: float = 1.0
+    """px, of the measures of the raster's points."""
+    unexplained: bool = False
+    """Tests of the residuals against time, sample, slope, height and neighbours."""
+    honesty: bool = False
+    """Global test, variance components, statistics of residuals; linearity."""
+    likelihood: tuple[str, ...] = ()
+    """Images, shifts and shared unknowns whose intervals by the likelihood are wanted."""
+    iterated: bool = False
+    """Variance components by adjusting again and again."""
+    suspects: int = 0
+    """Rows of the table by suspicion; 0 for no reliability."""
+    snooped: bool = False
+    """Adjust again without what data snooping finds."""
+    weak: int = 0
+    """Weak directions to be named."""
+    levels: Levels = field(default_factory=Levels)
+    """Sizes of tests."""
+
+    def __post_init__(self) -> None:
+        for what, value in (("--sigma-px", self.sigma), ("--cell-m", 1.0 if self.cell is None else self.cell)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(what, f"{value}", "a positive number")
+
+
+def require_used(option: str, given: bool, useful: bool, wanted: str) -> None:
+    """Raise InputError for an option that would do nothing."""
+    if given and not useful:
+        raise InputError(option, f"no {wanted}", "both", "add it, or leave the option out")
+
+
+def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Section]:
+    """Sections in the order in which they are read, each when it is ready.
+
+    Raises InputError where something asked about isn't in the solution.
+    """
+    if wanted.questions:
+        yield _answers(list(answered(posterior, wanted.questions)))
+    for image in dict.fromkeys(wanted.curves):
+        yield curve_section(posterior, image)
+    if wanted.raster is not None:
+        yield raster_section(posterior, wanted.raster, wanted.cell, wanted.sigma)
+    if wanted.unexplained:
+        yield unexplained_section(posterior, name)
+        yield vibrations_section(posterior, name)
+    if wanted.honesty:
+        yield _honesty(posterior, name)
+        yield linearity_section(posterior)
+    if wanted.likelihood:
+        yield likelihood_section(posterior, wanted.likelihood)
+    if wanted.iterated:
+        yield _iterated(posterior)
+    if wanted.suspects:
+        yield _reliability(reliability(posterior.linearised, wanted.levels), wanted.suspects)
+    if wanted.snooped:
+        yield _snooped(posterior, wanted.levels)
+    if wanted.weak:
+        yield _weak(posterior, wanted.weak)
+        if posterior.network.passes:
+            yield _separability(posterior)
+
+
+def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures: bool = True) -> list[str]:
+    """Write analysis.json and the sections' tables and figures to a folder that appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else than an earlier analysis, or can't be written.
+    """
+    with fresh_folder(folder, ANALYSIS) as aside:
+        record: dict[str, Any] = {"program": PROGRAM, "format": 1, "name": name}
+        names = [ANALYSIS]
+        for section in sections:
+            record.setdefault(section.key, []).append(section.record)
+            names += section.write(aside, figures)
+        write_json(aside / ANALYSIS, record)
+    return names
+
+
+def _answers(found: Sequence[Answer]) -> Section:
+    return Section("answers", "\n".join(one.text for one in found), [one.record for one in found])
+
+
+def _honesty(posterior: Posterior, name: str) -> Section:
+    at, fit = posterior.linearised, posterior.linearised.fit()
+    if fit.degrees_of_freedom < 1:
+        counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
+        text = f"No redundancy ({counts}): nothing tells whether the sigmas are honest."
+        return Section("honesty", text, {"degrees_of_freedom": fit.degrees_of_freedom})
+    test, components = chi_square_test(fit), components_of(at)
+    statistics = residual_statistics(at)
+
+    def sheet() -> "Sheet":
+        from mgsgraph.results.figures.quantiles import quantile_sheet
+
+        return quantile_sheet(statistics, name)
+
+    lines = [f"{test.sentence}.", "By what factor the sigmas of each group are wrong:", *components.sentences]
+    residuals = residuals_table(statistics)
+    head, *rows = residuals.text()
+    lines += [head, _PROMISED, *rows]
+    record = {
+        "global_test": {
+            "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
+            "p_larger": test.larger, "passed": test.passed, "alpha": test.alpha,
+        },
+        "components": _components_record(components),
+        "residuals": residuals.records(),
+    }  # fmt: skip
+    files = {"components.csv": components_table(components).write_csv}
+    return Section("honesty", "\n".join(lines), record, files, sheet)
+
+
+def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
+    """One row per group of normalised residuals: how they are distributed."""
+    beyond, p = numbers(statistics, "beyond").reshape(-1, 3), numbers(statistics, "p_value")
+    odd = ["" if one.as_promised is not False else " not as promised" for one in statistics]
+    return Table("residuals", "Normalised residuals", (
+        Column("group", [one.name for one in statistics], label="Normalised residuals", text="<28"),
+        Column("residuals", np.array([one.values.size for one in statistics]), label="number", text=">9"),
+        Column("independent", numbers(statistics, "effective"), meaning="residuals that they are worth", label="worth",
+               text=">8.4g"),
+        Column("mean", numbers(statistics, "mean"), text=">6.2f"),
+        Column("rms", numbers(statistics, "rms"), text=">6.2f"),
+        Column("skewness", numbers(statistics, "skewness"), label="skew", text=">6.2f"),
+        Column("excess_kurtosis", numbers(statistics, "kurtosis"), label="kurt.", text=">6.2f"),
+        Column("beyond_1_2_3_sigma", beyond),
+        *(Column(f"beyond_{k + 1}", beyond[:, k], "percent", label=f">{k + 1} %", text=">6.3g", files=False)
+          for k in range(3)),
+        Column("p", p, meaning="chance of no less odd ones"),
+        Column("chance", ["few" if not np.isfinite(one) else f"{one:.2g}" for one in p.tolist()], label="p", text=">8",
+               files=False),
+        Column("odd", odd, label="", text="<", files=False),
+    ))  # fmt: skip
+
+
+def _components_record(found: Components) -> dict[str, Any]:
+    return {
+        "exact": found.exact,
+        "groups": [
+            {
+                "group": one.name, "judgement": str(one.judgement), "rows": one.rows, "redundancy": one.redundancy,
+                "squares": one.squares, "factor": one.factor, "sigma_of_factor": one.sigma,
+                "estimator": "foerstner" if one.negative else "helmert",
+                "interval_99": one.interval(),
+            }
+            for one in found.groups
+        ],
+        "correlation_of_squared_factors": found.correlation,
+    }  # fmt: skip
+
+
+def components_table(found: Components) -> Table:
+    """One row per group of measures: by what factor its sigmas are wrong."""
+    groups = found.groups
+    interval = np.array([one.interval() for one in found.groups]).reshape(-1, 2)
+    return Table("components", "Variance components", (
+        Column("group", [one.name for one in found.groups], meaning="of measures with a sigma of their own"),
+        Column("judgement", [str(one.judgement) for one in found.groups], meaning="whether the data can tell"),
+        Column("rows", numbers(groups, "rows"), meaning="how many measures"),
+        Column("redundancy", numbers(groups, "redundancy"), meaning="sum of their redundancy numbers"),
+        Column("squares", numbers(groups, "squares"), meaning="sum of squares of the normalised residuals"),
+        Column("factor", numbers(groups, "factor"), meaning="of the stated sigmas"),
+        Column("sigma", numbers(groups, "sigma"), meaning="of the factor"),
+        Column("estimator", ["foerstner" if one.negative else "helmert" for one in groups],
+               meaning="of the factor: foerstner where Helmert's equations give a negative square"),
+        Column("foerstner", numbers(groups, "foerstner"), meaning="the factor, if all other groups' sigmas are right"),
+        Column("factor_low_99", interval[:, 0], meaning="lower end of the 99 % interval"),
+        Column("factor_high_99", interval[:, 1], meaning="upper end"),
+    ))  # fmt: skip
+
+
+def _iterated(posterior: Posterior) -> Section:
+    found = iterated_components(posterior.network, posterior.linearised.settings)
+    record = {
+        "converged": found.converged, "passes": len(found.history), **_components_record(found.components),
+        "sigma0": found.solution.sigma0,
+    }  # fmt: skip
+    files = {"components_iterated.csv": components_table(found.components).write_csv}
+    text = "\n".join(["Scaled and adjusted again, until all factors were one:", *found.sentences])
+    return Section("iterated", text, record, files)
+
+
+def _reliability(found: Reliability, most: int) -> Section:
+    worst, files = suspects(found, most), {"reliability.csv": reliability_table(found).write_csv}
+    return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), files)
+
+
+def _snooped(posterior: Posterior, levels: Levels) -> Section:
+    """Always by plain least squares, and beginning with all measures: that is what the tests presume."""
+    settings = posterior.linearised.settings
+    found = snoop(posterior.network, replace(settings, loss="none", reject=0.0), levels)
+    changed = settings.loss != "none" or settings.reject > 0.0
+    said = "By plain least squares, without the loss and the blunder limit of this solution:\n" if changed else ""
+    return Section("snooping", said + snooping_text(found), snooping_record(found))
+
+
+def _weak(posterior: Posterior, count: int) -> Section:
+    if posterior.linearised.joint.columns == 0:
+        return Section("weak", "All orientation was held: nothing of it is weak.", [])
+    found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
+    lines = ["Of what least was learnt (sigma after over sigma before):"]
+    lines += [f"{one.ratio:8.3f}  {one.sentence}" for one in found]
+    record = [
+        {
+            "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.sentence, "equals": one.equals,
+            "parts": [
+                {
+                    "of": part.axis.owner, "axis": str(part.axis), "share": part.share,
+                    f"amount_{part.axis.unit}": part.amount,
+                }
+                for part in one.parts
+            ],
+        }
+        for one in found
+    ]  # fmt: skip
+    return Section("weak", "\n".join(lines), record)
+
+
+def _separability(posterior: Posterior) -> Section:
+    """Mountings, attitude and position of passes that are not told apart."""
+    linearised = posterior.linearised
+    found = not_told_apart(posterior.network, linearised.joint, linearised.settings.angles)
+    lines = [one.sentence[0].upper() + one.sentence[1:] for one in found]
+    none = "Position and attitude of passes, and what their images share, are told apart (no correlation above 0.95)."
+    record = [
+        {
+            "quantities": [{"name": part.name, "of": part.owner, "unit": part.unit, "sigma": part.sigma,
+                            "coefficient": float(c)} for part, c in zip(one.quantities, one.coefficients, strict=True)],
+            "correlation": one.correlation, "determined": one.mixture, "sigma": one.sigma,
+            "unit": one.quantities[0].unit,
+        }
+        for one in found
+    ]  # fmt: skip
+    return Section("separability", "\n".join(lines) or none, record)

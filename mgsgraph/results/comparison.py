@@ -1,0 +1,286 @@
+"""A solution beside an earlier one: what differs in input and settings, what moved, by how much, and whether that is
+more than was unknown; and where sigmas became smaller or larger.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.analysis.common_points import CommonPoints
+from mgsgraph.analysis.statistics import PLACES
+from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import picked, write_json
+from mgsgraph.files.output.folders import COMPARISON, PROGRAM, fresh_folder
+from mgsgraph.files.output.table import Column, Table, cut
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.records import Array
+from mgsgraph.names import Names
+from mgsgraph.network import PointClass
+from mgsgraph.results.comparison_input import input_differences, setting_differences
+from mgsgraph.results.page_tables import MOST_IMAGES
+from mgsgraph.results.soundness import state_of
+from mgsgraph.text import NAMED, many, root_mean_square, some
+
+_POINTS = "points_compared"
+_MOST_SHOWN = 10
+"""Rows of a table that are printed; the files have all."""
+_MOST_POINTS = 200
+"""Points listed, those that moved most."""
+_TITLE = "Ground points that moved most"
+_METHOD = (
+    "A difference is {} minus {}. It is stated in units of the larger of both sigmas (sigma0 = 1): the solutions share "
+    "observations and priors, so that the sigma of their difference isn't known from theirs."
+)
+_CLASSES = [kind.name.lower() for kind in PointClass]
+_QUANTILES = (0.02, 0.5, 0.98)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What is said about two solutions."""
+
+    name: str
+    """What the earlier one is called."""
+    labels: tuple[str, str]
+    """What the earlier one and the later one are called in headings."""
+    sentences: list[str]
+    """In words."""
+    tables: list[Table]
+    """Of settings and input that differ, figures of merit, sigmas, images and points."""
+    points: CommonPoints
+    """The ground points that both have."""
+
+
+def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("earlier", "this one")) -> Comparison:
+    """Compare two solutions by the names of their images and points.
+
+    Parameters
+    ----------
+    solution, earlier : Solution
+        Differences are the first minus the second.
+    labels : (str, str)
+        What the earlier and the later one are called in sentences and headings.
+
+    Raises
+    ------
+    InputError
+        If they have no image in common, or one of them with other pixels.
+    """
+    shared = common_images(solution, earlier)
+    points = CommonPoints(solution, earlier)
+    settings, inputs = setting_differences(earlier, solution, labels), input_differences(earlier, solution, labels)
+    about_images, images = _images(solution, earlier, shared)
+    about_points, moved = _points(points, labels)
+    about_sigmas, sigmas = _sigmas(points, labels)
+    others = [sentence for sentence in (
+        _only([image.name for image in solution.network.images], [image.name for image in earlier.network.images]),
+        *("" if one.converged else f"{label.capitalize()}: NOT CONVERGED, so that its sigmas mean little."
+          for one, label in zip((earlier, solution), labels, strict=True)),
+    ) if sentence]  # fmt: skip
+    method = _METHOD.format(labels[1], labels[0])
+    sentences = [
+        method, *about_images, *about_points, *about_sigmas, settings.sentence, *inputs.sentences, *others,
+    ]  # fmt: skip
+    every = (_fit_figures(solution, earlier, labels), sigmas, settings.table, inputs.table, images, moved)
+    return Comparison(earlier.name, labels, sentences, [table for table in every if len(table)], points)
+
+
+def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]]:
+    """Numbers of each common image in both solutions; InputError where there is none, or one has other pixels."""
+    rows = {image.name: j for j, image in enumerate(earlier.network.images)}
+    shared = [(j, rows[image.name]) for j, image in enumerate(solution.network.images) if image.name in rows]
+    if not shared:
+        names = [image.name for image in solution.network.images]
+        raise InputError(
+            f"solution {earlier.name!r}, to be compared with", "no image in common",
+            f"some of {some(names, len(names))}", "compare solutions of the same images",
+        )  # fmt: skip
+    for j, i in shared:
+        one, other = solution.network.images[j], earlier.network.images[i]
+        if (one.lines, one.samples) != (other.lines, other.samples):
+            raise InputError(
+                f"solution {earlier.name!r}, image {other.name}", f"{other.lines} x {other.samples} pixels",
+                f"{one.lines} x {one.samples}, as in {solution.name!r}",
+            )  # fmt: skip
+    return shared
+
+
+def _only(here: list[str], there: list[str]) -> str:
+    """Words about images that only one of both has."""
+    known, others = set(here), set(there)
+    new, gone = [name for name in here if name not in others], [name for name in there if name not in known]
+    parts = [f"{word}: {some(names, len(names), NAMED)}" for word, names in (("new", new), ("gone", gone)) if names]
+    return f"Images that only one of both has, {'; '.join(parts)}." if parts else ""
+
+
+def _fit_figures(solution: Solution, earlier: Solution, labels: tuple[str, str]) -> Table:
+    both = [
+        ("cost with the nominal orientation", earlier.cost_initial, solution.cost_initial),
+        ("cost at the solution", earlier.cost_final, solution.cost_final),
+        ("sigma0", earlier.sigma0, solution.sigma0),
+        ("degrees of freedom", earlier.fit.degrees_of_freedom, solution.fit.degrees_of_freedom),
+        ("observations", earlier.fit.observations, solution.fit.observations),
+        ("unknowns", earlier.fit.unknowns, solution.fit.unknowns),
+        ("images", len(earlier.network.images), len(solution.network.images)),
+        ("ground points", len(earlier.network.points), len(solution.network.points)),
+    ]
+    states = [state_of(one) for one in (earlier, solution)]
+    numbers = np.array([(before, after, after - before) for _, before, after in both])
+    texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column] for column in numbers.T]
+    note = "" if earlier.fit.observations == solution.fit.observations else (
+        "The numbers of observations differ: costs can't be compared, sigma0 can."
+    )
+    losses = [(one.settings.loss, one.settings.loss_width) for one in (earlier, solution)]
+    if losses[0] != losses[1]:  # another loss weighs the same residuals otherwise
+        words = "; now ".join(_loss(*one) for one in losses)
+        note = f"The losses differ ({words}): neither costs nor sigma0 can be compared."
+    return Table("merit_compared", "Figures of merit", (
+        Column("figure", ["state", *(name for name, _, _ in both)], page="s", text="<34"),
+        *(Column(name, [first, *text], page="s", text=">14")
+          for name, first, text in zip((*labels, "difference"), (*states, ""), texts, strict=True)),
+    ), note)  # fmt: skip
+
+
+def _loss(name: str, width: float | None) -> str:
+    return name if width is None else f"{name}, width {width:g}"
+
+
+def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int) -> tuple[Array, Array]:
+    """Differences (n, 6) of an image's adjusted orientation over its lines, m (body-fixed) and rad (about the camera's
+    axes), and the larger of both sigmas (n, 6).
+    """
+    lines = np.linspace(0.0, float(solution.network.images[j].lines), PLACES)
+    poses = [one.network.images[k].pose(lines, one.correction(k)) for one, k in ((solution, j), (earlier, i))]
+    turn = -rotation.logarithm(poses[0].matrix @ np.swapaxes(poses[1].matrix, 1, 2))
+    profiles = [orientation_profile(one, k, PLACES) for one, k in ((solution, j), (earlier, i))]
+    sigmas = [np.concatenate([one.position_sigma, one.rotation_sigma], axis=1) for one in profiles]
+    moved = np.concatenate([poses[0].position - poses[1].position, turn], axis=1)
+    return moved, np.maximum(*sigmas)
+
+
+def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]) -> tuple[list[str], Table]:
+    shown = shared[:MOST_IMAGES]
+    names = [solution.network.images[j].name for j, _ in shown]
+    found = [orientation_difference(solution, j, earlier, i) for j, i in shown]
+    rms = np.array([root_mean_square(moved, 0) for moved, _ in found])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        most = np.array([np.max(np.where(s > 0.0, np.abs(moved) / s, np.nan), axis=0) for moved, s in found])
+    largest = np.nanmax(np.nan_to_num(most), axis=1)  # NaN of a held image
+    worst, where = (largest.max(), names[int(np.argmax(largest))]) if largest.max(initial=0.0) > 0.0 else (0.0, "")
+    sentences = [
+        f"The orientation of {many(len(shown), 'common image')} differs by at most {worst:.2g} sigmas"
+        + (f" ({where})." if where else ".")
+    ]
+    note = f"Over {PLACES} lines: rms of the differences, and the largest one in sigmas; a dash: held. "
+    axes, turns = ("X", "Y", "Z"), ("x", "y", "z")
+    table = Table("images_compared", "Orientation of the images", (
+        Column("image", names, page="s", text="<28"),
+        Column("rms_{}", rms[:, :3], "m", parts=axes, head="rms {}", page=".2f", label="rms (m)", text=">8"),
+        Column("rms_turn_{}", rms[:, 3:], "arcsec", parts=turns, head="rms turn {}", page=".2f",
+               label="rms turn (arcsec)", text=">8"),
+        Column("largest_{}_sigmas", most[:, :3], parts=axes, head="largest {} (σ)", page=".2f",
+               label="largest (sigmas)", text=">7"),
+        Column("largest_turn_{}_sigmas", most[:, 3:], parts=turns, head="largest turn {} (σ)", page=".2f",
+               label="largest turn (sigmas)", text=">7"),
+    ), note + cut(len(shared), len(shown), "the first ones", "orientation.csv"))  # fmt: skip
+    return sentences, table
+
+
+def _points(points: CommonPoints, labels: tuple[str, str]) -> tuple[list[str], Table]:
+    new, gone = len(points.solution.network.points) - points.shared, len(points.earlier.network.points) - points.shared
+    counts = f"{many(points.shared, 'point')} of both, {new} new, {gone} gone"
+    table = moved_points(points)
+    if not len(table):
+        return [f"{counts}: no point has a place in both."], table
+    length, off = np.linalg.norm(points.moved, axis=1), points.in_sigmas
+    known = off[np.isfinite(off)]
+    largest = f", by {known.max():.2g} sigmas at the most" if known.size else ""
+    rms, half = root_mean_square(length), np.median(length)
+    words = f"{counts}; they moved by {rms:.3g} m (rms), {length.max():.3g} m at the most{largest}"
+    listed = np.argsort(-length, kind="stable")[:_MOST_POINTS]
+    note = table.note + cut(len(table), len(listed), "those that moved most", "the table of points")
+    return [f"{words}; half of them by less than {half:.3g} m."], replace(table.take(listed), note=note)
+
+
+def moved_points(points: CommonPoints) -> Table:
+    """Every common point: how far it moved, and both sigmas."""
+    here, _ = points.rows
+    earlier, later = points.sigmas
+    classes = points.solution.network.points.classes[here]
+    ids = Names.of(points.solution.network.points.ids)[here]
+    return Table(_POINTS, _TITLE, (
+        Column("point", ids, page="s", text="<28"),
+        Column("class", picked(_CLASSES, classes), text="<8"),
+        Column("{}", points.moved, "m", "later minus earlier", parts=("east", "north", "up"), head="{}", page=".2f",
+               label="moved (m)", text=">9"),
+        Column("distance", np.linalg.norm(points.moved, axis=1), "m", page=".2f", text=">9"),
+        Column("distance_sigmas", points.in_sigmas, meaning="over the larger of both 3-D sigmas", head="over σ",
+               page=".2f", label="sigmas", text=">8"),
+        Column("sigma_earlier", earlier, "m", "3-D, earlier", head="σ earlier", page=".2f", label="σ earlier",
+               text=">10"),
+        Column("sigma_later", later, "m", "3-D, later", head="σ later", page=".2f", label="σ later", text=">9"),
+    ), "Sigmas are 3-D, the root of the covariance's trace. ")  # fmt: skip
+
+
+def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> tuple[list[str], Table]:
+    """Median sigmas of the common points by class, and by what factor the sigma of a point became larger."""
+    classes = points.solution.network.points.classes[points.rows[0]]
+    ratio, (earlier, later) = points.ratio, points.sigmas
+    members = [(kind, np.flatnonzero((classes == kind) & np.isfinite(ratio))) for kind in PointClass]
+    rows = [(kind, mine) for kind, mine in members if mine.size]
+    medians = np.array([[np.median(one[mine]) for one in (earlier, later)] for _, mine in rows]).reshape(-1, 2)
+    spread = np.array([np.quantile(ratio[mine], _QUANTILES) for _, mine in rows]).reshape(-1, 3)
+    table = Table("sigmas_compared", "3-D sigmas of the common points", (
+        Column("class", [_CLASSES[kind] for kind, _ in rows], page="s", text="<8"),
+        Column("points", np.array([mine.size for _, mine in rows], dtype=np.int64), page="s", text=">9"),
+        Column("median_{}", medians, "m", parts=labels, head="median, {}", page=".3f", label="median (m)", text=">10"),
+        Column("ratio_{}", spread, parts=("low", "median", "high"), head=("ratio, 2 %", "ratio, median", "ratio, 98 %"),
+               page=".3f", label="ratio: 2 %, median, 98 %", text=">8.3f"),
+    ), f"Ratio: {labels[1]} over {labels[0]}, of each point; below 1 it is better known.")  # fmt: skip
+    known = ratio[np.isfinite(ratio)]
+    if not known.size:
+        return [], table
+    better, worse = (100.0 * np.count_nonzero(side) / known.size for side in (known < 0.99, known > 1.01))
+    sentence = (
+        f"3-D sigmas of the common points, {labels[1]} over {labels[0]}: median {np.median(known):.3g}; {better:.0f} % "
+        f"of the points are better known by more than 1 %, {worse:.0f} % are worse known."
+    )
+    return [sentence], table
+
+
+def comparison_text(found: Comparison) -> str:
+    """Sentences and tables for the terminal; the points that moved most are ten."""
+    lines = [f"- {sentence}" for sentence in found.sentences]
+    for table in found.tables:
+        more = f"row: see {table.name}.csv (--out)"
+        lines += ["", table.title, *table.text(most=_MOST_SHOWN, more=more, indent=2)]
+    return "\n".join(lines)
+
+
+def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> list[str]:
+    """Write comparison.json, a CSV file for each table (of all common points, not only those that moved most) and the
+    map of differences to a folder that appears whole or not at all; the names of the files.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything but an earlier comparison, or can't be written.
+    """
+    with fresh_folder(folder, COMPARISON) as aside:
+        record = {"program": PROGRAM, "format": 1, "names": list(found.labels), "statements": found.sentences}
+        record |= {table.name: table.records() for table in found.tables if table.name != _POINTS}
+        write_json(aside / COMPARISON, record)
+        names = [COMPARISON]
+        for table in found.tables:
+            whole = moved_points(found.points) if table.name == _POINTS else table
+            whole.write_csv(aside / f"{table.name}.csv")
+            names.append(f"{table.name}.csv")
+        if figures:
+            from mgsgraph.results.figures.comparison import comparison_sheet  # matplotlib takes its time
+            from mgsgraph.results.figures.sheet import save
+
+            sheet = comparison_sheet(found.points, found.labels)
+            names += save([] if sheet is None else [sheet], aside)
+    return names

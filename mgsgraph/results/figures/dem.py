@@ -1,0 +1,157 @@
+"""A terrain model drawn: heights with shading, sigma, the laser shots that check it over the ortho image."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LightSource, Normalize
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, NullLocator
+from numpy.typing import NDArray
+
+from mgsgraph.files.rasters.raster_file import open_raster, read_band
+from mgsgraph.geometry.records import Array
+from mgsgraph.registration.dem.checking import check_figures
+from mgsgraph.registration.dem.model import Dem
+from mgsgraph.results.figures.sheet import AFTER, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style, short
+from mgsgraph.text import many, some
+from mgsgraph.units import KM
+
+_MOST_POSTS = 1200
+"""Rows or columns that are drawn; of larger models every so many-th."""
+_TALL, _WIDE, _NARROW, _LOW = 7.0, 3.0, 1.45, 2.4
+"""inch, height and width of a map at most, and at least."""
+_BESIDE, _LETTERS = 2.3, 3.2
+"""inch, width of the panel of differences, and of labels beside the panels in all."""
+_SHOWN = (0.02, 0.98)
+"""Quantiles to which colours reach."""
+
+
+def read_ortho(path: Path) -> NDArray[np.uint8]:
+    """An ortho image with no more rows and columns than are drawn."""
+    with open_raster(path, "the ortho image") as file:
+        step = max(1.0, max(file.shape) / _MOST_POSTS)
+        return read_band(file, path, out_shape=tuple(max(1, round(size / step)) for size in file.shape))
+
+
+@plain_style()
+def dem_sheet(dem: Dem, ortho: NDArray[np.uint8]) -> Sheet:
+    """Shaded heights, sigma, and the laser shots: where they lie on the ortho image (0 where there is none), and by how
+    much the model is higher.
+    """
+    grid = dem.model.map
+    height = float(np.clip(_WIDE * grid.rows / grid.columns, _LOW, _TALL))
+    width = float(np.clip(height * grid.columns / grid.rows, _NARROW, _WIDE))
+    sheet = new_sheet(
+        "dem", 3.0 * width + _BESIDE + _LETTERS, height + 1.3, f"Terrain model: {short(dem.name, 60)}", _caption(dem)
+    )
+    where, sigma, checks, along = sheet.panels(1, 4, widths=[width] * 3 + [_BESIDE])[0]
+    step = max(1, -(-max(grid.rows, grid.columns) // _MOST_POSTS))
+    heights = dem.heights[::step, ::step]
+    _heights(sheet, where, dem, heights, step)
+    _sigmas(sheet, sigma, dem, step)
+    _shots(sheet, checks, dem, ortho)
+    _differences(along, dem)
+    sheet.legend([
+        Line2D([], [], color=AFTER, marker="o", ls="", ms=3.5, label="laser shots that took no part"),
+        Line2D([], [], color=SOFT, lw=1.0, label="stated sigma of a difference, once and three times"),
+    ])  # fmt: skip
+    return sheet
+
+
+def _extent(dem: Dem) -> tuple[float, float, float, float]:
+    """km: west, east, south, north of the map."""
+    grid = dem.model.map
+    east, south = grid.west + grid.columns * grid.post, grid.north - grid.rows * grid.post
+    return grid.west / KM, east / KM, south / KM, grid.north / KM
+
+
+def _norm(values: Array) -> Normalize:
+    low, high = np.nanquantile(values, _SHOWN)
+    return Normalize(float(low), float(max(high, low + 1e-9)))
+
+
+def _heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> None:
+    norm, post = _norm(heights), dem.model.map.post * step
+    light = LightSource(315.0, 45.0)
+    flat = np.where(np.isfinite(heights), heights, np.nanmean(heights))
+    colours = np.asarray(ScalarMappable(norm, "gist_earth").to_rgba(flat))[:, :, :3]
+    tall = 1.0 / max(float(np.nanstd(np.gradient(flat, post)[0])) * 4.0, 1e-9)  # slopes that can be seen
+    shaded = light.shade_rgb(colours, flat, vert_exag=min(tall, 10.0), dx=post, dy=post, blend_mode="soft")
+    shaded = np.dstack([shaded, np.isfinite(heights)])
+    panel.imshow(shaded, extent=_extent(dem), interpolation="nearest", aspect="equal")
+    shown = ScalarMappable(norm, "gist_earth")
+    sheet.colour_bar(shown, panel, f"above {dem.reference.split(' of ')[0]} (m)", MaxNLocator(2), "both")
+    _axes(panel, "north of the middle (km)")
+
+
+def _sigmas(sheet: Sheet, panel: Axes, dem: Dem, step: int) -> None:
+    sigmas = np.ma.masked_invalid(np.where(np.isfinite(dem.heights), dem.model.sigmas, np.nan)[::step, ::step])
+    norm = _norm(sigmas.filled(np.nan))
+    shown = panel.imshow(
+        sigmas, extent=_extent(dem), cmap="viridis", norm=norm, interpolation="nearest", aspect="equal"
+    )
+    sheet.colour_bar(shown, panel, "sigma of height (m)", MaxNLocator(2), "both")
+    _axes(panel)
+
+
+def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> None:
+    checks = dem.checks
+    grey = np.ma.masked_equal(ortho, 0)
+    panel.imshow(grey, extent=_extent(dem), cmap="Greys_r", vmin=0, vmax=255, interpolation="nearest", aspect="equal")
+    widest = float(np.quantile(np.abs(checks.differences), 0.98)) if len(checks) else 1.0
+    norm = Normalize(-max(widest, 1e-9), max(widest, 1e-9))
+    some = _some(len(checks))
+    shown = panel.scatter(
+        checks.plane[some, 0] / KM, checks.plane[some, 1] / KM, c=checks.differences[some], cmap="RdBu_r", norm=norm,
+        s=9.0, edgecolors=INK, linewidths=0.2, zorder=3,
+    )  # fmt: skip
+    if len(checks):
+        sheet.colour_bar(shown, panel, "model minus shot (m)", MaxNLocator(2), "both")
+    _axes(panel)
+
+
+def _differences(panel: Axes, dem: Dem) -> None:
+    checks = dem.checks
+    order = np.argsort(checks.plane[:, 1])
+    some = order[_some(order.size)]
+    for times in (-3.0, -1.0, 1.0, 3.0):
+        panel.plot(times * checks.sigmas[some], checks.plane[some, 1] / KM, color=SOFT, lw=0.8)
+    panel.plot(checks.differences[some], checks.plane[some, 1] / KM, "o", ms=2.2, color=AFTER)
+    _, _, south, north = _extent(dem)
+    panel.set_ylim(south, north)
+    if not len(checks):
+        panel.text(0.5, 0.5, "no laser shot\nto check by", ha="center", va="center", transform=panel.transAxes)
+    panel.xaxis.set_major_locator(MaxNLocator(4) if len(checks) else NullLocator())
+    panel.set_xlabel("model minus shot (m)")
+
+
+def _some(count: int) -> slice:
+    return slice(None, None, max(1, -(-count // MOST_MARKS)))
+
+
+def _axes(panel: Axes, north: str = "") -> None:
+    panel.grid(visible=False)
+    panel.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
+    panel.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
+    panel.set(xlabel="east (km)", ylabel=north)
+
+
+def _caption(dem: Dem) -> str:
+    grid, there, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
+    whole, matching, orientation = (
+        number(float(np.median(band[there]))) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
+    )
+    text = (
+        f"Heights every {number(grid.post)} m from {some([short(name, 30) for name in dem.images], len(dem.images))}, "
+        f"lit from the north-west; sigma {whole} m (median), of which {matching} m by matching and relief and "
+        f"{orientation} m by the orientation, common to neighbours"
+    )
+    if not len(checks):
+        return f"{text}. No laser shot that took no part in the adjustment lies on it."
+    off = check_figures(checks, np.ones(len(checks), dtype=bool))
+    return (
+        f"{text}. {many(len(checks), 'laser shot')} that took no part: model minus shot {number(off['mean_m'])} m on "
+        f"the average, {number(off['rms_m'])} m rms, {number(off['rms_by_sigma'], 2)} times what is stated."
+    )

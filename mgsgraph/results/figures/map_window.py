@@ -1,0 +1,213 @@
+"""The studio's map as a figure: outlines, points or cells, error ellipses, corrections and relief in a window."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.lines import Line2D
+from matplotlib.quiver import Quiver
+from matplotlib.ticker import MaxNLocator
+
+from mgsgraph.geometry.error_ellipse import error_ellipses
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import PointClass
+from mgsgraph.registration.measured import thinned
+from mgsgraph.results.figures.ground_map import frame, map_axes
+from mgsgraph.results.figures.sheet import (
+    CLASS_MARKER,
+    CLASS_NAME,
+    INK,
+    SOFT,
+    Sheet,
+    new_sheet,
+    number,
+    plain_style,
+    round_figure,
+    short,
+)
+from mgsgraph.text import many
+from mgsgraph.units import KM
+
+_MOST = 150
+"""Ellipses and corrections that are drawn, evenly chosen: more hide the points."""
+_FEW = 12
+"""Images up to which outlines bear names."""
+_ELLIPSE, _ARROW = 0.03, 0.06
+"""Lengths of large ellipses and corrections, as shares of the map's longer side."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapWindow:
+    """What a window of the map shows; m on the map."""
+
+    name: str
+    """Of the block."""
+    centre: Array
+    """(3,) m, body-fixed, where the map has its zero."""
+    box: Array
+    """(4,) x and y, low and high."""
+    outlines: dict[str, Array]
+    """(k, 2) of each image."""
+    places: Array
+    """(n, 2) of points, or of middles of some cells."""
+    values: Array
+    """(n,) of points by which they are coloured, or (rows, columns) of cells, from the south-west; NaN where nothing is
+    known."""
+    quantity: tuple[str, str]
+    """What that is: title and unit."""
+    scale: tuple[float, float]
+    """Ends of the colours; below and above zero for what has a sign."""
+    count: int
+    """Points in the window."""
+    classes: Index | None
+    """(n,) of `PointClass`; None of cells."""
+    covariances: Array | None
+    """(n, 2, 2) m^2, east and north, for ellipses; None for none."""
+    moved: Array | None
+    """(n, 2) m, corrections east and north; None for none."""
+    relief: Array | None
+    """(rows, columns) light on the ground in the box, 0 to 1, from the north; None for none."""
+    factor: float
+    """Enlargement of ellipses and corrections; 0 for round ones that suit."""
+
+
+@plain_style()
+def window_sheet(shown: MapWindow) -> Sheet:
+    """A window of the map, its points coloured by one quantity."""
+    low, high, (width, height) = frame(shown.box.reshape(2, 2) / KM)
+    longest = float((shown.box[2:] - shown.box[:2]).max())
+    factors = _factor(shown, _radii(shown), _ELLIPSE * longest), _factor(shown, _lengths(shown), _ARROW * longest)
+    title, unit = shown.quantity
+    name = f"{short(shown.name, 40)}: {title}"
+    sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(shown, factors), band=0.0)
+    panel: Axes = sheet.panels()[0, 0]
+    map_axes(panel, low, high, shown.centre)
+    if shown.relief is not None:
+        x0, y0, x1, y1 = (shown.box / KM).tolist()
+        panel.imshow(
+            np.ma.masked_invalid(shown.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1
+        )
+    _draw_outlines(panel, shown.outlines, low, high)
+    norm, cmap = Normalize(*shown.scale), "coolwarm" if shown.scale[0] == -shown.scale[1] else "viridis"
+    handles = _draw_points(panel, shown, norm, cmap)
+    if shown.covariances is not None:
+        panel.add_collection(_ellipses(panel, shown, factors[0]), autolim=False)
+        label = f"95 % ellipses × {factors[0]:g}"
+        handles.append(Line2D([], [], ls="", marker="o", ms=8, mfc="none", mec=INK, label=label))
+    if shown.moved is not None:
+        _arrows(panel, shown, factors[1])
+        handles.append(Line2D([], [], color=INK, label=f"corrections × {factors[1]:g}"))
+    place = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
+    bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=place, extend="both", ticks=MaxNLocator(5))
+    bar.set_label(f"{title} ({unit})")
+    panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.0 + 0.1 / width, 1.0), borderaxespad=0.0)
+    return sheet
+
+
+def _draw_outlines(panel: Axes, outlines: dict[str, Array], low: Array, high: Array) -> None:
+    lines = [outline / KM for outline in outlines.values() if len(outline)]
+    panel.add_collection(LineCollection(lines, colors=INK, linewidths=0.8, zorder=2), autolim=False)
+    if len(outlines) > _FEW:
+        return
+    for k, (name, outline) in enumerate(outlines.items()):
+        inside = np.all((outline / KM > low) & (outline / KM < high), axis=1)
+        if np.any(inside):
+            top = outline[inside][np.argmax(outline[inside, 1])] / KM
+            panel.annotate(name, tuple(top), (2, 2 + 9 * (k % 3)), textcoords="offset points", size=7, clip_on=True)
+
+
+def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> list[Line2D]:
+    """Points by the mark of their class, or cells; handles of the marks."""
+    if shown.classes is None:
+        x0, y0, x1, y1 = (shown.box / KM).tolist()
+        panel.imshow(
+            np.ma.masked_invalid(shown.values), extent=(x0, x1, y0, y1), origin="lower", cmap=cmap,
+            norm=norm, interpolation="nearest", zorder=3,
+        )  # fmt: skip
+        return []
+    handles = []
+    for kind in PointClass:
+        mine = np.flatnonzero(shown.classes == kind)
+        if mine.size:
+            known = np.isfinite(shown.values[mine])
+            x, y = shown.places[mine].T / KM
+            marker, size = CLASS_MARKER[kind], 14.0 if len(shown.places) <= 1500 else 5.0
+            panel.scatter(x[~known], y[~known], c=SOFT, s=size, marker=marker, lw=0.0, zorder=3)
+            panel.scatter(
+                x[known], y[known], c=shown.values[mine[known]], s=size, marker=marker, cmap=cmap,
+                norm=norm, lw=0.25, edgecolors=INK, zorder=3,
+            )  # fmt: skip
+            handles.append(Line2D([], [], ls="", marker=marker, ms=4.5, color=SOFT, label=CLASS_NAME[kind]))
+    return handles
+
+
+def _some(values: Array) -> Index:
+    """Rows of values (n, ...) that are known, not too many of them."""
+    known = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
+    return known[thinned(known.size, _MOST)]
+
+
+def _radii(shown: MapWindow) -> Array:
+    """(n,) m, longer semi-axes of the 95 % ellipses."""
+    if shown.covariances is None:
+        return np.zeros(0)
+    known = np.all(np.isfinite(shown.covariances), axis=(1, 2))
+    return error_ellipses(shown.covariances[known])[0][:, 1]
+
+
+def _lengths(shown: MapWindow) -> Array:
+    return np.zeros(0) if shown.moved is None else np.linalg.norm(shown.moved, axis=1)
+
+
+def _factor(shown: MapWindow, lengths: Array, wanted: float) -> float:
+    """By which lengths (n,) in m are enlarged: what was asked, or a round number that makes the long ones as wanted."""
+    lengths = lengths[np.isfinite(lengths)]
+    if shown.factor > 0.0 or not lengths.size:
+        return shown.factor or 1.0
+    return round_figure(wanted / max(float(np.quantile(lengths, 0.95)), 1e-12))
+
+
+def _ellipses(panel: Axes, shown: MapWindow, factor: float) -> EllipseCollection:
+    assert shown.covariances is not None
+    known = _some(shown.covariances)
+    semi_axes, ways = error_ellipses(shown.covariances[known])
+    shorter, longer = 2.0 * factor * semi_axes.T / KM
+    angles = np.degrees(np.arctan2(ways[:, 1, 1], ways[:, 0, 1]))  # of the longer one, from the east
+    return EllipseCollection(
+        longer, shorter, angles, units="xy", offsets=shown.places[known] / KM,
+        offset_transform=panel.transData, facecolors="none", edgecolors=INK, linewidths=0.7, zorder=4,
+    )  # fmt: skip
+
+
+def _arrows(panel: Axes, shown: MapWindow, factor: float) -> Quiver:
+    assert shown.moved is not None
+    known = _some(shown.moved)
+    east, north = factor * shown.moved[known].T / KM
+    return panel.quiver(
+        *(shown.places[known].T / KM), east, north, angles="xy", scale_units="xy", scale=1.0, width=0.002, color=INK,
+        zorder=5,
+    )  # fmt: skip
+
+
+def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
+    title, unit = shown.quantity
+    cells = int(np.isfinite(shown.values).sum())
+    what = f"medians of {cells} cells" if shown.classes is None else "one by one"
+    words = [
+        f"{shown.count} points in this window, {what}, coloured by {title} in {unit}; colours end at the 2 % and 98 % "
+        f"quantiles of the block, {number(shown.scale[0])} and {number(shown.scale[1])}. Sigmas are for sigma0 = 1."
+    ]
+    if shown.covariances is not None:
+        drawn = _some(shown.covariances).size
+        words.append(f"Error ellipses of {many(drawn, 'point')} hold 95 %, {factors[0]:g} times enlarged.")
+    if shown.moved is not None:
+        what = "cell" if shown.classes is None else "point"
+        of = many(_some(shown.moved).size, what)
+        words.append(f"Corrections of {of}, east and north, {factors[1]:g} times enlarged.")
+    if shown.relief is not None:
+        words.append("Shaded relief of the terrain model, light from the north-west.")
+    return " ".join(words)

@@ -1,0 +1,215 @@
+"""What matching found, in words and as files: networks, a table with every covariance, a record and a figure; and the
+folder in which an interrupted run is kept.
+"""
+
+import errno
+import os
+import shutil
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.binary import write_binary_network
+from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.tie_points import control_network
+from mgsgraph.files.opening import opened, sha256_of, understood
+from mgsgraph.files.output.csv_json import picked, plain, write_json
+from mgsgraph.files.output.folders import MATCH, PROGRAM, fresh_folder
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.records import FILES
+from mgsgraph.geometry.body import target_name
+from mgsgraph.matching.coarse import Agreement
+from mgsgraph.matching.match import digest, match_scene
+from mgsgraph.matching.matches import Matches
+from mgsgraph.matching.scene import Scene
+from mgsgraph.matching.settings import MatchSettings
+from mgsgraph.progress import Progress, no_progress
+from mgsgraph.results.archive_arrays import read_members
+from mgsgraph.text import many
+from mgsgraph.units import ISIS_OFFSET
+
+FORMAT = 1
+"""Version of match.json's layout."""
+_SURPRISING = 3.0
+"""A-priori sigmas of an orientation beyond which a correction is worth a word."""
+
+
+class KeptTiles:
+    """Tiles that are done, in a folder of their own beside the results, for as long as the work isn't whole."""
+
+    def __init__(self, out: Path, key: str) -> None:
+        target = out.resolve()
+        self.folder = target.with_name(f".{target.name}.matching")
+        self._key = key
+        self.resumed = 0
+
+    def load(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """What an earlier run with the same inputs and choices kept under a name."""
+        path = self._path(name)
+        try:
+            with opened(path) as file, understood(str(path), "a tile that was kept"):
+                found = read_members(file)
+        except InputError:  # none, or a damaged one: it is done again
+            return None
+        self.resumed += 1
+        return found
+
+    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Keep arrays; the file is there whole or not at all."""
+        path = self._path(name)
+        aside = path.with_suffix(".part")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with aside.open("wb") as file:
+                np.savez(file, **cast(dict[str, Any], arrays))
+            os.replace(aside, path)
+        except OSError as error:
+            found = f"can't be written ({error.strerror})"
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+            remedy = "free some space" if full else "choose another --out, where you may write"
+            raise InputError(str(self.folder), found, remedy=remedy) from None
+
+    def drop(self) -> None:
+        """Forget everything: the work is whole."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{self._key}_{name}.npz"
+
+
+def match_into(
+    name: str, scene: Scene, out: Path, settings: MatchSettings, workers: int | None = None, figures: bool = True,
+    progress: Progress = no_progress,
+) -> Matches:
+    """Match a scene and write what was found to a folder that appears whole or not at all; an earlier result of
+    matching is replaced.
+
+    Tiles that are done are kept beside it until then: the same call after an interruption goes on. `name` is that of
+    the case, `workers` the number of tiles at a time; without `figures` only tables and networks are written.
+
+    Examples
+    --------
+    >>> name, scene = mgsgraph.read_scene("gusev/case.toml")
+    >>> settings = mgsgraph.MatchSettings(cells=20, features=1000)
+    >>> matches = mgsgraph.match_into(name, scene, Path("matches"), settings, figures=False)
+    >>> print(matches)
+    Matches(58 points in 24 of 24 cells)
+    """
+    store = KeptTiles(out, digest(scene, settings))
+    try:
+        matches = match_scene(scene, settings, store, workers, progress)
+    except InputError as error:
+        if error.where != str(store.folder):  # of the work itself, which would end so again
+            store.drop()
+        raise
+    write_matches(matches, scene, name, settings, out, figures)
+    store.drop()
+    return matches
+
+
+def write_matches(
+    matches: Matches, scene: Scene, name: str, settings: MatchSettings, folder: str | Path, figures: bool = True
+) -> list[str]:
+    """Write networks, table, record and figure; the names of the files."""
+    with fresh_folder(folder, MATCH) as aside:
+        network = control_network(matches.ties, "mgsgraph", target_name(scene.ground.body), name)
+        write_pvl_network(network, aside / "network.pvl")
+        write_binary_network(network, aside / "network.net")
+        digests = {one: sha256_of(aside / one) for one in ("network.pvl", "network.net")}
+        write_json(aside / MATCH, _record(matches, scene, name, settings) | {FILES: digests})
+        matches_table(matches).write_csv(aside / "matches.csv")
+        names = [MATCH, "network.pvl", "network.net", "matches.csv"]
+        if not figures:
+            return names
+        from mgsgraph.results.figures.matches import matches_sheet  # matplotlib takes its time
+        from mgsgraph.results.figures.sheet import save
+
+        return names + save([matches_sheet(matches, scene, name)], aside)
+
+
+def matches_table(matches: Matches) -> Table:
+    """One row per measure."""
+    ties, covariances = matches.ties, matches.covariances
+    ways = ("line", "sample")
+    return Table("matches", "Measures", (
+        Column("id", picked(ties.ids, ties.measure_point)),
+        Column("image", ties.measure_image),
+        Column("reference", matches.reference, meaning="the measure that the others are compared with"),
+        Column("isis_{}", ties.measures + ISIS_OFFSET, meaning="the first pixel's centre is (1, 1)", parts=ways),
+        Column("sigma_{}", ties.measure_sigmas, "px", parts=ways),
+        Column("against_reference_{}", covariances[:, [0, 0, 1], [0, 1, 1]], "px2", "covariance of the difference",
+               ("line_line", "line_sample", "sample_sample")),
+        Column("correlation", matches.correlation),
+        Column("coplanarity", matches.misfit, "m", "by which the rays miss each other"),
+    ))  # fmt: skip
+
+
+def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> dict[str, Any]:
+    names = [picture.image.name for picture in scene.pictures]
+    return {
+        "program": PROGRAM,
+        "format": FORMAT,
+        "name": name,
+        "images": names,
+        "settings": {key: getattr(settings, key) for key in settings.__dataclass_fields__},
+        "points": len(matches.ties.ids),
+        "measures": len(matches.ties.measure_image),
+        "ground_grid_m": matches.step,
+        "cell_m": matches.cell,
+        "cells_with_matches": matches.cells[0],
+        "cells": matches.cells[1],
+        "losses": matches.losses._asdict(),
+        "orientations": [
+            plain({
+                "images": [names[one.first], names[one.second]],
+                "coarse_matches": one.candidates,
+                "agreed": one.agreed,
+                "moved_m": one.moved,
+                "expected_m": one.expected,
+                "height_sigma_m": one.height_sigma,
+            })
+            for one in matches.agreements
+        ],
+        "refused": list(matches.refused),
+        "statements": match_statements(matches, scene),
+    }
+
+
+def _beyond(one: Agreement) -> str:
+    """A caution where a correction is larger than what was stated beforehand."""
+    times = one.moved / one.expected
+    return f", {times:.0f} TIMES ITS A-PRIORI SIGMA: look whether that may be" if times > _SURPRISING else ""
+
+
+def match_statements(matches: Matches, scene: Scene) -> list[str]:
+    """What was found, in sentences."""
+    ties, names = matches.ties, [picture.image.name for picture in scene.pictures]
+    rays = np.bincount(ties.measure_point)
+    sigmas = np.sqrt(np.linalg.eigvalsh(matches.covariances[~matches.reference])[:, 1])
+    misfit = np.abs(matches.misfit[~matches.reference])
+    filled, whole = matches.cells
+    found = [
+        f"{names[one.first]} and {names[one.second]}: {one.agreed} of {one.candidates} matches on a coarse grid agree "
+        f"on an orientation that moves the second by {one.moved:.0f} m on the ground{_beyond(one)}."
+        for one in matches.agreements
+    ]
+    found += [f"Not brought together: {reason}" for reason in matches.refused]
+    found += matches.cautions
+    loss = matches.losses
+    found.append(
+        f"{many(loss.linked, 'pair')} of features; of the surest {loss.tried} {loss.measured} could be measured, "
+        f"{loss.alike} are alike and sharp, {loss.returned} are the same on the way back, {loss.coplanar} coplanar, "
+        f"{loss.steady} of a height like their neighbours'; the best of each cell were kept."
+    )
+    found.append(
+        f"{many(len(rays), 'tie point')} with {rays.min()} to {rays.max()} measures in {filled} of {whole} cells of "
+        f"{matches.cell:.4g} m ({100.0 * filled / max(whole, 1):.0f} %) of the ground that images share."
+    )
+    found.append(
+        f"Sigma of a match, in the direction where it is largest: median {np.median(sigmas):.3f} px, 95 % below "
+        f"{np.quantile(sigmas, 0.95):.3f} px; coplanarity residuals: median {np.median(misfit):.2f} m on the ground."
+    )
+    return found

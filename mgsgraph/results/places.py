@@ -1,0 +1,129 @@
+"""Places that were projected, as a table: what was given, where it went, with what sigma, and whether it is seen."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.analysis.places import Places, State, View, on_surface
+from mgsgraph.analysis.statistics import local_sigmas
+from mgsgraph.errors import require
+from mgsgraph.files.networks.table_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.place_table import PlaceTable
+from mgsgraph.files.writing import begins
+from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.text import many
+from mgsgraph.units import DEG, ISIS_OFFSET
+
+
+class Surface(NamedTuple):
+    """What image places are projected onto, and ground places without a height lie on; the first that is there."""
+
+    terrain: TerrainGrid | None = None
+    """A terrain model."""
+    radius: float | None = None
+    """m, of a sphere about the body's centre."""
+    height: float = 0.0
+    """m, by which the ellipsoid's radii are larger."""
+
+
+PLACES = begins(
+    "a table of mgsgraph project",
+    r"([^\n]*,)?state,(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
+)
+"""Tables that the verb writes, by the columns that it adds."""
+_GIVEN = "given_"
+"""What the name of a given column gets before it where a projected one has the same."""
+
+
+def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool) -> tuple[Table, str]:
+    """Image places on the ground or ground places in the image, and a sentence about them.
+
+    Lines and samples count from 1 where `isis` or the given table says so. A height or radius of an image place's own
+    stands before the surface.
+    """
+    body, image = view.image.body, view.image.name
+    level = np.array([body.equatorial + surface.height if surface.radius is None else surface.radius])
+    require(np.all(np.isfinite(level)), "the ground", f"{level[0]}", "a finite number of metres")
+    require_near(level, body, lambda _: "the ground")
+    if places.sort == "image":
+        own = places.heights is not None or places.radii is not None
+        radii = None if surface.radius is None or own else np.full(len(places.pixels), surface.radius)
+        found = view.on_ground(
+            places.pixels, surface.height if places.heights is None else places.heights,
+            places.radii if places.radii is not None else radii, None if own else surface.terrain,
+        )  # fmt: skip
+        said = _statement(found, "image place", f"of {image} on the ground")
+        return ground_places_table(found, body, places.columns), said
+    if len(places.directions):
+        sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
+        longitude, latitude = places.directions.T
+        points = on_surface(longitude, latitude, sphere, surface.height, surface.terrain)
+        found = view.seen(points, surface.terrain)
+    else:
+        found = _beside_relief(view, places.points, surface.terrain)
+    return image_places_table(found, isis, places.columns), _statement(found, "ground place", f"in {image}")
+
+
+def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Places:
+    """Ground points (n, 3) in m in the image; a terrain model may hide them, but none because it lies beneath that."""
+    found = view.seen(points)
+    if terrain is None:
+        return found
+    raised = np.fmax(1.0, terrain.at(points) / np.linalg.norm(points, axis=1))[:, None]
+    behind = view.seen(points * raised, terrain).states
+    hidden = State.BEHIND_RELIEF
+    return found._replace(states=tuple(
+        hidden if other is hidden else state for state, other in zip(found.states, behind, strict=True)
+    ))  # fmt: skip
+
+
+def image_places_table(found: Places, isis: bool, given: Mapping[str, list[str]]) -> Table:
+    """Ground places in an image: line and sample, counted from 1 as in ISIS or from the first pixel's corner."""
+    names, offset = (ISIS, ISIS_OFFSET) if isis else (OURS, 0.0)
+    values = dict(zip(names, (found.pixels + offset).T, strict=True))
+    if found.covariances is not None:
+        sigmas = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+        values |= dict(zip(("sigma_line_px", "sigma_sample_px"), sigmas.T, strict=True))
+    return _table("Ground places in the image", found, values, given)
+
+
+def ground_places_table(found: Places, body: Ellipsoid, given: Mapping[str, list[str]]) -> Table:
+    """Image places on the ground: planetocentric, geodetic and body-fixed; longitudes 0 .. 360 degrees east."""
+    longitude, latitude, radius = planetocentric(found.points).T
+    _, upright, height = geodetic(found.points, body).T
+    values = dict(zip(PLANETOCENTRIC, (longitude % (2.0 * np.pi) / DEG, latitude / DEG, radius), strict=True))
+    values |= dict(zip(GEODETIC[1:], (upright / DEG, height), strict=True))
+    values |= dict(zip(CARTESIAN, found.points.T, strict=True))
+    if found.covariances is not None:
+        values |= dict(zip(RADIAL, local_sigmas(found.covariances, found.points).T, strict=True))
+        values |= dict(zip(AXES, np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2)).T, strict=True))
+    return _table("Image places on the ground", found, values, given)
+
+
+def _table(title: str, found: Places, values: Mapping[str, np.ndarray], given: Mapping[str, list[str]]) -> Table:
+    taken = {*values, "state"}
+    kept = [Column(_GIVEN + name if name in taken else name, list(texts)) for name, texts in given.items()]
+    made = [Column(name, np.asarray(column), scale=1.0) for name, column in values.items()]
+    state = Column("state", [str(one) for one in found.states])
+    return Table("places", title, (*kept, state, *made))
+
+
+def places_text(table: Table) -> list[str]:
+    """Lines of a few places: a name and its value in each."""
+    lines = []
+    for row in table.records():
+        lines += [f"{name} = {'none' if value is None else value}" for name, value in row.items()]
+        lines.append("")
+    return lines[:-1]
+
+
+def _statement(found: Places, noun: str, where: str) -> str:
+    """How many places were projected, and how many of them the image does not show."""
+    counts = Counter(found.states)
+    others = ", ".join(f"{count} {state}" for state, count in counts.items() if state is not State.SEEN)
+    return f"{many(len(found.states), noun)} {where}: {counts[State.SEEN]} seen" + (f", {others}" if others else "")

@@ -1,0 +1,170 @@
+"""A plan in words, as a table for the terminal, and as files: plan.csv, plan.json and a figure."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.files.output.csv_json import plain, write_json
+from mgsgraph.files.output.folders import PLAN, PROGRAM, fresh_folder
+from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.planning.plan import Evaluation, Plan
+from mgsgraph.planning.targets import Sigmas
+from mgsgraph.text import many
+from mgsgraph.units import KM
+
+_SHOWN = 30
+"""Rows of the ranking that are printed; the files have all."""
+
+
+def plan_table(plan: Plan) -> str:
+    """The ranking, and what is chosen step by step: sigma of the targets before and after, the latter eastward,
+    northward and upward, too.
+    """
+    lines = ["Each by itself", *judged_table(plan.ranking[:_SHOWN]).text(units=True)]
+    if len(plan.ranking) > _SHOWN:
+        lines.append(f"... and {len(plan.ranking) - _SHOWN} more")
+    if plan.chosen:
+        lines += ["", "Chosen one after the other", *judged_table(plan.chosen).text(units=True)]
+    return "\n".join(lines)
+
+
+def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists: Sequence[str] = ()) -> Table:
+    """One row per candidate: what it would do to the sigmas of the targets.
+
+    Parameters
+    ----------
+    judged : sequence of Evaluation
+        Candidates in their order.
+    ranks, lists : sequence, optional
+        Place of each, and the list that it is of; one after the other when absent.
+    """
+    sigmas = {"before": [one.before for one in judged], "after": [one.after for one in judged]}
+    ways = ("total", "east", "north", "up")
+    pairs = [
+        Column(f"{'sigma' if way == 'total' else way}_{when}", numbers(sigmas[when], way), "m", "of the targets",
+               label=label, text=text)
+        for way in ways
+        for when, label, text in (
+            ("before", "before", ">8.4g" if way == "total" else ""),
+            ("after", "after" if way == "total" else way, ">8.4g"),
+        )
+    ]  # fmt: skip
+    return Table("plan", "Candidates", (
+        Column("list", list(lists) or [""] * len(judged), meaning="ranking, chosen, or first of ranking together"),
+        Column("rank", np.array(ranks or range(1, len(judged) + 1), dtype=np.int64), meaning="in its list", label="",
+               text=">4"),
+        Column("candidate", [one.name for one in judged], text="<28"),
+        Column("kind", [one.kind for one in judged], text="<13"),
+        Column("reason", [one.reason for one in judged], meaning="why it is worth nothing"),
+        *pairs,
+        Column("drop", np.array([one.drop for one in judged]), "percent", "of the sigma", text=">7.3g"),
+        Column("bits", np.array([one.bits for one in judged]), "bits", "of information gained", label="gain",
+               text=">9.3f"),
+        Column("measures", np.array([one.measures for one in judged]), text=">8", files=False),
+        Column("image_measures", np.array([float(one.rays) for one in judged])),
+        Column("ranges", np.array([float(one.ranges) for one in judged])),
+        Column("images", np.array([float(len(one.images)) for one in judged]), text=">6.0f"),
+        Column("overlap", np.array([one.overlap if math.isfinite(one.overlap) else math.nan for one in judged]), "km2"),
+    ), instead={
+        k: ("sigma_before", f"worthless: {one.reason}") for k, one in enumerate(judged) if one.reason
+    })  # fmt: skip
+
+
+def statements(plan: Plan) -> list[str]:
+    """What the plan says, in sentences."""
+    what = "mean sigma" if plan.criterion == "mean" else "largest sigma"
+    found = [f"Targets: {plan.targets.words}; their {what} is {plan.now.total:.4g} m now ({_local(plan.now)})."]
+    if not plan.chosen:
+        return [*found, "None of the candidates is worth anything: each row above says why."]
+    names = ", ".join(one.name for one in plan.chosen)
+    measures = sum(one.measures for one in plan.chosen)
+    found.append(
+        f"Chosen: {names}; the {what} falls to {plan.after.total:.4g} m ({_local(plan.after)}), by "
+        f"{100.0 * plan.drop:.3g}%, with {many(measures, 'measure')} and {plan.bits:.3f} bits gained on the unknowns "
+        "that exist already."
+    )
+    if plan.plain is not None and len(plan.chosen) > 1:
+        found.append(_against_plain(plan, plan.plain))
+    return found
+
+
+def _against_plain(plan: Plan, plain_choice: Evaluation) -> str:
+    count = len(plan.chosen)
+    if {one.name for one in plan.chosen} == set(plain_choice.name.split(" + ")):
+        return f"The first {count} of the ranking are the same ones."
+    gain = 100.0 * (1.0 - plan.after.total / plain_choice.after.total)
+    better = f"{abs(gain):.2g}% {'lower' if gain >= 0.0 else 'HIGHER'}"
+    return (
+        f"The first {count} of the ranking ({plain_choice.name}) would leave {plain_choice.after.total:.4g} m and gain "
+        f"{plain_choice.bits:.3f} bits: what was chosen in sight of one another leaves a sigma that is {better}."
+    )
+
+
+def _local(sigmas: Sigmas) -> str:
+    return f"east {sigmas.east:.3g}, north {sigmas.north:.3g}, up {sigmas.up:.3g} m"
+
+
+def write_plan(plan: Plan, folder: str | Path, figures: bool = True) -> list[str]:
+    """Write a plan to a folder that appears whole or not at all; the names of the files.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything but an earlier plan, or can't be written.
+    """
+    with fresh_folder(folder, PLAN) as aside:
+        write_json(aside / PLAN, plan_json(plan))
+        _csv(plan, aside / "plan.csv")
+        names = [PLAN, "plan.csv"]
+        if figures:
+            from mgsgraph.results.figures.plan import plan_sheet  # matplotlib takes its time
+            from mgsgraph.results.figures.sheet import save
+
+            names += save([plan_sheet(plan)], aside)
+    return names
+
+
+def plan_json(plan: Plan) -> dict[str, Any]:
+    """All that the plan says; lengths in m, areas in km^2."""
+    return {
+        "program": PROGRAM,
+        "name": plan.name,
+        "targets": list(plan.targets.wanted),
+        "targets_number": len(plan.targets),
+        "criterion": plan.criterion,
+        "now": _sigmas_json(plan.now),
+        "ranking": [_judged_json(one) for one in plan.ranking],
+        "chosen": [_judged_json(one) for one in plan.chosen],
+        "after_all_chosen": _sigmas_json(plan.after),
+        "bits_of_all_chosen": plan.bits,
+        "first_of_the_ranking_together": None if plan.plain is None else _judged_json(plan.plain),
+    }
+
+
+def _sigmas_json(one: Sigmas) -> dict[str, Any]:
+    return {
+        "sigma_m": one.total, "east_m": one.east, "north_m": one.north, "up_m": one.up, "worst_target": one.worst,
+    }  # fmt: skip
+
+
+def _judged_json(one: Evaluation) -> dict[str, Any]:
+    found = {
+        "name": one.name, "kind": one.kind, "before": _sigmas_json(one.before), "after": _sigmas_json(one.after),
+        "drop_percent": 100.0 * one.drop, "bits": one.bits, "image_measures": one.rays, "ranges": one.ranges,
+        "images": list(one.images), "overlap_km2": one.overlap / KM**2, "reason": one.reason or None,
+    }  # fmt: skip
+    cleaned: dict[str, Any] = plain(found)
+    return cleaned
+
+
+def _csv(plan: Plan, path: Path) -> None:
+    """One row per candidate and list (ranking, chosen), in order."""
+    lists: Sequence[tuple[str, Sequence[Evaluation]]] = (
+        ("ranking", plan.ranking), ("chosen", plan.chosen), ("first of ranking", [plan.plain] if plan.plain else []),
+    )  # fmt: skip
+    rows = [(which, k + 1, one) for which, some in lists for k, one in enumerate(some)]
+    which, ranks, judged = zip(*rows, strict=True)
+    judged_table(judged, ranks, which).write_csv(path)

@@ -1,0 +1,192 @@
+"""Tables of a registration, and all that is written of it: one JSON record, one row per shot and image, one row per
+footprint that two images see.
+
+Lines and samples in the files are counted as ISIS does, the first pixel's centre at (1, 1).
+"""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.files.output.csv_json import plain, write_json
+from mgsgraph.files.output.folders import PROGRAM, REGISTRATION, fresh_folder
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.network.footprints import Misregistration
+from mgsgraph.registration.case import (
+    CaseRegistration,
+    ProfileRegistration,
+    five_steps_difference,
+    registration_statements,
+)
+from mgsgraph.text import root_mean_square
+from mgsgraph.units import DEG, ISIS_OFFSET
+
+FORMAT = 1
+"""Version of registration.json's layout."""
+
+_COUNTING = "lines and samples are counted as ISIS does: the centre of the first pixel is (1, 1)"
+
+
+def write_registration(registration: CaseRegistration, folder: str | Path, figures: bool = True) -> list[str]:
+    """Write tables and figures to a folder that appears whole or not at all; returns the names of the files.
+
+    Parameters
+    ----------
+    registration : CaseRegistration
+        As `register_case` made it.
+    folder : path
+        Absent, empty, or an earlier registration, which is replaced.
+    figures : bool
+        False leaves the figures out.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else, or can't be written, or an image's pixels can't be read.
+    """
+    with fresh_folder(folder, REGISTRATION) as aside:
+        return write_registration_into(registration, aside, figures)
+
+
+def write_registration_into(registration: CaseRegistration, folder: Path, figures: bool = True) -> list[str]:
+    """Write tables and figures into a folder that exists, file by file."""
+    write_json(folder / REGISTRATION, registration_json(registration))
+    registration_table(registration).write_csv(folder / "registration.csv")
+    discrepancy_table(registration).write_csv(folder / "discrepancy.csv")
+    names = [REGISTRATION, "registration.csv", "discrepancy.csv"]
+    if not figures:
+        return names
+    from mgsgraph.results.figures import write_registration_figures  # only those who draw wait for matplotlib
+
+    return names + write_registration_figures(registration, folder)
+
+
+def registration_json(registration: CaseRegistration) -> dict[str, Any]:
+    """All figures of a registration, as plain values for strict JSON: what isn't a number is None."""
+    record: dict[str, Any] = plain({
+        "program": PROGRAM,
+        "format": FORMAT,
+        "name": registration.name,
+        "images": [
+            {"name": image.name, "lines": image.lines, "samples": image.samples} for image in registration.images
+        ],
+        "orientations": {
+            state: [_profile_json(profile) for profile in profiles] for state, profiles in registration.states()
+        },
+        "counting": _COUNTING,
+        "statements": registration_statements(registration),
+    })
+    return record
+
+
+def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
+    found = profile.found
+    return {
+        "profile": profile.name,
+        "source": found.shots.source,
+        "shots": found.shots.times.size,
+        "spacing_m": found.shots.spacing,
+        "images": [
+            {
+                "image": image.name,
+                "simultaneous": bool(np.any(found.simultaneous[j])),
+                "inside": int(found.inside[j].sum()),
+                **dict(zip(
+                    ("five_steps_largest_line_px", "five_steps_largest_sample_px"),
+                    five_steps_difference(found, j), strict=True,
+                )),
+            }
+            for j, image in enumerate(found.images)
+        ],
+        "discrepancies": [discrepancy_json(one) for one in profile.discrepancies],
+    }
+
+
+def discrepancy_json(one: Misregistration) -> dict[str, Any]:
+    """A misregistration with its sigmas, in pixels, metres and line spacings."""
+    record: dict[str, Any] = {"image": one.image, "against": one.against, "footprints": one.shots.size}
+    for unit, values, sigmas in (
+        ("px", one.pixels, one.pixel_sigmas), ("m", one.metres, one.metre_sigmas),
+        ("spacings", one.spacings, one.metre_sigmas / one.spacing),
+    ):
+        for k, way in enumerate(("along", "across")):
+            column, seen = values[:, k], one.shots.size > 0
+            record[f"{way}_{unit}"] = {
+                "mean": column.mean() if seen else math.nan,
+                "rms": root_mean_square(column),
+                "lowest": column.min() if seen else math.nan,
+                "highest": column.max() if seen else math.nan,
+                "mean_sigma": sigmas[:, k].mean() if seen else math.nan,
+            }
+    return record
+
+
+def registration_table(registration: CaseRegistration) -> Table:
+    """One row per shot and image: where it falls by Newton's method and by the five steps; unknown where unseen."""
+    rows = [(p, j) for p in range(len(registration.before)) for j in range(len(registration.images))]
+    found = [registration.before[p].found for p, _ in rows]
+    sizes = [one.shots.times.size for one in found]
+    longitude, latitude, radius = planetocentric(np.concatenate([one.shots.footprints for one in found])).T
+    states = list(registration.states())
+
+    def of_state(profiles: tuple[ProfileRegistration, ...], name: str) -> np.ndarray:
+        return np.concatenate([getattr(profiles[p].found, name)[j] for p, j in rows])
+
+    def repeated(names: list[str]) -> list[str]:
+        return [name for name, n in zip(names, sizes, strict=True) for _ in range(n)]
+
+    places = [
+        Column(f"{state}_{method}isis_{{}}", of_state(profiles, name) + ISIS_OFFSET, parts=("line", "sample"))
+        for state, profiles in states for method, name in (("", "places"), ("five_steps_", "linear"))
+    ]  # fmt: skip
+    return Table("registration", "Footprints in images", (
+        Column("profile", repeated([registration.before[p].name for p, _ in rows])),
+        Column("number", np.concatenate([np.arange(1, n + 1) for n in sizes])),
+        Column("shot", [shot for one in found for shot in one.shots.ids]),
+        Column("image", repeated([registration.images[j].name for _, j in rows])),
+        Column("simultaneous", of_state(registration.before, "simultaneous")),
+        *(Column(f"{state}_inside", of_state(profiles, "inside")) for state, profiles in states),
+        Column("time_et", np.concatenate([one.shots.times for one in found]), "s", "TDB past J2000"),
+        Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, east, as archived", scale=1.0),
+        Column("lat", latitude, "deg", "planetocentric"),
+        Column("radius", radius, "m"),
+        Column("height_above_areoid", radius - np.concatenate([one.shots.areoid_radii for one in found]), "m"),
+        *places,
+    ))  # fmt: skip
+
+
+def discrepancy_table(registration: CaseRegistration) -> Table:
+    """One row per orientation, pair of images and footprint that both see: by how much they contradict."""
+    found = [
+        (state, profile, one)
+        for state, profiles in registration.states() for profile in profiles for one in profile.discrepancies
+    ]  # fmt: skip
+
+    def words(of: Callable[[str, ProfileRegistration, Misregistration], str]) -> list[str]:
+        return [of(*row) for row in found for _ in range(row[2].shots.size)]
+
+    def numbers(of: Callable[[Misregistration], Array], width: int = 2) -> Array:
+        nothing = np.zeros((0, 2)) if width == 2 else np.zeros(0)
+        return np.concatenate([nothing, *(of(one) for _, _, one in found)])
+
+    ways = ("along", "across")
+    return Table("discrepancy", "Contradictions of images", (
+        Column("orientation", words(lambda state, _, one: state)),
+        Column("profile", words(lambda _, profile, one: profile.name)),
+        Column("number", np.array([k + 1 for _, _, one in found for k in one.shots.tolist()], dtype=np.int64)),
+        Column("shot", [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()]),
+        Column("image", words(lambda _, profile, one: one.image)),
+        Column("against", words(lambda _, profile, one: one.against)),
+        Column("isis_line", numbers(lambda one: one.lines, 1) + ISIS_OFFSET),
+        Column("{}", numbers(lambda one: one.pixels), "px", "of the flight, in the image minus transferred", ways),
+        Column("sigma_{}", numbers(lambda one: one.pixel_sigmas), "px", "predicted", ways),
+        Column("{}", numbers(lambda one: one.metres), "m", "the same on the ground", ways),
+        Column("sigma_{}", numbers(lambda one: one.metre_sigmas), "m", "predicted", ways),
+        Column("{}", numbers(lambda one: one.metres / one.spacing), "spacings", "the same in shots", ways),
+        Column("sigma_{}", numbers(lambda one: one.metre_sigmas / one.spacing), "spacings", "predicted", ways),
+    ))  # fmt: skip

@@ -1,0 +1,400 @@
+"""A registration by relief in words and as files: the adjusted solution with all that `adjust` writes, and beside it
+coregistration.json, one row per profile, one per shot, and the misfits of all shifts that were searched.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.graph.shared import crossover_differences
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.files.output.csv_json import plain, write_json
+from mgsgraph.files.output.folders import COREGISTRATION, PROGRAM, fresh_folder
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.registration.minima import Minimum
+from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
+from mgsgraph.results.results import write_into
+from mgsgraph.text import many, root_mean_square, some
+from mgsgraph.units import DEG
+
+FORMAT = 1
+"""Version of coregistration.json's layout."""
+_MOST_MINIMA = 10
+"""Of a cost surface that are written, best first."""
+_MOST_PROFILES = 5
+"""That have sentences of their own; more are summed up."""
+_WAYS = ("east", "north")
+
+
+def write_coregistration(
+    registration: ReliefRegistration, folder: str | Path, figures: bool = True, case: str | Path | None = None,
+    networks: Sequence[Path] = (),
+) -> list[str]:  # fmt: skip
+    """Write the adjusted solution as `write_results` does, and tables and figures of the registration beside it.
+
+    Parameters
+    ----------
+    registration : ReliefRegistration
+        As `register_by_relief` made it, converged or not.
+    folder : path
+        Absent, empty, or an earlier result, which is replaced; appears whole or not at all.
+    figures : bool
+        False leaves the figures out.
+    case : path, optional
+        Case file, for later commands.
+    networks : sequence of Path
+        Files of the tie points.
+
+    Returns
+    -------
+    list of str
+        Names of the files in the folder.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else, or can't be written.
+
+    Examples
+    --------
+    >>> files = mgsgraph.write_coregistration(registration, "coregistered", figures=False)
+    >>> [name for name in files if name.endswith(".csv")]
+    ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv', 'profiles.csv', 'shots.csv', 'costs.csv']
+    """
+    with fresh_folder(folder) as aside:
+        return write_coregistration_into(registration, aside, figures, case, networks)
+
+
+def write_coregistration_into(
+    registration: ReliefRegistration, folder: Path, figures: bool = True, case: str | Path | None = None,
+    networks: Sequence[Path] = (),
+) -> list[str]:  # fmt: skip
+    """The same into a folder that exists, file by file."""
+    names = write_into(registration.solution, folder, figures, case, networks)
+    write_json(folder / COREGISTRATION, coregistration_json(registration))
+    profiles_table(registration).write_csv(folder / "profiles.csv")
+    relief_shots_table(registration).write_csv(folder / "shots.csv")
+    costs_table(registration).write_csv(folder / "costs.csv")
+    names += [COREGISTRATION, "profiles.csv", "shots.csv", "costs.csv"]
+    if not figures:
+        return names
+    from mgsgraph.results.figures.relief import relief_sheets  # only those who draw wait for matplotlib
+    from mgsgraph.results.figures.sheet import save
+
+    return names + save(relief_sheets(registration), folder)
+
+
+# --- the record
+
+
+def coregistration_json(registration: ReliefRegistration) -> dict[str, Any]:
+    """All figures of a registration by relief, as plain values for strict JSON: what isn't a number is None."""
+    network, settings = registration.solution.network, registration.settings
+    assert network.stereo is not None
+    pairs = [[network.images[j].name for j in pair] for pair in network.stereo.images.tolist()]
+    rows = profiles_table(registration).records()
+    record: dict[str, Any] = plain({
+        "program": PROGRAM,
+        "format": FORMAT,
+        "name": registration.name,
+        "status": "converged" if registration.solution.converged else "not converged",
+        "sigma0_before": registration.before.sigma0,
+        "sigma0_after": registration.solution.sigma0,
+        "settings": {
+            "footprint_m": settings.footprint, "reach_m": settings.reach, "spacing_m": settings.spacing,
+            "images": settings.images,
+        },
+        "pairs": pairs,
+        "profiles": [
+            row | {
+                "shift_covariance_m2": one.covariance,
+                "minima_before": _minima_json(one.before),
+                "minima_after": _minima_json(one.after),
+            }
+            for row, one in zip(rows, registration.profiles, strict=True)
+        ],
+        "crossovers": _crossovers_json(registration.solution),
+        "statements": relief_statements(registration),
+    })  # fmt: skip
+    return record
+
+
+def _crossovers_json(solution: Solution) -> dict[str, Any]:
+    """How far the heights of laser profiles differ where they cross, after."""
+    network = solution.network
+    crossing, off = network.crossovers, crossover_differences(network, solution.shifts, solution.shared)
+    if crossing is None:
+        return {"count": 0, "rms_m": None, "rms_sigmas": None}
+    return {
+        "count": off.size, "rms_m": root_mean_square(off), "rms_sigmas": root_mean_square(off / crossing.sigmas)
+    }  # fmt: skip
+
+
+def _minima_json(state: ProfileState) -> list[dict[str, Any]]:
+    return [
+        {
+            "shift_m": one.shift, "misfit": one.misfit, "covariance_m2": one.covariance, "weight": one.weight,
+        }
+        for one in state.cost.minima[:_MOST_MINIMA]
+    ]  # fmt: skip
+
+
+# --- tables
+
+
+def profiles_table(registration: ReliefRegistration) -> Table:
+    """One row per laser profile and terrain model: how far it lay from the stereo surface before, and lies after."""
+    profiles = registration.profiles
+    shifts = registration.solution.network.shifts
+    assert shifts is not None
+
+    def numbers(of: Callable[[ReliefProfile], Any], width: int = 0) -> Array:
+        return np.array([of(one) for one in profiles], dtype=np.float64).reshape((-1, width) if width else -1)
+
+    def vector(key: str, values: Array, meaning: str, label: str) -> Column:
+        return Column(key, values, "m", meaning, _WAYS, label=label, text=">+8.1f", gap=2)
+
+    def sigma(key: str, covariances: Callable[[ReliefProfile], Array]) -> Column:
+        values = numbers(lambda one: np.sqrt(np.diag(covariances(one))), 2)
+        return Column(key, values, "m", "for sigma0 = 1", _WAYS, label="sigma", text=">6.1f")
+
+    return Table("profiles", "Laser profiles, terrain models and the stereo surface", (
+        Column("profile", [one.name for one in profiles], text="<16"),
+        Column("kind", [one.unit for one in profiles], meaning="laser shots, or posts of a terrain model", text="<5"),
+        Column(
+            "shots", np.array([one.mine.size for one in profiles]), meaning="or posts, in the adjustment", text=">6d"
+        ),
+        Column(
+            "on_surface", np.array([int(one.taken.sum()) for one in profiles]), meaning="of them", label="on it",
+            text=">6d",
+        ),
+        Column("tied", np.array([one.after.cost.tied for one in profiles]), meaning="relief ties the profile at all"),
+        Column("clear", np.array([one.after.cost.clear for one in profiles]), meaning="and at one place only"),
+        vector(
+            "misplacement_before_{}", numbers(lambda one: one.before.misplacement, 2),
+            "by which the profile had to move onto the surface; unknown where relief does not tie it", "before (m)",
+        ),
+        sigma("sigma_misplacement_before_{}", lambda one: one.before.misplacement_covariance),
+        vector(
+            "misplacement_after_{}", numbers(lambda one: one.after.misplacement, 2),
+            "the same after the adjustment with stereo rows", "after (m)",
+        ),
+        sigma("sigma_misplacement_after_{}", lambda one: one.after.misplacement_covariance),
+        Column("misfit", numbers(lambda one: _misfit(one, 0)), meaning="of the likeliest shift, after"),
+        Column("runner_up_misfit", numbers(lambda one: _misfit(one, 1)), meaning="of the second-likeliest, after"),
+        Column(
+            "runner_up_weight", numbers(lambda one: _of_minimum(one, 1, lambda found: found.weight)),
+            meaning="its probability, all shifts being alike beforehand",
+        ),
+        Column("rms_before", numbers(lambda one: one.rms_before), "m", "of shot minus surface", label="rms (m)",
+               text=">8.2f", gap=2),
+        Column("rms_after", numbers(lambda one: one.rms_after), "m", "of shot minus surface", label="after",
+               text=">6.2f"),
+        Column("shift_{}", numbers(lambda one: one.shift, 2), "m", "adjusted, to be added to the footprints", _WAYS),
+        Column(
+            "sigma_shift_{}", numbers(lambda one: np.sqrt(np.diag(one.covariance)), 2), "m", "for sigma0 = 1", _WAYS
+        ),
+        Column("apriori_sigma_shift", shifts.sigmas, "m", "eastward and northward alike"),
+    ))  # fmt: skip
+
+
+def _of_minimum(profile: ReliefProfile, k: int, of: Callable[[Minimum], float]) -> float:
+    """A number of the k-th best minimum after; NaN where there is none."""
+    found = profile.after.cost.minima[k : k + 1]
+    return of(found[0]) if found else float("nan")
+
+
+def _misfit(profile: ReliefProfile, k: int) -> float:
+    return _of_minimum(profile, k, lambda found: found.misfit)
+
+
+def relief_shots_table(registration: ReliefRegistration) -> Table:
+    """One row per laser shot and post: its height above the stereo surface before and after."""
+    profiles, network = registration.profiles, registration.solution.network
+    points = network.points.places[np.concatenate([one.mine for one in profiles])]
+    longitude, latitude, _ = planetocentric(points).T
+    taken = np.concatenate([one.taken for one in profiles])
+    slopes = [np.where(one.taken[:, None], slopes_of(one.after), np.nan) for one in profiles]
+    return Table("shots", "Laser shots and posts above the stereo surface", (
+        Column("profile", [one.name for one in profiles for _ in one.mine]),
+        Column("shot", [network.points.ids[i] for one in profiles for i in one.mine.tolist()]),
+        Column("on_surface", taken, meaning="the shot takes part"),
+        Column("east_longitude", np.mod(longitude / DEG, 360.0), "deg", "planetocentric, as archived", scale=1.0),
+        Column("planetocentric_latitude", latitude, "deg", "as archived"),
+        Column("height", geodetic(points, network.images[0].body)[:, 2], "m", "above the ellipsoid, as archived"),
+        *(
+            Column(f"above_surface_{state}", np.concatenate([_known(one) for one in states]), "m", meaning)
+            for state, states, meaning in (
+                ("before", [one.before for one in profiles], "along the surface's normal; unknown beside the surface"),
+                ("after", [one.after for one in profiles], "the same by the adjustment with stereo rows"),
+            )
+        ),
+        Column(
+            "sigma", np.where(taken, np.concatenate([one.sigmas for one in profiles]), np.nan), "m",
+            "a-priori, of the height above the surface: matching and roughness",
+        ),
+        Column("slope_{}", np.concatenate(slopes), "", "of the surface that carried the shot, after", _WAYS),
+    ))  # fmt: skip
+
+
+def _known(state: ProfileState) -> Array:
+    """(n,) m, heights above the surface; NaN beside it."""
+    return np.where(state.heights.covered, state.heights.heights, np.nan)
+
+
+def slopes_of(state: ProfileState) -> Array:
+    """(n, 2) slopes of the surface at the shots, eastward and northward, metres upward per metre."""
+    east, north, up = np.einsum("nkj,nj->kn", east_north_up(state.points), state.heights.normals)
+    return np.stack([-east / up, -north / up], axis=1)
+
+
+def costs_table(registration: ReliefRegistration) -> Table:
+    """One row per profile, state and shift: its misfit."""
+    found = [
+        (one.name, name, state.cost)
+        for one in registration.profiles
+        for name, state in (("before", one.before), ("after", one.after))
+    ]
+    shifts = [
+        np.stack(np.meshgrid(cost.shifts, cost.shifts, indexing="ij"), axis=2).reshape(-1, 2) for _, _, cost in found
+    ]
+    sizes = [len(one) for one in shifts]
+    return Table("costs", "Cost surfaces", (
+        Column("profile", [name for (name, _, _), n in zip(found, sizes, strict=True) for _ in range(n)]),
+        Column("state", [state for (_, state, _), n in zip(found, sizes, strict=True) for _ in range(n)]),
+        Column("shift_{}", np.concatenate(shifts), "m", "of the footprints of this state", _WAYS),
+        Column(
+            "misfit", np.concatenate([cost.misfits.ravel() for _, _, cost in found]),
+            meaning="robust sum of squares in sigmas; unknown where too few shots are on the surface",
+        ),
+    ))  # fmt: skip
+
+
+# --- words
+
+
+def relief_statements(registration: ReliefRegistration) -> list[str]:
+    """What was found, in sentences with numbers and units."""
+    profiles, solution = registration.profiles, registration.solution
+    if len(profiles) <= _MOST_PROFILES:
+        shifts = solution.network.shifts
+        assert shifts is not None
+        found = [
+            sentence
+            for one, prior in zip(profiles, shifts.sigmas.tolist(), strict=True)
+            for sentence in _of_profile(one, prior, registration.settings.reach)
+        ]
+    else:
+        found = _of_many(registration)
+    if solution.network.considered:
+        named = some(solution.network.considered, len(solution.network.considered))
+        found.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
+    found.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, {solution.sigma0:.3g} with them.")
+    if (crossing := _crossovers_json(solution))["count"]:
+        found.append(
+            f"{many(crossing['count'], 'crossover')} of laser profiles: heights differ by {crossing['rms_m']:.2g} m "
+            f"rms, {crossing['rms_sigmas']:.2g} of their sigmas."
+        )
+    if not solution.converged:
+        found.append(f"The adjustment has NOT CONVERGED. {solution.message}")
+    return found
+
+
+def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
+    """Sentences about one profile; `prior` is the a-priori sigma of its shift in m."""
+    on = int(one.taken.sum())
+    if not on:
+        return [f"{one.name}: none of {many(one.mine.size, one.unit)} takes part; too few lie on the stereo surface."]
+    carried = (
+        f"{on} of {many(one.mine.size, one.unit)} of {one.name} lie on the stereo surface: rms of {one.unit} minus "
+        f"surface {one.rms_before:.2g} m before, {one.rms_after:.2g} m after."
+    )
+    adjusted = float(np.sqrt(np.trace(one.covariance) / 2.0))
+    found = f"the sigma of its shift is {adjusted:.3g} m, a-priori {prior:.3g} m"
+    if not one.after.cost.tied:
+        return [f"{one.name}: relief does not tie it; {found}.", carried]
+    if not one.after.cost.reached:
+        off = _east_north(one.after.misplacement)
+        where = f"{one.name}: adjustments do not come to the best shift, which is {off} away"
+        return [f"{where}; {found}; its heights count as those of level ground.", carried]
+    if not one.after.cost.clear:
+        return [_several(one), f"{one.name}: {found}; its heights count as those of level ground.", carried]
+    return [_disagreement(one), _uniqueness(one, reach), carried]
+
+
+def _disagreement(one: ReliefProfile) -> str:
+    """By how much profile and images disagreed, and disagree."""
+    off, what = one.before.misplacement, "terrain model" if one.of_posts else "profile"
+    known = f"by {np.linalg.norm(off):.0f} m ({_east_north(off)})" if one.before.cost.tied else "by an unknown amount"
+    words = f"Before, {what} {one.name} and the images disagreed {known}; after, "
+    left, sigma = np.linalg.norm(one.after.misplacement), np.sqrt(np.trace(one.after.misplacement_covariance))
+    return words + f"by {left:.1f} +- {sigma:.1f} m."
+
+
+def _east_north(shift: Array) -> str:
+    """A shift (2,) in m, in words."""
+    east, north = (round(part) for part in shift.tolist())
+    return f"{east:+d} m east, {north:+d} m north"
+
+
+def _uniqueness(one: ReliefProfile, reach: float) -> str:
+    """How much worse the second-best minimum fits, within the shifts that were searched, `reach` m at most."""
+    minima, reach = one.after.cost.minima, min(reach, float(one.after.cost.shifts[-1]))
+    if len(minima) == 1:
+        return f"{one.name}: one minimum within {reach:.0f} m."
+    return (
+        f"{one.name}: one clear minimum within {reach:.0f} m; the second best fits "
+        f"{minima[1].misfit / minima[0].misfit:.2g} times worse."
+    )
+
+
+def _several(one: ReliefProfile) -> str:
+    """Which minima may be the right one."""
+    possible = one.after.cost.possible
+    where = "; ".join(f"{100.0 * found.weight:.2g} % at {_east_north(found.shift)}" for found in possible)
+    sigma = np.sqrt(np.trace(one.after.misplacement_covariance))
+    return (
+        f"{one.name}: {len(possible)} minima may be the right one: {where}; over all of them the first is right to "
+        f"{sigma:.0f} m."
+    )
+
+
+def _of_many(registration: ReliefRegistration) -> list[str]:
+    """Sentences about many profiles together."""
+    profiles = registration.profiles
+    taken = [one for one in profiles if np.any(one.taken)]
+    tied = [one for one in taken if one.after.cost.tied]
+    found = []
+    if known := [one for one in tied if one.before.cost.tied]:
+        before, after = (
+            root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in known]))
+            for state in ("before", "after")
+        )
+        sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in known])
+        found.append(
+            f"Before, {len(known)} profiles and the images disagreed by {before:.0f} m (rms); after, by {after:.1f} m "
+            f"(median sigma {sigma:.1f} m)."
+        )
+    for which, words in (
+        ([one for one in tied if one.after.cost.clear], "have one clear minimum"),
+        ([one for one in tied if not one.after.cost.clear], "have several possible minima"),
+        ([one for one in taken if not one.after.cost.tied], "are not tied by relief"),
+        ([one for one in profiles if not np.any(one.taken)], "have too few shots on the surface to take part"),
+    ):
+        if which:
+            names = some([one.name for one in which], len(which))
+            found.append(f"{len(which)} of {len(profiles)} profiles {words} ({names}).")
+    states = [
+        np.concatenate([_known(state)[one.taken] for one, state in zip(taken, some_states, strict=True)])
+        for some_states in ([one.before for one in taken], [one.after for one in taken])
+    ]
+    rms = [root_mean_square(values) for values in states]
+    found.append(
+        f"{states[0].size} shots lie on the stereo surface: rms of shot minus surface {rms[0]:.2g} m before, "
+        f"{rms[1]:.2g} m after; profiles.csv has each profile."
+    )
+    return found

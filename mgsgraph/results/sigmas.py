@@ -1,0 +1,127 @@
+"""Sigmas along an image's lines and over an overlap: sections of an analysis, a table, a GeoTIFF.
+
+The GeoTIFF has four bands in metres, on the body's sphere, planetocentric degrees.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.output.geotiff import geotiff
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
+from mgsgraph.files.writing import file_stem, fresh_file
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.units import DEG
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One part of an analysis."""
+
+    key: str
+    """Its key in analysis.json."""
+    text: str
+    """Lines for a person."""
+    record: Any
+    """What analysis.json holds of it, with units in the keys."""
+    files: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
+    """What writes its files but for the figure, by their names."""
+    sheet: Callable[[], "Sheet"] | None = None
+    """What draws its figure."""
+
+    def write(self, folder: Path, figures: bool) -> list[str]:
+        """Write its files into a folder, with the figure or without; their names."""
+        for name, write in self.files.items():
+            write(folder / name)
+        if not figures or self.sheet is None:
+            return list(self.files)
+        from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
+
+        return [*self.files, *save([self.sheet()], folder)]
+
+
+def _file_of(posterior: Posterior, image: str) -> str:
+    """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
+    plainly = file_stem(image)
+    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.network.image_number(image) + 1}"
+
+
+def curve_section(posterior: Posterior, image: str) -> Section:
+    """Sigmas of the orientation along an image's lines."""
+    picture = posterior.network.images[posterior.network.image_number(image)]
+    poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
+    lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
+    units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("mrad", sigmas[:, 3:], FLIGHT_NAMES[3:]))
+    parts = [
+        Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
+        for unit, values, axes in units for k, axis in enumerate(axes)
+    ]  # fmt: skip
+    table = Table("sigmas", "Sigmas along an image", (
+        Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
+    ))  # fmt: skip
+    file = _file_of(posterior, image)
+
+    def sheet() -> "Sheet":
+        from mgsgraph.results.figures.sigmas import curve_sheet
+
+        return curve_sheet(poses, file)
+
+    text = "\n".join([f"Sigmas along image {image} (m; mrad)", *table.take(np.arange(0, lines.size, 10)).text()])
+    record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
+    return Section("curves", text, record, {f"{file}.csv": table.write_csv}, sheet)
+
+
+def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | None, sigma: float) -> Section:
+    """Sigmas of new points, measured to `sigma` px, over the overlap of images (all when empty); cells of `cell` m."""
+    grid = sigma_grid(posterior, images, cell, sigma)
+    body = posterior.network.images[0].body
+
+    def sheet() -> "Sheet":
+        from mgsgraph.results.figures.sigmas import raster_sheet
+
+        return raster_sheet(grid, "sigma_map")
+
+    _, rows, columns = grid.values.shape
+    record = {
+        "images": list(grid.images), "measure_sigma_px": grid.sigma, "cell_m": grid.steps[1] * body.equatorial,
+        "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
+        "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
+    }  # fmt: skip
+    text = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
+    return Section("raster", text, record, {"sigmas.tif": partial(write_sigma_raster, grid, body)}, sheet)
+
+
+def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
+    """Write a sigma grid as a cloud-optimized GeoTIFF (float32, m, NaN where nothing is known), whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If it can't be written.
+    """
+    across, down = (step / DEG for step in grid.steps)
+    tags = {"images": ", ".join(grid.images), "measure_sigma_px": f"{grid.sigma:g}", "program": PROGRAM}
+    corner = grid.west / DEG, grid.north / DEG
+    with (
+        fresh_file(path) as aside,
+        geotiff(
+            aside, grid.values.shape, wkt2(geographic_crs(body)), corner, (across, down), dtype="float32", nodata=np.nan
+        ) as file,
+    ):
+        file.write(grid.values.astype(np.float32))
+        file.update_tags(**tags)
+        for k, name in enumerate(BANDS, start=1):
+            file.set_band_description(k, name)
+            file.set_band_unit(k, "m")

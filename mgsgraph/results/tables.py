@@ -1,0 +1,288 @@
+"""Tables of a solution: images, points, orientation, residuals, pairs of images.
+
+The columns of files carry their units. Lines and samples are counted as ISIS does, the first pixel's centre at (1, 1);
+latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights are given as radii.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution, orientation_profiles
+from mgsgraph.analysis.statistics import (
+    PLACES,
+    local_sigmas,
+    orientation_statistics,
+    point_statistics,
+    ray_statistics,
+    rejected_points,
+    used_ray_counts,
+)
+from mgsgraph.files.output.csv_json import padded, picked
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import RepeatedNames
+from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.units import DEG, ISIS_OFFSET
+
+_REMARKS = ("bridge", "overlap without common points", "common points without overlap")
+
+
+def images_table(solution: Solution) -> Table:
+    """One row per image: measures, residuals, corrections; in text and on the page."""
+    network, rays = solution.network, ray_statistics(solution)
+    found = [orientation_statistics(solution, j) for j in range(len(network.images))]
+    mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
+    sigma = np.where(network.held[:, None], np.nan, sigma)
+    passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
+    return Table("images", "Images", (
+        Column("image", [image.name for image in network.images], page="s", label="Images", text="<26"),
+        Column("pass", passes, page="s"),
+        Column("lines", np.array([image.lines for image in network.images]), "px", page="s"),
+        Column("samples", np.array([image.samples for image in network.images]), "px", page="s"),
+        Column("measures", rays.total, page="s", label="rays", text=">6"),
+        Column("used", rays.count.sum(axis=1), page="s", text=">6"),
+        Column("residual_{}", rays.rms_of_images, "px", "rms of the measures used, measured minus predicted",
+               ("line", "sample"), "residual {}", ".2f", "residuals [px]", ">7", gap=2),
+        Column("correction_{}", mean[:, :3], "m", "adjusted minus nominal, body-fixed, mean over the lines",
+               ("X", "Y", "Z"), "Δ{}", ".1f", "mean correction [m]", ">7", gap=2),
+        Column("sigma_{}", sigma[:, :3], "m", "of the adjusted position; none of a held image",
+               ("X", "Y", "Z"), "σ {}", ".1f"),
+        Column("turn_{}", mean[:, 6:], "arcsec", "the same about the camera's own axes", ("x", "y", "z"), "turn {}",
+               ".1f", "camera axes [arcsec]", ">7", gap=2),
+        Column("sigma_turn_{}", sigma[:, 6:], "arcsec", "of the adjusted attitude", ("x", "y", "z"), "σ turn {}",
+               ".1f"),
+    ), instead=dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}")))  # fmt: skip
+
+
+def classes_table(solution: Solution) -> Table:
+    """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
+    found = [point_statistics(solution, c) for c in solution.network.classes]
+    sigma, median, high, mean, rms = (
+        np.array([getattr(one, name) for one in found])
+        for name in ("mean_sigma", "median_sigma", "high_sigma", "mean_correction", "rms_correction")
+    )
+    axes, capital = ("x", "y", "z"), "XYZ"
+    return Table("classes", "Ground points by kind", (
+        Column("kind", [c.name.lower() for c in solution.network.classes], page="s", label="Points", text="<10"),
+        Column("count", np.array([one.count for one in found]), head="points", page="s", label="count", text=">8"),
+        Column("rejected", np.array([one.rejected for one in found]), page="s", text=">9"),
+        Column("weak", np.array([one.weak for one in found]), meaning="sigma over ten times the median: parallel rays",
+               page="s", text=">5"),
+        Column("median_sigma_{}", median, "m", "for sigma0 = 1, body-fixed", axes,
+               tuple(f"median σ {a}" for a in capital), ".2f", "median sigma [m]", ">9", gap=2),
+        Column("high_sigma_{}", high, "m", "95 % of the points have this at most", axes,
+               tuple(f"95 % σ {a}" for a in capital), ".2f"),
+        Column("mean_sigma_{}", sigma, "m", "the mean, which weak points dominate", axes,
+               tuple(f"mean σ {a}" for a in capital), ".2f"),
+        Column("scaled_sigma_{}", median * solution.sigma0, "m", "median, times sigma0", axes,
+               tuple(f"σ {a} × σ₀" for a in capital), ".2f", files=False),
+        Column("mean_correction_{}", mean, "m", "adjusted minus before", axes),
+        Column("rms_correction_{}", rms, "m", "the same", axes, tuple(f"rms Δ{a}" for a in capital), ".2f",
+               "rms correction [m]", ">9", gap=2),
+    ), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
+       "Corrections are adjusted minus before.",
+    )  # fmt: skip
+
+
+def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table:
+    """One row per ground point: adjusted place, sigmas, covariance, rays and correction; unknown where undetermined.
+    Some of the `rows` alone where the table is made in pieces, or has a choice of the points.
+    """
+    network, places, covariances = solution.network, solution.places[rows], solution.covariances[rows]
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    moved, rejected = places - solution.places_before[rows], rejected_points(solution)[rows]
+    longitude, latitude, radius = planetocentric(places).T
+    xyz, local = ("x", "y", "z"), ("east", "north", "up")
+    a, b = np.triu_indices(3)
+    areoid = [] if network.areoid is None else [
+        Column("height_above_areoid", radius - network.areoid.at(places), "m", "where the case has topography")
+    ]  # fmt: skip
+    return Table("points", "Ground points", (
+        Column("id", network.points.ids[rows], meaning="of the point", head="point", page="s"),
+        Column("class", _names(PointClass, network.points.classes[rows]), meaning="tie, laser or control", head="kind",
+               page="s"),
+        Column("kind", _names(PointKind, network.points.kinds[rows]), meaning="what is known beforehand", head="known",
+               page="s"),
+        Column("rejected", rejected, meaning="all its rays, as blunders"),
+        Column("rays", network.ray_counts[rows], meaning="images in which it is measured"),
+        Column("rays_used", used_ray_counts(solution)[rows], meaning="those that took part", head="rays used",
+               page="s"),
+        Column("{}", places, "m", "body-fixed", xyz),
+        Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, 0 .. 360 east", head="east longitude",
+               page=".5f", scale=1.0),
+        Column("lat", latitude, "deg", "planetocentric", head="latitude", page=".5f"),
+        Column("radius", radius, "m", "from the body's centre"),
+        Column("height", geodetic(places, network.images[0].body)[:, 2], "m", "above the ellipsoid", page=".2f"),
+        *areoid,
+        Column("sigma_{}", sigmas, "m", "for sigma0 = 1, body-fixed", xyz),
+        Column("sigma_{}", local_sigmas(covariances, places), "m", "for sigma0 = 1", local, "σ {}",
+               ".2f"),
+        Column("scaled_sigma_{}", sigmas * solution.sigma0, "m", "times sigma0", xyz),
+        Column("cov_{}", covariances[:, a, b], "m2", "for sigma0 = 1, body-fixed",
+               tuple(f"{xyz[i]}{xyz[j]}" for i, j in zip(a, b, strict=True))),
+        Column("correction_{}", moved, "m", "adjusted minus before, body-fixed", xyz),
+        Column("moved_{}", np.einsum("nij,nj->ni", east_north_up(places), moved), "m", "adjusted minus before", local,
+               "Δ {}", ".2f", files=False),
+        Column("state", picked(("used", "rejected"), rejected.astype(np.int64)), page="s", files=False),
+    ), "Planetocentric latitudes, heights above the ellipsoid; sigmas for sigma0 = 1, corrections are adjusted minus "
+       "before. ")  # fmt: skip
+
+
+def orientation_table(solution: Solution) -> Table:
+    """The exterior orientation of every image at the papers' 31 places, before and after."""
+    images = solution.network.images
+    profiles = orientation_profiles(solution, places=PLACES)
+
+    def of(name: str) -> Array:
+        return np.asarray(getattr(profiles, name))
+
+    names = RepeatedNames(tuple(image.name for image in images), np.repeat(np.arange(len(images)), PLACES))
+    before, after, xyz, angles = of("position_before"), of("position_after"), ("x", "y", "z"), ("omega", "phi", "kappa")
+    return Table("orientation", "Exterior orientation along the images", (
+        Column("image", names, meaning="31 lines of each"),
+        Column("isis_line", of("lines") + ISIS_OFFSET, meaning="the first line's middle is 1"),
+        Column("time_et", of("times"), "s", "TDB past J2000"),
+        Column("{}_before", before, "m", "position, body-fixed", xyz),
+        Column("{}_after", after, "m", "the same, adjusted", xyz),
+        Column("{}_difference", after - before, "m", "adjusted minus before", xyz),
+        Column("{}_sigma", of("position_sigma"), "m", "for sigma0 = 1", xyz),
+        Column("{}_before", of("angles_before"), "deg", "camera to body = R3(kappa) R2(phi) R1(omega)", angles),
+        Column("{}_after", of("angles_after"), "deg", "the same, adjusted", angles),
+        Column("{}_difference", of("angle_differences"), "arcsec", "adjusted minus before", angles),
+        Column("{}_sigma", of("angles_sigma"), "arcsec", "for sigma0 = 1", angles),
+        Column("rotation_{}", of("rotation"), "arcsec", "correction about the camera's own axes", xyz),
+        Column("rotation_{}_sigma", of("rotation_sigma"), "arcsec", "for sigma0 = 1", xyz),
+    ))  # fmt: skip
+
+
+def residuals_table(solution: Solution, rows: slice = slice(None)) -> Table:
+    """One row per ray, per range and per height above a stereo surface: residuals (measured minus predicted) before and
+    after; some of the `rows` alone where the table is made in pieces.
+
+    A normalised residual is the residual over its a-priori sigma. A range has the line at which its shot was taken. A
+    height, of which zero is measured, belongs to no image alone, and to no nominal orientation.
+    """
+    network, rays, ranges = solution.network, solution.network.rays, solution.network.ranges
+    on, heights, height_sigmas = _stereo_heights(solution)
+    sizes = rays.point.size, ranges.point.size, on.size
+    of_rays, of_ranges, of_heights = parts = _parts(rows, sizes)
+    on, heights, height_sigmas = on[of_heights], heights[of_heights], height_sigmas[of_heights]
+    k, r, h = (part.stop - part.start for part in parts)
+    point = np.concatenate([rays.point[of_rays], ranges.point[of_ranges], on])
+    image = np.concatenate([rays.image[of_rays], ranges.image[of_ranges], np.full(on.size, -1)])
+    used = np.concatenate([solution.rays_used[of_rays], solution.ranges_used[of_ranges], solution.stereo_used[on]])
+    before, after, places = (one[of_rays] for one in (solution.residuals_before, solution.residuals, rays.places))
+    range_residuals, range_sigmas = solution.range_residuals[of_ranges], ranges.sigmas[of_ranges]
+    sigmas, shots, tested, dimensions = rays.sigmas[of_rays], _shot_lines(solution)[of_ranges], list[Column](), None
+    if solution.test_dimensions is not None:
+        first, second, third = np.split(solution.test_dimensions, np.cumsum(sizes[:2]))
+        dimensions = np.concatenate([first[of_rays], second[of_ranges], third[on]])
+        tested.append(Column(
+            "tested", dimensions,
+            meaning="where blunders were sought: in how many directions others check the measure, 0 for none",
+        ))  # fmt: skip
+
+    def of_ray(c: int, way: str) -> list[Column]:
+        return [
+            Column(f"residual_before_{way}", padded(before[:, c], 0, r + h), "px", "nominal orientation",
+                   head=f"{way} before", page=".2f"),
+            Column(f"residual_{way}", padded(after[:, c], 0, r + h), "px", "adjusted", head=f"{way} after",
+                   page=".2f"),
+            Column(f"sigma_{way}", padded(sigmas[:, c], 0, r + h), "px", "a priori", head=f"σ {way}", page=".2f"),
+            Column(f"normalised_{way}", padded(after[:, c] / sigmas[:, c], 0, r + h),
+                   meaning="residual over its sigma"),
+        ]
+
+    return Table("measures", "Residuals", (
+        Column("kind", picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
+               meaning="an image measure, a range, or a height above a stereo surface"),
+        Column("point", picked(network.points.ids, point), meaning="its id", page="s"),
+        Column("class", _names(PointClass, network.points.classes[point]), meaning="of the point", head="kind",
+               page="s"),
+        Column("image", picked(["", *(one.name for one in network.images)], image + 1),
+               meaning="of a range: that carries it", page="s"),
+        Column("used", used, meaning="false for blunders that were rejected"),
+        *tested,
+        Column("isis_line", padded(np.concatenate([places[:, 0], shots]), 0, h) + ISIS_OFFSET,
+               meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
+        Column("isis_sample", padded(places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
+               head="sample", page=".2f"),
+        *of_ray(0, "line"), *of_ray(1, "sample"),
+        Column("range", padded(ranges.values[of_ranges], k, h), "m", "measured"),
+        Column("residual_before_range", padded(solution.range_residuals_before[of_ranges], k, h), "m",
+               "nominal orientation"),
+        Column("residual_range", padded(range_residuals, k, h), "m", "adjusted"),
+        Column("sigma_range", padded(range_sigmas, k, h), "m", "a priori"),
+        Column("normalised_range", padded(range_residuals / range_sigmas, k, h), meaning="residual over its sigma"),
+        Column("residual_height", padded(-heights, k + r, 0), "m", "adjusted, along the stereo surface's normal"),
+        Column("sigma_height", padded(height_sigmas, k + r, 0), "m", "a priori"),
+        Column("normalised_height", padded(-heights / height_sigmas, k + r, 0), meaning="residual over its sigma"),
+    ))  # fmt: skip
+
+
+def residual_rows(solution: Solution) -> int:
+    """Rows of `residuals_table`: rays, ranges, heights above stereo surfaces."""
+    return solution.network.rays.point.size + solution.network.ranges.point.size + _stereo_heights(solution)[0].size
+
+
+def residual_points(solution: Solution, rows: slice = slice(None)) -> Index:
+    """(m,) number of the ground point of each row of `residuals_table`, or of some of the `rows`."""
+    network = solution.network
+    return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])[rows]
+
+
+def _parts(rows: slice, sizes: Sequence[int]) -> list[slice]:
+    """Which of several arrays' elements some rows are, where these stand one after another."""
+    first, last, _ = rows.indices(sum(sizes))
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(min(max(first - a, 0), b - a), min(max(last - a, 0), b - a)) for a, b in pairwise(ends)]
+
+
+def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:
+    """Points (h,) on stereo surfaces, their heights above them and a-priori sigmas (h,), m."""
+    control, heights = solution.network.stereo, solution.stereo_heights
+    if control is None or heights is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
+    on = np.flatnonzero(control.surface >= 0)
+    return on, heights[on], control.sigmas[on]
+
+
+def connectivity_table(connected: Connectivity) -> Table:
+    """One row per pair of images that share points or overlap: points by class, area, distance, and a remark."""
+    names, points = connected.names, connected.points
+    marks = connected.bridges, (points == 0) & (connected.areas > 0.0), (points > 0) & (connected.gaps > 0.0)
+    remarks = [
+        ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
+    ]
+    return Table("connectivity", "Pairs of images", (
+        Column("image_a", picked(names, connected.pairs[:, 0]), meaning="one of the two"),
+        Column("image_b", picked(names, connected.pairs[:, 1]), meaning="the other"),
+        Column("common_points", points, meaning="seen in both"),
+        *(
+            Column(f"{c.name.lower()}_points", connected.common[:, c], meaning="of these")
+            for c in PointClass if c.measured
+        ),
+        Column("remark", remarks, meaning="bridge: the only link between two parts of the block"),
+        Column("overlap", connected.areas, "km2", "of the footprints"),
+        Column("overlap_share", connected.shares, meaning="of the smaller footprint"),
+        Column("gap", connected.gaps, "km", "between the footprints"),
+    ))  # fmt: skip
+
+
+def _shot_lines(solution: Solution) -> Array:
+    """(r,) line of the carrying image that was read when the shot was taken."""
+    ranges, lines = solution.network.ranges, np.empty(solution.network.ranges.point.size)
+    order = np.argsort(ranges.image, kind="stable")
+    for mine in np.split(order, np.flatnonzero(np.diff(ranges.image[order])) + 1) if order.size else []:
+        image = solution.network.images[ranges.image[mine[0]]]
+        lines[mine] = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
+    return lines
+
+
+def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> Sequence[str]:
+    return picked([member.name.lower() for member in kind], codes)

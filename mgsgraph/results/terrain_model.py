@@ -1,0 +1,276 @@
+"""A terrain model made of a case, in words and as files: rasters, the record, the table of check shots, the figure."""
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.case_file import decode
+from mgsgraph.case.scene import read_scene
+from mgsgraph.files.output.csv_json import picked, write_json
+from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder, require_replaceable
+from mgsgraph.files.output.geotiff import geotiff
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.progress import Progress, no_progress
+from mgsgraph.registration.dem.checking import HeightChecks, check_figures, check_profiles
+from mgsgraph.registration.dem.gridding import HeightGrid
+from mgsgraph.registration.dem.map import MapGrid
+from mgsgraph.registration.dem.model import Dem, DemSettings, dem_of, ortho_grid, require_reference
+from mgsgraph.registration.dem.ortho import ortho_tiles
+from mgsgraph.registration.dem.scene import adjusted_names, adjusted_scene, densely_matched, expected_ground
+from mgsgraph.results.stac_item import write_item
+from mgsgraph.text import many, some
+from mgsgraph.units import DEG, KM
+
+FORMAT = 2
+"""Version of dem.json's layout: 2 has the coordinate system as WKT2, not in PROJ's words."""
+_UNEXPLAINED = 1.5
+"""Times what matching explains from which on rays that miss each other are worth a word."""
+BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
+"""Of dem.tif; m but for the last."""
+
+
+def make_dem(
+    adjusted: Solution | Posterior,
+    case: str | Path,
+    out: str | Path,
+    settings: DemSettings | None = None,
+    workers: int | None = None,
+    figures: bool = True,
+    progress: Progress = no_progress,
+) -> Dem:
+    """Match the images of a case densely with their adjusted orientation, and write a terrain model.
+
+    Parameters
+    ----------
+    adjusted : Solution or Posterior
+        Of the adjustment of the case; images are known by their names.
+    case : path
+        Case file, for the pixels, the ground beforehand, and the laser profiles.
+    out : path
+        Folder with dem.tif, ortho.tif, dem.json, dem.stac.json, shots.csv and the figure; appears whole or not at all.
+    settings : DemSettings, optional
+        Choices.
+    workers : int, optional
+        Threads; one per processor when None.
+    figures : bool
+        Whether the figure is drawn.
+    progress : callable
+        Called with the stage, and how much of it is done.
+
+    Raises
+    ------
+    InputError
+        As `read_scene`; images that were not adjusted; no overlap or no parallax to make a terrain model from; heights
+        above an areoid that the case doesn't have; a folder that can't be written or holds something else.
+
+    Examples
+    --------
+    >>> case = mgsgraph.read_case("gusev/case.toml", ties=Path("matches/network.pvl"))
+    >>> settings = mgsgraph.DemSettings(post=50.0, spacing=30.0)
+    >>> dem = mgsgraph.make_dem(mgsgraph.adjust(case), "gusev/case.toml", "dem", settings, figures=False)
+    >>> print(dem)
+    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.938 km^2 with heights, 0 check shots)
+    """
+    settings, path = settings or DemSettings(), Path(case)
+    require_replaceable(out, DEM)
+    posterior = adjusted if isinstance(adjusted, Posterior) else Posterior.of(adjusted)
+    require_reference(posterior, settings)
+    wanted = decode(path)
+    adjusted_names([image.name for image in wanted.images], posterior, settings.images, str(path))
+    profiles = check_profiles(posterior, wanted, path, settings.mola)
+    name, scene = read_scene(path, *expected_ground(posterior, wanted))
+    scene = adjusted_scene(scene, posterior, settings.images)
+    matches, window = densely_matched(scene, settings.spacing, workers, progress)
+    dem = dem_of(name, posterior, scene, matches, window, settings, profiles, workers, progress)
+    with fresh_folder(out, DEM) as folder:
+        write_dem(dem, scene, settings, folder, figures, progress)
+    return dem
+
+
+def write_dem(
+    dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figures: bool, progress: Progress
+) -> None:
+    """Write everything to a folder that is there."""
+    grid = ortho_grid(dem, scene, settings)
+    progress("ortho image", 0, 1)
+    tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
+    write_model(dem.model, dem.heights, dem.reference, tags, folder / "dem.tif")
+    write_ortho(
+        scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif", progress
+    )
+    shots_table(dem).write_csv(folder / "shots.csv")
+    write_json(folder / DEM, _record(dem, settings, grid.post))
+    if figures:
+        from mgsgraph.results.figures.dem import dem_sheet, read_ortho  # matplotlib takes its time to load
+        from mgsgraph.results.figures.sheet import save
+
+        progress("figure", 0, 1)
+        save([dem_sheet(dem, read_ortho(folder / "ortho.tif"))], folder)
+    images = [picture.image for picture in scene.pictures]
+    write_item(dem, grid, BANDS, images, folder / STAC_ITEM, sorted(path.name for path in folder.iterdir()))
+
+
+def dem_statements(dem: Dem) -> list[str]:
+    """What the terrain model is and how good, in sentences."""
+    grid, there = dem.model.map, np.isfinite(dem.heights)
+    found = [
+        f"{' and '.join(one.images)}: {one.matched} of {one.posts} posts every {dem.spacing:.3g} m matched "
+        f"({100.0 * one.matched / max(one.posts, 1):.0f} %); their rays miss each other by {one.miss:.2g} m (rms), "
+        f"{_explained(one.miss, one.miss_sigma)}."
+        for one in dem.pairs
+    ]
+    low, high = (float(value) for value in (np.nanmin(dem.heights), np.nanmax(dem.heights)))
+    found.append(
+        f"The terrain model has {grid.rows} x {grid.columns} posts every {grid.post:.3g} m, of which "
+        f"{int(there.sum())} have a height ({dem.covered / KM**2:.4g} km^2): {low:.0f} to {high:.0f} m above "
+        f"{dem.reference}."
+    )
+    whole, matching, orientation = (
+        float(np.median(band[there])) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
+    )
+    found.append(
+        f"Sigma of a height (median, for sigma0 = 1): {whole:.3g} m, of which {matching:.3g} m by matching and relief, "
+        f"independent beyond {dem.window:.0f} m, and {orientation:.3g} m by the orientation, common to neighbours."
+    )
+    return [*found, *_check_statements(dem)]
+
+
+def _explained(miss: float, sigma: float) -> str:
+    """What makes rays miss each other."""
+    if miss <= _UNEXPLAINED * sigma:
+        return f"as matching explains ({sigma:.2g} m)"
+    rest = "the rest is the orientation's, by its sigmas or by motion that the adjustment doesn't follow"
+    return f"of which matching explains {sigma:.2g} m; {rest}"
+
+
+def _check_statements(dem: Dem) -> list[str]:
+    """What the laser shots say."""
+    checks, offered = dem.checks, sum(one.shots.times.size for one in dem.profiles)
+    if not dem.profiles:
+        return ["Not checked by laser shots: there are none that took no part in the adjustment."]
+    if not len(checks):
+        return [f"Not checked by laser shots: of {offered} that took no part none lies on the terrain model."]
+    found = [f"{many(len(checks), 'laser shot')} that took no part: {_compared(checks, np.ones(len(checks), bool))}."]
+    for k, one in enumerate(dem.profiles):
+        if len(dem.profiles) > 1 and np.any(mine := checks.profile == k):
+            found.append(f"Of {one.name}, {int(mine.sum())}: {_compared(checks, mine)}.")
+    return found
+
+
+def _compared(checks: HeightChecks, mine: Mask) -> str:
+    off = check_figures(checks, mine)
+    return (
+        f"model minus shot {off['mean_m']:+.2g} m on the average, {off['rms_m']:.3g} m rms, "
+        f"{off['rms_by_sigma']:.2f} times what is stated; {100.0 * off['beyond_3_sigma']:.1f} % beyond three sigmas"
+    )
+
+
+def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
+    grid, there, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
+    quantiles = {
+        name: np.quantile(band[there], [0.05, 0.5, 0.95])
+        for name, band in zip(BANDS[1:4], (dem.model.sigmas, dem.model.matching, dem.model.orientation), strict=True)
+    }
+    return {
+        "program": PROGRAM,
+        "format": FORMAT,
+        "name": dem.name,
+        "images": list(dem.images),
+        "ortho_image": dem.images[dem.ortho],
+        "settings": {
+            "post_m": settings.post, "spacing_m": settings.spacing, "heights": settings.heights,
+            "ortho_pixel_m": settings.ortho_pixel, "images": list(settings.images),
+            "mola": [str(path) for path in settings.mola],
+        },
+        "pairs": [
+            {
+                "images": list(one.images), "matches": one.matched, "posts": one.posts, "rays_miss_m": one.miss,
+                "rays_miss_by_matching_m": one.miss_sigma,
+            }
+            for one in dem.pairs
+        ],
+        "coordinate_system": grid.crs,
+        "heights_above": dem.reference,
+        "post_m": grid.post,
+        "spacing_m": dem.spacing,
+        "window_m": dem.window,
+        "ortho_pixel_m": pixel,
+        "rows": grid.rows,
+        "columns": grid.columns,
+        "posts_with_heights": int(there.sum()),
+        "area_m2": dem.covered,
+        "height_m": [np.nanmin(dem.heights), np.nanmax(dem.heights)],
+        "quantiles_5_50_95_m": quantiles,
+        "checks": [
+            {
+                "profile": one.name, "offered": one.shots.times.size, "ground_sigma_m": one.sigma,
+                "shift_adjusted": one.adjusted, "shift_m": one.shift,
+                "shift_sigma_m": np.sqrt(np.diag(one.shift_covariance)),
+                **(check_figures(checks, mine) if np.any(mine := checks.profile == k) else {"shots": 0}),
+            }
+            for k, one in enumerate(dem.profiles)
+        ],
+        "all_checks": check_figures(checks, np.ones(len(checks), dtype=bool)) if len(checks) else {"shots": 0},
+        "statements": dem_statements(dem),
+    }  # fmt: skip
+
+
+def shots_table(dem: Dem) -> Table:
+    """One row per check shot."""
+    checks = dem.checks
+    longitude, latitude, radius = planetocentric(checks.positions).T
+    return Table("shots", "Check shots", (
+        Column("profile", picked(checks.profiles, checks.profile)),
+        Column("shot", checks.ids),
+        Column("east_longitude", np.mod(longitude / DEG, 360.0), "deg", "planetocentric", scale=1.0),
+        Column("planetocentric_latitude", latitude, "deg"),
+        Column("{}", checks.plane, "m", "on the map", ("x", "y")),
+        Column("shot_above_sphere", radius - dem.model.map.radius, "m"),
+        Column("model_above_sphere", checks.heights, "m"),
+        Column("model_minus_shot", checks.differences, "m"),
+        Column("sigma", checks.sigmas, "m", "of the difference, for sigma0 = 1"),
+        Column("sigma_without_orientation", checks.independent, "m", "its part that neighbours don't share"),
+    ))  # fmt: skip
+
+
+# --- rasters
+
+
+def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping[str, str], path: Path) -> None:
+    """Write dem.tif: `heights` (rows, columns) in m above `reference`, the model's sigmas and counts, and more tags."""
+    counts = np.where(np.isfinite(heights), model.counts, np.nan)
+    bands = (heights, model.sigmas, model.matching, model.orientation, counts)
+    with _on(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:
+        file.update_tags(program=PROGRAM, heights=f"above {reference}", **tags)
+        for k, (name, values) in enumerate(zip(BANDS, bands, strict=True), start=1):
+            file.write(np.where(np.isfinite(heights), values, np.nan).astype(np.float32), k)
+            file.set_band_description(k, f"{name} above {reference}" if k == 1 else name)
+            file.set_band_unit(k, "m" if k < len(BANDS) else "1")
+
+
+def write_ortho(
+    picture: Picture, model: HeightGrid, ground: Ground, grid: MapGrid, path: Path, progress: Progress = no_progress
+) -> None:
+    """Write ortho.tif: the picture on the pixels of `grid`, 0 where there is none."""
+    from rasterio.windows import Window
+
+    low, high = picture.levels
+    with _on(grid, path, 1, dtype="uint8", nodata=0) as file:
+        file.update_tags(program=PROGRAM, image=picture.image.name, grey_1=f"{low:g}", grey_255=f"{high:g}")
+        file.set_band_description(1, picture.image.name)
+        for row, column, grey in ortho_tiles(picture, model, ground, grid, progress):
+            file.write(grey, 1, window=Window(column, row, grey.shape[1], grey.shape[0]))
+
+
+def _on(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:
+    """A GeoTIFF on the posts of a map."""
+    corner, steps = (grid.west, grid.north), (grid.post, grid.post)
+    return geotiff(path, (bands, grid.rows, grid.columns), grid.crs, corner, steps, **kind)

@@ -1,0 +1,359 @@
+"""What a demo has shown: one sentence, tables, and more sentences; the same as summary.json. Sigmas are predicted ones,
+for sigma0 = 1.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.analysis.statistics import PLACES
+from mgsgraph.case.reading import Case
+from mgsgraph.files.output.csv_json import plain, write_json
+from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.network import PointClass
+from mgsgraph.network.footprints import Misregistration
+from mgsgraph.progress import Stages
+from mgsgraph.registration.relief_records import ReliefRegistration
+from mgsgraph.results.registration import discrepancy_json, write_registration_into
+from mgsgraph.results.relief import write_coregistration_into
+from mgsgraph.results.results import write_into
+from mgsgraph.simulation.demo.demonstration import (
+    DRAWING,
+    INPUTS,
+    Demonstration,
+    demonstrate,
+    demonstrate_pair,
+    true_points,
+)
+from mgsgraph.simulation.demo.disagreement import BY_RELIEF, KERNELS, TIES, disagreement_table, overall
+from mgsgraph.simulation.demo.simulate import PAIR
+from mgsgraph.simulation.demo.truth import AgainstTruth, BeforeAfter, pair_statements, point_errors, point_statements
+from mgsgraph.simulation.mgs_files import grid_file
+from mgsgraph.simulation.site import SimulatedSite, SimulationOptions
+from mgsgraph.simulation.terrain import grid_shift
+from mgsgraph.text import many, root_mean_square
+from mgsgraph.units import ARCMIN, ARCSEC
+
+SUMMARY = "summary.json"
+"""File of the demo's figures."""
+FORMAT = 2
+"""Version of its layout."""
+MOST_SIGMAS = 3.5
+"""Predicted sigmas within which every point should be."""
+
+
+def write_demo(
+    site: str,
+    folder: Path,
+    seed: int,
+    options: SimulationOptions,
+    adjusting: Callable[[Case], Solution],
+    stages: Stages,
+    figures: bool = True,
+    relief: bool = True,
+) -> tuple[Solution, list[str]]:
+    """Run the demo of a study site, or of the pair, with all products in a folder that exists: inputs in a folder of
+    their own, tables, figures and summary.json. Returns the solution and the closing lines.
+    """
+    inputs = folder / INPUTS
+    if site == PAIR:
+        pair, solution = demonstrate_pair(inputs, seed, adjusting, stages)
+        with stages.stage(DRAWING):
+            write_into(solution, folder, figures)
+        return solution, _as_list(pair_statements(solution, pair))
+    demo = demonstrate(site, inputs, seed, options, adjusting, stages, relief)
+    with stages.stage(DRAWING):
+        if isinstance(demo.relief, ReliefRegistration):
+            write_coregistration_into(demo.relief, folder, figures)
+        else:
+            write_into(demo.solution, folder, figures)
+        write_registration_into(demo.registration, folder, figures)
+        disagreement_table(demo.disagreements).write_csv(folder / "disagreement.csv")
+        if figures:
+            _draw_story(demo, folder)
+    write_json(folder / SUMMARY, summary_json(demo))
+    return demo.solution, closing_lines(demo)
+
+
+def _draw_story(demo: Demonstration, folder: Path) -> None:
+    if isinstance(demo.relief, str):
+        return
+    from mgsgraph.results.figures.sheet import save  # only those who draw wait for matplotlib
+    from mgsgraph.results.figures.story import story_sheet
+
+    profiles = [one for one in demo.relief.profiles if not one.of_posts]
+    one = max(profiles, key=lambda one: int(one.taken.sum()))
+    known, ids = true_points(demo), demo.solution.network.points.ids
+    truth = np.array([known[ids[i]] for i in one.mine.tolist()])
+    save([story_sheet(demo.relief, one, truth, demo.simulated.terrain.ground_radius, headline(demo))], folder)
+
+
+def closing_lines(demo: Demonstration) -> list[str]:
+    """What is printed: the sentence that says it all, tables, and sentences."""
+    lines = [headline(demo), ""]
+    for table in tables(demo):
+        lines += [table.title, *table.text(indent=2), ""]
+    return lines + _as_list(demo_statements(demo)[1:])
+
+
+def _as_list(sentences: Sequence[str]) -> list[str]:
+    return [f"- {sentence}" for sentence in sentences]
+
+
+# --- tables
+
+
+def tables(demo: Demonstration) -> tuple[Table, ...]:
+    """What was put in; disagreements of MOLA and MOC; what is left of the images' errors, and of all shifts."""
+    apart = disagreement_table(demo.disagreements)
+    return put_in_table(demo.simulated), apart, orientation_table(demo), shifts_table(demo)
+
+
+def put_in_table(simulated: SimulatedSite) -> Table:
+    """The errors of the kernels of each image (in its middle), and of the profile along with it."""
+    images = simulated.images
+    errors = [image.errors for image in images]
+    return Table("put_in", "Put in: errors of the kernels in the middle of each image, and of its profile", (
+        Column("image", [image.true.name for image in images], text="<10"),
+        Column("position_{}", np.array([one.position[0] for one in errors]), "m", "of the SPK",
+               ("radial", "along", "across"), label="position (m)", text=">+7.1f"),
+        Column("{}", np.array([one.rotation[0] / ARCMIN for one in errors]), "arcmin", "of the CK",
+               ("roll", "pitch", "yaw"), label="attitude (arcmin)", text=">+6.2f", gap=2),
+        Column("attitude_time_bias", np.array([one.attitude_time_bias for one in errors]), "s", "of the CK",
+               label="CK (s)", text=">6.2f", gap=2),
+        Column("profile", [image.settings.profile for image in images], text="<8", gap=2),
+        Column("shift_{}", np.array([image.profile.shift for image in images]), "m", "of all its footprints",
+               ("east", "north"), label="shift (m)", text=">+7.1f"),
+    ))  # fmt: skip
+
+
+def orientation_table(demo: Demonstration) -> Table:
+    """By how much the orientation of each image misplaces the ground under the footprints, mean along and across."""
+    found = [
+        [pair for pair in demo.truth.orientation if pair.after.image == image.name]
+        for image in demo.solution.network.images
+    ]
+    found = [pairs for pairs in found if pairs]
+    ways = ("along", "across")
+
+    def means(of: Callable[[BeforeAfter], Misregistration], what: str) -> Array:
+        return np.array([_pooled([of(pair) for pair in pairs], what).mean(axis=0) for pairs in found]).reshape(-1, 2)
+
+    return Table("orientation", "Truth: by how much each image misplaces the ground (ties don't see what all share)", (
+        Column("image", [pairs[0].after.image for pairs in found], text="<10"),
+        Column("before_{}", means(lambda pair: pair.before, "metres"), "m", "by the kernels", ways,
+               label="kernels (m)", text=">+8.1f"),
+        Column("after_{}", means(lambda pair: pair.after, "metres"), "m", "adjusted", ways, label="adjusted (m)",
+               text=">+8.1f", gap=2),
+        Column("sigma_{}", means(lambda pair: pair.after, "metre_sigmas"), "m", "predicted", ways,
+               label="predicted sigma (m)", text=">8.1f", gap=2),
+        Column("largest_sigmas_{}", np.array([largest_sigmas_off(pairs) for pairs in found]).reshape(-1, 2), "",
+               "largest error in predicted sigmas", ways, label="largest (sigmas)", text=">8.1f", gap=2),
+    ))  # fmt: skip
+
+
+def shifts_table(demo: Demonstration) -> Table:
+    """True and found shift of profiles and terrain model: what is to be added to archived positions."""
+    solution = demo.solution
+    true = {image.settings.profile: -np.asarray(image.profile.shift) for image in demo.simulated.images}
+    moved = -np.asarray(grid_shift(demo.simulated.terrain))  # known by its file's name where it takes part by cells
+    true |= dict.fromkeys(("terrain model", grid_file(demo.simulated, "r")), moved)
+    names, ways = solution.network.shift_names, ("east", "north")
+    sigmas = np.array([np.sqrt(np.diagonal(solution.shift_covariance(p))) for p in range(len(names))])
+    return Table("shifts", "Truth: shifts of profiles and terrain model, to be added to archived positions", (
+        Column("name", list(names), text="<14"),
+        Column("true_{}", np.array([true[name] for name in names]), "m", "", ways, label="true (m)", text=">+8.1f"),
+        Column("found_{}", np.array(solution.shifts), "m", "", ways, label="found (m)", text=">+8.1f", gap=2),
+        Column("sigma_{}", sigmas, "m", "predicted", ways, label="predicted sigma (m)", text=">8.1f", gap=2),
+    ))  # fmt: skip
+
+
+# --- words
+
+
+def headline(demo: Demonstration) -> str:
+    """By how much MOLA and MOC disagreed, and do now."""
+    apart = demo.disagreements
+    (before, _), (ties, of_ties) = overall(apart, KERNELS), overall(apart, TIES)
+    text = (
+        f"MOLA and MOC disagreed by {before:.0f} m with the orientation of the kernels, and by {ties:.0f} m (predicted "
+        f"{of_ties:.0f}) after an adjustment of tie points and ranges"
+    )
+    if isinstance(demo.relief, str):
+        return f"{text}. Registration by relief, which would remove it, was left out: {demo.relief}."
+    now, predicted = overall(apart, BY_RELIEF)
+    return f"{text}; after registration by relief they disagree by {now:.1f} m (predicted {predicted:.1f})."
+
+
+def demo_statements(demo: Demonstration) -> list[str]:
+    """Sentences with figures and units: what was wrong before, what is right now, and what is not."""
+    found = [pair for pair in demo.discrepancies if pair.before.shots.size and pair.after.shots.size]
+    truth = demo.truth
+    return [
+        headline(demo),
+        *([_before(found), _after(found)] if found else []),
+        *([_agreement(truth.between)] if truth.between else []),
+        *point_statements(demo.solution, true_points(demo)),
+        *([_in_short(truth)] if truth.between else []),
+    ]
+
+
+def _before(pairs: Sequence[BeforeAfter]) -> str:
+    found = [pair.before for pair in pairs]
+    along = _pooled(found, "metres")[:, 0]
+    return (
+        f"Before: the two images contradicted each other about {_footprints(found)}. Along the flight they were "
+        f"{root_mean_square(along):.0f} m apart ({_pixels(found, 0)} pixels of {found[0].image}, "
+        f"{root_mean_square(_pooled(found, 'spacings')[:, 0]):.2f} MOLA spacings; rms), between {along.min():+.0f} and "
+        f"{along.max():+.0f} m; across it {_metres(found, 1)} m."
+    )
+
+
+def _after(pairs: Sequence[BeforeAfter]) -> str:
+    found = [pair.after for pair in pairs]
+    known = _pooled(found, "metre_sigmas").mean(axis=0)
+    return (
+        f"After: along the flight they are {_metres(found, 0)} m apart ({_pixels(found, 0)} pixels, rms), across it "
+        f"{_metres(found, 1)} m, where relief between the tie points alone would make {_digits(known[1])} m."
+    )
+
+
+def _agreement(pairs: Sequence[BeforeAfter]) -> str:
+    """How far the images agree at the true ground points, where no relief disturbs."""
+    before, after = [pair.before for pair in pairs], [pair.after for pair in pairs]
+    predicted = _pooled(after, "pixel_sigmas").mean(axis=0)
+    return (
+        f"Truth, between the images, at the true ground of {_footprints(after)}: before {_pixels(before, 0)} pixels "
+        f"along and {_pixels(before, 1)} across the flight, after {_pixels(after, 0)} and {_pixels(after, 1)} (rms; "
+        f"predicted {predicted[0]:.2g} and {predicted[1]:.2g}). {_sigmas_off(pairs)}"
+    )
+
+
+def _in_short(truth: AgainstTruth) -> str:
+    before, after = ([getattr(pair, name) for pair in truth.between] for name in ("before", "after"))
+    states = ([getattr(pair, name) for pair in truth.orientation] for name in ("before", "after"))
+    was, now = (np.linalg.norm(_pooled(found, "metres").mean(axis=0)) for found in states)
+    sigma = np.linalg.norm(_pooled([pair.after for pair in truth.orientation], "metre_sigmas").mean(axis=0))
+    return (
+        f"In short: the images now agree to {_pixels(after, 0)} pixels along and {_pixels(after, 1)} across the flight "
+        f"(before {_pixels(before, 0)} and {_pixels(before, 1)}). On the average of both they lie {now:.0f} m from "
+        f"their true place on Mars (before {was:.0f} m; predicted sigma {sigma:.0f} m)."
+    )
+
+
+def _sigmas_off(pairs: Sequence[BeforeAfter]) -> str:
+    along, across = largest_sigmas_off(pairs)
+    verdict = f"Every point is within {MOST_SIGMAS} predicted sigmas"
+    if max(along, across) > MOST_SIGMAS:
+        verdict = f"NOT every point is within {MOST_SIGMAS} predicted sigmas: the stated sigmas are too small"
+    return f"{verdict} (largest {along:.1f} along, {across:.1f} across)."
+
+
+def largest_sigmas_off(pairs: Sequence[BeforeAfter]) -> tuple[float, float]:
+    """Largest error along and across the flight, in predicted sigmas."""
+    along, across = np.concatenate([np.abs(pair.sigmas_off) for pair in pairs]).max(axis=0).tolist()
+    return along, across
+
+
+def _footprints(found: Sequence[Misregistration]) -> str:
+    return many(sum(one.shots.size for one in found), "MOLA footprint")
+
+
+def _pooled(found: Sequence[Misregistration], name: str) -> Array:
+    """One of the (k, 2) arrays of several profiles as one."""
+    return np.concatenate([getattr(one, name) for one in found])
+
+
+def _pixels(found: Sequence[Misregistration], way: int) -> str:
+    return _digits(root_mean_square(_pooled(found, "pixels")[:, way]))
+
+
+def _metres(found: Sequence[Misregistration], way: int) -> str:
+    return _digits(root_mean_square(_pooled(found, "metres")[:, way]))
+
+
+def _digits(value: float) -> str:
+    """As many decimals as a size needs."""
+    return f"{value:.{0 if value >= 100.0 else 1 if value >= 1.0 else 2}f}"
+
+
+# --- summary.json
+
+
+def summary_json(demo: Demonstration) -> dict[str, Any]:
+    """All figures of a demo, as plain values for strict JSON."""
+    solution, truth = demo.solution, demo.truth
+    record: dict[str, Any] = plain({
+        "program": PROGRAM,
+        "format": FORMAT,
+        "site": demo.simulated.settings.name,
+        "seed": demo.simulated.seed,
+        "converged": solution.converged,
+        "sigma0": solution.sigma0,
+        "between_images": [_before_after(pair) for pair in demo.discrepancies],
+        "truth": {
+            "counting": "projected minus true places; along and across the flight; sigmas are predicted ones",
+            "between_images": [_before_after(pair) for pair in truth.between],
+            "orientation": [_before_after(pair) for pair in truth.orientation],
+            "footprints": [
+                {"state": one.state, "profile": one.profile, **discrepancy_json(one.found)}
+                for one in demo.disagreements
+            ],
+        },
+        "orientation": [_orientation(demo, j) for j in range(len(solution.network.images))],
+        "terrain_shift_east_north_m": grid_shift(demo.simulated.terrain),
+        **{one.name: one.records() for one in tables(demo) if one.name != "orientation"},
+        "points": {
+            one.name.lower(): dict(zip(("rms_before_m", "rms_after_m", "nees_per_freedom"), errors, strict=True))
+            for one in (PointClass.TIE, PointClass.LASER)
+            if (errors := point_errors(solution, true_points(demo), one))
+        },
+        "seconds": demo.stages.seconds,
+        "statements": demo_statements(demo),
+    })
+    return record
+
+
+def _before_after(pair: BeforeAfter) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "profile": pair.profile,
+        "before": discrepancy_json(pair.before),
+        "after": discrepancy_json(pair.after),
+    }
+    if pair.after.shots.size and np.all(pair.after.pixel_sigmas > 0.0):
+        record |= dict(zip(("largest_sigmas_along", "largest_sigmas_across"), largest_sigmas_off([pair]), strict=True))
+    return record
+
+
+def _orientation(demo: Demonstration, j: int) -> dict[str, Any]:
+    """Corrections of one image over the papers' 31 places, and what is left of its errors, in predicted sigmas."""
+    solution = demo.solution
+    image, profile = solution.network.images[j], orientation_profile(solution, j, PLACES)
+    true = demo.simulated.images[j].true.pose(profile.lines)
+    before, after = image.pose(profile.lines), image.pose(profile.lines, solution.correction(j))
+    left, turned = after.position - true.position, _turn(after, true)
+    return {
+        "image": image.name,
+        "correction_mean_m": (profile.position_after - profile.position_before).mean(axis=0),
+        "correction_mean_arcsec": profile.rotation.mean(axis=0) / ARCSEC,
+        "sigma_mean_m": profile.position_sigma.mean(axis=0),
+        "sigma_mean_arcsec": profile.rotation_sigma.mean(axis=0) / ARCSEC,
+        "error_before_mean_m": (before.position - true.position).mean(axis=0),
+        "error_before_mean_arcsec": _turn(before, true).mean(axis=0) / ARCSEC,
+        "error_after_mean_m": left.mean(axis=0),
+        "error_after_mean_arcsec": turned.mean(axis=0) / ARCSEC,
+        "largest_sigmas_position": np.abs(left / profile.position_sigma).max(axis=0),
+        "largest_sigmas_rotation": np.abs(turned / profile.rotation_sigma).max(axis=0),
+    }
+
+
+def _turn(pose: Pose, true: Pose) -> Array:
+    """(n, 3) rad about the camera's axes, by which the camera is turned from its true attitude."""
+    return -rotation.logarithm(pose.matrix @ np.swapaxes(true.matrix, 1, 2))

@@ -1,0 +1,244 @@
+"""How a solution compares with the truth of a simulation: errors before and after, their NEES, and misregistrations
+that only a simulation knows, with the sigmas that the law of error propagation predicts for them.
+
+Turning the camera by w about its own axes moves the image of a point P like moving P by M' (r x w), where r = M (P - C)
+is its ray in the camera; moving the camera by dC, like moving P by -dC. So everything follows from the derivative of
+the image point by the ground point, at the basis values of the line where the point is seen.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import Case
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import PointClass
+from mgsgraph.network.footprints import Misregistration, misregistration, on_ground
+from mgsgraph.registration.case import CaseRegistration
+from mgsgraph.simulation.mgs_files import shot_names
+from mgsgraph.simulation.pair import SimulatedPair
+from mgsgraph.simulation.site import SimulatedSite
+from mgsgraph.text import root_mean_square
+
+
+def nees(errors: Array, covariances: Array) -> Array:
+    """Normalised estimation error squared e' C^-1 e of errors (n, d) with covariances (n, d, d); expectation d."""
+    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]))
+
+
+class PointErrors(NamedTuple):
+    """Errors of a class of points against the truth."""
+
+    rms_before: float
+    """m, of the a-priori positions."""
+    rms_after: float
+    """m, of the adjusted ones."""
+    nees: float
+    """Mean normalised estimation error squared per degree of freedom; 1 where the stated sigmas are honest."""
+
+
+def point_errors(solution: Solution, truth: Mapping[str, Array], point_class: PointClass) -> PointErrors | None:
+    """Errors of the points of a class, by their true positions (3,) in m; None where there are none."""
+    members = solution.members(point_class)
+    if members.size == 0:
+        return None
+    true = np.array([truth[solution.network.points.ids[i]] for i in members])
+    before, after = solution.places_before[members] - true, solution.places[members] - true
+    mean = float(nees(after, solution.covariances[members]).mean() / 3.0)
+    return PointErrors(rms_length(before), rms_length(after), mean)
+
+
+def point_statements(solution: Solution, truth: Mapping[str, Array]) -> list[str]:
+    """A sentence with the errors of tie points, and one with those of laser points."""
+    classes = (PointClass.TIE, PointClass.LASER)
+    found = [(one.name.lower(), errors) for one in classes if (errors := point_errors(solution, truth, one))]
+    return [
+        f"Truth, {name} points: error {errors.rms_before:.1f} m rms before, {errors.rms_after:.1f} m after; mean NEES "
+        f"per degree of freedom {errors.nees:.2f} (1 if the stated sigmas are honest; all points share one "
+        "orientation, so one draw scatters)."
+        for name, errors in found
+    ]
+
+
+def pair_statements(solution: Solution, pair: SimulatedPair) -> list[str]:
+    """Sentences with the true errors of points and orientation before and after the adjustment."""
+    truth = dict(zip(pair.ties.ids, pair.true_ties, strict=True)) | dict(
+        zip(pair.laser.ids, pair.true_footprints, strict=True)
+    )
+    estimates = zip(solution.coefficients, pair.true_corrections, strict=True)
+    errors = np.concatenate([(estimate - true.coefficients).ravel() for estimate, true in estimates])
+    whitened = nees(errors[None], solution.joint_covariance.of(range(len(solution.coefficients)))[None])[0]
+    return [
+        *point_statements(solution, truth),
+        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size}).",
+    ]
+
+
+def rms_length(errors: Array) -> float:
+    """Root mean square length, m."""
+    return root_mean_square(np.linalg.norm(errors, axis=1))
+
+
+# --- footprints in images
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeforeAfter:
+    """A misregistration about the footprints of one profile, with the nominal and with the adjusted orientation."""
+
+    profile: str
+    """Its file's name without ending."""
+    before: Misregistration
+    """Nominal orientation."""
+    after: Misregistration
+    """Adjusted orientation; its sigmas are the predicted ones, zero where nothing is predicted."""
+
+    @property
+    def sigmas_off(self) -> Array:
+        """(k, 2) what is left along and across the flight, in units of the predicted sigmas."""
+        return self.after.pixels / self.after.pixel_sigmas
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgainstTruth:
+    """Misregistrations as only a simulation knows them."""
+
+    between: tuple[BeforeAfter, ...]
+    """Of the true ground under each profile that both images see: error of its image point in the second image minus
+    that in the first, carried over level ground. What both images share cancels. Sigmas from the joint covariance."""
+    orientation: tuple[BeforeAfter, ...]
+    """Of the true ground under each profile in each image; it is the orientation alone that is off."""
+
+
+def against_truth(
+    simulated: SimulatedSite, case: Case, solution: Solution, registration: CaseRegistration
+) -> AgainstTruth:
+    """Compare the image points of the true ground under footprints with their true ones."""
+    between, orientation = list[BeforeAfter](), list[BeforeAfter]()
+    known, images = true_shots(simulated), solution.network.images
+    for shots, registered in zip(case.profiles, registration.after, strict=True):
+        rows = [known[name] for name in shots.ids]
+        points, pixels = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+        seen = np.stack([_inside(image, pixels[:, j]) for j, image in enumerate(images)])
+        for j, image in enumerate(images):
+            if not np.any(seen[j]):
+                continue
+            adjusted, correction = solution.image(j), solution.correction(j)
+            inside = np.where(seen[j, :, None], pixels[:, j], np.nan)
+            orientation.append(BeforeAfter(
+                registered.name,
+                misregistration(image, shots, inside, None, points),
+                _predicted(misregistration(adjusted, shots, inside, correction, points), points, solution, j),
+            ))
+        both = np.flatnonzero(np.all(seen, axis=0))
+        if both.size:
+            between.append(_between(registered.name, shots, both, points[both], pixels[both], solution))
+    return AgainstTruth(tuple(between), tuple(orientation))
+
+
+def true_shots(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
+    """True ground point (3,) and pixels (2, 2) in both images, of each shot by its name."""
+    return {
+        name: (point, pixels)
+        for image in simulated.images
+        for name, point, pixels in zip(
+            shot_names(image), image.profile.true_footprints, image.profile.true_pixels, strict=True
+        )
+    }
+
+
+def _inside(image: PushbroomImage, pixels: Array) -> Mask:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.all((pixels >= 0.0) & (pixels <= [image.lines, image.samples]), axis=1))
+
+
+def _predicted(found: Misregistration, points: Array, solution: Solution, image: int) -> Misregistration:
+    """A misregistration with the sigmas that the orientation's covariance predicts for the pixels of the points (n,
+    3).
+    """
+    picture, correction = solution.image(image), solution.correction(image)
+    pixels, jacobian = pixel_jacobian(picture, points[found.shots], correction)
+    return _with_sigmas(found, jacobian, solution.correction_covariance(image), on_ground(
+        picture, pixels, points[found.shots], correction
+    ))
+
+
+def _between(
+    profile: str, shots: AltimeterShots, which: Index, points: Array, pixels: Array, solution: Solution
+) -> BeforeAfter:
+    """Of the true points (k, 3) and pixels (k, 2, 2) under the shots `which` (k,), which both images see."""
+    first, second = solution.network.images
+    corrections = (solution.correction(0), solution.correction(1))
+    unseen = np.zeros((which.size, 2))
+
+    def contradiction(pair: tuple[OrientationCorrection, ...]) -> tuple[Misregistration, Array, Array]:
+        off, jacobian, metres = contradiction_at((first, second), pair, points, pixels)
+        return Misregistration(
+            second.name, first.name, which, pixels[:, 1, 0], off, unseen,
+            np.einsum("nij,nj->ni", metres, off), unseen, shots.spacing,
+        ), jacobian, metres
+
+    nominal = OrientationCorrection(np.zeros((1, 6)))
+    before, _, _ = contradiction((nominal, nominal))
+    after, jacobian, metres = contradiction(corrections)
+    return BeforeAfter(profile, before, _with_sigmas(after, jacobian, solution.correction_covariance(0, 1), metres))
+
+
+def contradiction_at(
+    pair: tuple[PushbroomImage, PushbroomImage],
+    corrections: tuple[OrientationCorrection, ...],
+    points: Array,
+    pixels: Array,
+) -> tuple[Array, Array, Array]:
+    """Error of the points' pixels in the second image minus that in the first, carried over ground of the points'
+    heights (n, 2), in pixels of the second; how that follows the coefficients of both; and metres per pixel (n, 2, 2).
+    """
+    (first, second), height = pair, geodetic(points, pair[0].body)[:, 2]
+    here, by_first = pixel_jacobian(first, points, corrections[0])
+    there, by_second = pixel_jacobian(second, points, corrections[1])
+    _, to_ground = first.image_to_ground(here[:, 0], here[:, 1], height, corrections[0])
+    _, to_image = second.ground_to_image(points, corrections[1])
+    carried = to_image @ to_ground
+    off = there - pixels[:, 1] - np.einsum("nij,nj->ni", carried, here - pixels[:, 0])
+    jacobian = np.concatenate([-carried @ by_first, by_second], axis=2)
+    return off, jacobian, on_ground(second, there, points, corrections[1])
+
+
+def _with_sigmas(found: Misregistration, jacobian: Array, covariance: Array, metres: Array) -> Misregistration:
+    """A misregistration with sigmas by the law of error propagation, in pixels and, by metres per pixel (n, 2, 2), in
+    metres.
+    """
+    return replace(
+        found, pixel_sigmas=propagated(jacobian, covariance), metre_sigmas=propagated(metres @ jacobian, covariance)
+    )
+
+
+# --- sigmas of image points
+
+
+def pixel_jacobian(image: PushbroomImage, points: Array, correction: OrientationCorrection) -> tuple[Array, Array]:
+    """Lines and samples (n, 2) of ground points (n, 3) in m, body-fixed, NaN where unseen, and their derivatives (n, 2,
+    6 m) by the m orientation coefficients, in pixels per m and per rad and in the order of `coefficients.ravel()`.
+    """
+    pixels, by_point = image.ground_to_image(points, correction)
+    lines = np.nan_to_num(pixels[:, 0])  # the Jacobian of an unseen point is NaN by `by_point`
+    moments = image.moments(lines)
+    pose = image.pose(lines, correction)
+    ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
+    turned = np.swapaxes(pose.matrix, 1, 2) @ rotation.skew(ray) @ correction.axes(image.pose(lines), moments)
+    moved = np.concatenate([np.broadcast_to(-np.eye(3), turned.shape), turned], axis=2)
+    jacobian = np.einsum("nk,nij->nikj", correction.basis(moments), by_point @ moved)
+    return pixels, jacobian.reshape(points.shape[0], 2, -1)
+
+
+def propagated(jacobian: Array, covariance: Array) -> Array:
+    """Standard deviations (n, 2) of n functions' two components by Jacobian (n, 2, c) and covariance (c, c)."""
+    return np.asarray(np.sqrt(np.einsum("nic,cd,nid->ni", jacobian, covariance, jacobian)))

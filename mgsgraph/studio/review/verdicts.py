@@ -1,0 +1,271 @@
+"""What a person says of tie points on the review page: accept, reject or undecided; read back, and acted upon.
+
+CSV, RFC 4180: a header `id,verdict` or `id,verdict,note`, one row for each point. Lines before it that begin with # are
+comments; one of them, `# network DIGEST`, says which network the verdicts are about, and is held against the one that
+they are used on.
+"""
+
+import csv
+import hashlib
+import io
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from mgsgraph.atomic_write import resolved
+from mgsgraph.case.case_file import decode
+from mgsgraph.case.groups import in_images
+from mgsgraph.errors import InputError
+from mgsgraph.export import Format
+from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
+from mgsgraph.export.replaceable import earlier_network
+from mgsgraph.files.networks.binary import write_binary_network
+from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.record import ControlNetwork
+from mgsgraph.files.networks.table import is_table, read_whole
+from mgsgraph.files.networks.table_writing import table_text
+from mgsgraph.files.networks.tie_points import tie_points
+from mgsgraph.files.opening import read_text
+from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.writing import require_free, write_file
+from mgsgraph.text import some
+
+COLUMNS = ("id", "verdict", "note")
+"""Of a file of verdicts; the last one may be left out."""
+_NETWORK = re.compile(r"#\s*network\s+([0-9a-f]{16})[\s,;]*$")
+_DIGITS = 16
+_TABLE, _BINARY = ".csv", ".net"
+
+
+class Verdict(StrEnum):
+    """What is to become of a tie point."""
+
+    ACCEPT = "accept"
+    REJECT = "reject"
+    UNDECIDED = "undecided"
+    """It stays as it was, as an accepted one does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdicts:
+    """Verdicts about some points of a network."""
+
+    source: str
+    """File they come from, for messages."""
+    of: Mapping[str, Verdict]
+    """By the point's id."""
+    notes: Mapping[str, str] = field(default_factory=dict)
+    """By the point's id, where there is one."""
+    network: str = ""
+    """`network_digest` of the network that was reviewed; empty where the file doesn't say."""
+
+    @property
+    def rejected(self) -> frozenset[str]:
+        """Ids of the points that are to go."""
+        return frozenset(name for name, verdict in self.of.items() if verdict is Verdict.REJECT)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{list(self.of.values()).count(verdict)} {verdict}" for verdict in Verdict)
+        return f"Verdicts({counts}, from {self.source})"
+
+
+def network_digest(ties: TiePoints) -> str:
+    """Sixteen hexadecimal digits that tell a network by its points' ids, its measures' images and pixels."""
+    digest = hashlib.sha256()
+    digest.update("\0".join((*ties.ids, "", *ties.measure_image)).encode())
+    for values in (ties.measure_point, ties.measures):
+        digest.update(values.astype(values.dtype.newbyteorder("<")).tobytes())
+    return digest.hexdigest()[:_DIGITS]
+
+
+# --- reading
+
+
+def read_verdicts(path: str | Path) -> Verdicts:
+    """Read verdicts that the review page (or a person) has written.
+
+    Parameters
+    ----------
+    path : path
+        CSV file with columns id, verdict (accept, reject, undecided or nothing) and perhaps note.
+
+    Raises
+    ------
+    InputError
+        With the line: no such file or no CSV, another header, another verdict, an id twice or none, a row of another
+        length.
+    """
+    path = Path(path)
+    head, body, first = _parted(read_text(path))
+    networks = {found[1] for line in head if (found := _NETWORK.match(line))}
+    if len(networks) > 1:
+        raise InputError(str(path), "verdicts about two networks", "about one", "give each a file of its own")
+    of, notes = dict[str, Verdict](), dict[str, str]()
+    rows = _rows(body, first, path)
+    where, header = next(rows, (str(path), []))
+    _require_header(header, where)
+    for where, row in rows:
+        if len(row) != len(header):
+            raise InputError(where, f"{len(row)} fields", f"{len(header)} as in the header", "quote commas in notes")
+        name, verdict = row[0], row[1].strip().lower() or Verdict.UNDECIDED.value
+        if not name:
+            raise InputError(where, "no id", "the point's id in the first column")
+        if verdict not in list(Verdict):
+            raise InputError(where, f"the verdict {row[1].strip()[:40]!r}", "accept, reject, undecided or nothing")
+        if name in of:
+            raise InputError(where, f"the id {name!r} a second time", "each id once", "remove one of the two rows")
+        of[name] = Verdict(verdict)
+        if note := "".join(row[2:]).strip():
+            notes[name] = note
+    return Verdicts(str(path), of, notes, networks.pop() if networks else "")
+
+
+def _parted(text: str) -> tuple[list[str], str, int]:
+    """Comments before the header, all from the header on, and the number of its line. Further down, # begins an id."""
+    lines = text.split("\n")
+    count = next((k for k, line in enumerate(lines) if line.strip(" ,") and line[0] != "#"), len(lines))
+    return lines[:count], "\n".join(lines[count:]), count + 1
+
+
+def _rows(body: str, first: int, path: Path) -> Iterator[tuple[str, list[str]]]:
+    """Where each row that isn't blank begins, and its fields."""
+    reader = csv.reader(io.StringIO(body, newline=""), strict=True)
+    line = first
+    while True:
+        try:
+            row = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            raise InputError(f"{path}, line {line}", f"no CSV ({error})", "fields with commas between them") from None
+        if any(one.strip() for one in row):
+            yield f"{path}, line {line}", row
+        line = first + reader.line_num
+
+
+def _require_header(header: list[str], where: str) -> None:
+    names = tuple(name.strip().lower() for name in header)
+    if names not in (COLUMNS, COLUMNS[:2]):
+        found = repr(",".join(header)[:60]) if header else "nothing"
+        remedy = "write commas between the fields" if len(header) == 1 and ";" in header[0] else ""
+        raise InputError(where, found, "the header id,verdict or id,verdict,note", remedy)
+
+
+# --- acting upon them
+
+
+def reviewed_network(case: Path) -> Path:
+    """The one network of tie points that a case names; InputError where there is none, or several."""
+    groups = decode(case).tie_groups
+    if len(groups) != 1:
+        found = f"{len(groups)} networks of tie points" if groups else "no network of tie points"
+        raise InputError(str(case), found, "one that was reviewed", "name it by --ties")
+    return case.parent / groups[0].network
+
+
+def write_kept(
+    network: Path, verdicts: Verdicts, out: Path, setting: ExchangeSetting | None = None,
+    images: Callable[[], Sequence[str]] = tuple,
+) -> tuple[int, int]:  # fmt: skip
+    """Write a network anew, Ignore = True at rejected points and all else as it was.
+
+    Parameters
+    ----------
+    network : Path
+        That was reviewed: ISIS's PVL or binary form, or a table (.csv, .parquet).
+    verdicts : Verdicts
+        About it.
+    out : Path
+        ``.net`` for ISIS's binary form, ``.csv`` for a table where the network is one, else PVL text.
+    setting : ExchangeSetting, optional
+        What a table doesn't say: the body's name, which ISIS's forms demand, and the ellipsoid of its heights.
+    images : callable
+        Those of the case, asked for where it may have left out measures in others.
+
+    Returns
+    -------
+    tuple of int
+        How many points are ignored in it, and how many there are.
+
+    Raises
+    ------
+    InputError
+        If the network or the verdicts can't be used (`apply_verdicts`), or `out` is the network itself, a file
+        that is no network of this form, or can't be written.
+    """
+    if resolved(out, "choose another --out") == resolved(network, ""):
+        raise InputError(str(out), "the network that was reviewed", "another file", "it is kept as it was")
+    form = {_BINARY: Format.NET, _TABLE: Format.CSV}.get(out.suffix.lower(), Format.PVL)
+    require_free(out, earlier_network(form, out), remedy="choose another --out")
+    table = [is_table(network), out.suffix.lower() == _TABLE]
+    if table == [False, True]:
+        raise InputError(str(out), f"a table, of a network in another form ({network})", ".pvl or .net",
+                         "a table can't hold all of it: `mgsgraph convert` says what it can't")  # fmt: skip
+    setting = setting or ExchangeSetting()
+    record = read_whole(network, setting.ellipsoid)
+    ties = tie_points(record)
+    if verdicts.network not in ("", network_digest(ties)) and (names := images()):
+        ties, _ = in_images(ties, names)
+    kept = ignore_rejected(record, ties, verdicts)
+    if table == [True, False]:
+        kept = with_head(kept, out, setting)
+    _write(kept, out, form)
+    return sum(point.ignore for point in kept.points), len(kept.points)
+
+
+def _write(network: ControlNetwork, out: Path, form: Format) -> None:
+    match form:
+        case Format.NET:
+            write_binary_network(network, out)
+        case Format.CSV:
+            write_file(out, table_text(network))
+        case _:
+            write_pvl_network(network, out)
+
+
+def apply_verdicts(ties: TiePoints, verdicts: Verdicts) -> TiePoints:
+    """The points without the rejected ones.
+
+    Raises
+    ------
+    InputError
+        If the verdicts are about another network, or reject all of this one.
+    """
+    rejected = _rejected(ties, verdicts)
+    return ties.chosen(np.array([i for i, name in enumerate(ties.ids) if name not in rejected], dtype=np.int64))
+
+
+def ignore_rejected(network: ControlNetwork, ties: TiePoints, verdicts: Verdicts) -> ControlNetwork:
+    """The whole network with Ignore = True at the rejected points, all else as it was. `ties` is the same network as it
+    was reviewed; InputError as `apply_verdicts`.
+    """
+    rejected = _rejected(ties, verdicts)
+    points = tuple(
+        msgspec.structs.replace(point, ignore=True) if point.id in rejected else point for point in network.points
+    )
+    return msgspec.structs.replace(network, points=points)
+
+
+def require_verdicts_of(ties: TiePoints, verdicts: Verdicts) -> None:
+    """Raise InputError unless the verdicts are about these points, all of the network that was reviewed."""
+    remedy = "give the network that was reviewed"
+    unknown = sorted(set(verdicts.of) - set(ties.ids))
+    if unknown:
+        found = f"verdicts about {some([repr(name) for name in unknown], len(unknown))}"
+        raise InputError(verdicts.source, found, f"points of {ties.source}", remedy)
+    if verdicts.network and verdicts.network != (mine := network_digest(ties)):
+        found = f"verdicts about network {verdicts.network}"
+        raise InputError(verdicts.source, found, f"{mine}, which {ties.source} is", remedy)
+
+
+def _rejected(ties: TiePoints, verdicts: Verdicts) -> frozenset[str]:
+    """Ids of the points that are to go: some of these, not all."""
+    require_verdicts_of(ties, verdicts)
+    if verdicts.rejected.issuperset(ties.ids):
+        raise InputError(verdicts.source, f"every point of {ties.source} rejected", "one at least that stays")
+    return verdicts.rejected

@@ -1,0 +1,432 @@
+"""After every change the incremental result is batch's, however the images came and went."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from increments import (
+    NOISE,
+    apart,
+    by_image,
+    distances,
+    fan,
+    grown,
+    network_of,
+    own_measures,
+    places_of,
+    slope,
+    state_of,
+    strip,
+    take,
+    take_alone,
+)
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental import engine
+from mgsgraph.adjustment.incremental.closing_check import EXACT
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.adjustment.incremental.state import Bundle, InMemory
+from mgsgraph.adjustment.incremental.tree import Tree
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import SolverError
+from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.network import TERRAIN, Network, PointClass, ProfileShifts, Surface
+from mgsgraph.network.parts import KnownImage, Members, Unknown
+
+FAN = 5
+
+
+def by_batch(adjustment: IncrementalAdjustment) -> Any:
+    """Batch over everything that an incremental adjustment holds."""
+    return adjust_network(adjustment.network, adjustment.settings)
+
+
+# --- a strip that grows
+
+
+def test_every_addition_gives_what_batch_gives() -> None:
+    """Eight images of 15 ties, and the end of the path after the closing check."""
+    made, adjustment = strip(8, 15, 5), IncrementalAdjustment()
+    for k in range(8):
+        impact = take(adjustment, made, k)
+        assert impact.converged
+        found = distances(adjustment, by_batch(adjustment))
+        assert found.within(), f"after image {k}: {found}"
+    before = distances(adjustment, by_batch(adjustment))
+    closing, solution = adjustment.close()
+    assert closing.close
+    assert closing.worst == pytest.approx(max(before.unknowns, before.points), rel=1e-3)
+    assert closing.adopted == (closing.worst > EXACT)
+    assert distances(adjustment, solution).within(EXACT)
+    assert adjustment.close()[0].worst < EXACT
+
+
+def test_the_adjustment_goes_on_after_the_closing_check() -> None:
+    made = strip(7, 15, 5)
+    adjustment = grown(made, 5)
+    batch = adjustment.close()[1]
+    for one in (adjustment, IncrementalAdjustment.of(batch)):
+        for k in (5, 6):
+            take(one, made, k)
+        assert distances(one, by_batch(one)).within()
+
+
+@pytest.mark.parametrize("images", [2, 3])
+def test_a_solution_of_other_images_is_adopted_with_its_images(images: int) -> None:
+    """Of fewer images, and of images of which one is held now."""
+    made = fan()
+    adjustment, net = grown(made, 3), grown(made, images).network
+    solution = adjust_network(replace(net, held=np.arange(images) == 0), SolverSettings())
+    adjustment.adopt(solution)
+    assert adjustment.images == [image.name for image in net.images]
+    assert distances(adjustment, solution).within(EXACT)
+    assert adjustment.store.image("FAN/0").held
+
+
+# --- in any order, there and back
+
+
+@settings(max_examples=5, deadline=None, derandomize=True)
+@given(st.permutations(range(FAN)), st.lists(st.integers(0, FAN - 1), max_size=5))
+def test_any_order_of_additions_and_removals_ends_at_batch_of_what_is_left(first: list[int], then: list[int]) -> None:
+    """Batch over a network that no increment had a hand in; each image brings its own measures only."""
+    made, adjustment = fan(FAN), IncrementalAdjustment()
+    names, there = [image.name for image in made.images], set[int]()
+    for k in (*first, *then):
+        if k in there:
+            adjustment.remove(names[k])
+        else:
+            take_alone(adjustment, made, k)
+        there ^= {k}
+    assert set(adjustment.images) == {names[k] for k in there}
+    if there:
+        found = distances(adjustment, adjust_network(network_of(made, sorted(there)), SolverSettings()))
+        assert found.within(), found
+
+
+@pytest.mark.parametrize("k", range(FAN))
+def test_added_and_removed_is_as_before(k: int) -> None:
+    made, adjustment = fan(FAN), IncrementalAdjustment()
+    for other in set(range(FAN)) - {k}:
+        take_alone(adjustment, made, other)
+    before = state_of(adjustment), places_of(adjustment)
+    take_alone(adjustment, made, k)
+    assert apart(adjustment, before) > 0.0
+    impact = adjustment.remove(made.images[k].name)
+    assert apart(adjustment, before) < 1e-3
+    assert set(impact.lost).isdisjoint(before[1])
+
+
+def test_removed_down_to_nothing_and_begun_again() -> None:
+    made = strip(4)
+    adjustment = grown(made, 3)
+    adjustment.remove(made.images[0].name)
+    adjustment.remove(made.images[1].name, made.images[2].name)
+    assert adjustment.images == []
+    assert adjustment.points()[0] == ()
+    for k in range(3):
+        take(adjustment, made, k)
+    assert distances(adjustment, by_batch(adjustment)).within()
+
+
+def test_an_image_may_take_another_ones_place() -> None:
+    """Removed, and added again with other sigmas under the same name."""
+    made = fan(3)
+    adjustment = grown(made, 3)
+    adjustment.remove("FAN/1")
+    prior = replace(NOISE, position=5.0).prior
+    adjustment.add(KnownImage(made.images[1], prior), own_measures(made, "FAN/1"), shot_sigma=NOISE.shot_image)
+    batch = by_batch(adjustment)
+    assert distances(adjustment, batch).within()
+    j = [image.name for image in batch.network.images].index("FAN/1")
+    assert np.array_equal(batch.network.priors[j].sigmas, prior.sigmas)
+
+
+# --- images that hang by nothing
+
+
+def test_an_unconnected_image_is_named_and_connected_later() -> None:
+    made, adjustment = fan(4), IncrementalAdjustment()
+    for k in range(3):
+        take_alone(adjustment, made, k)
+    before = state_of(adjustment), places_of(adjustment)
+    name = made.images[3].name
+    impact = adjustment.add(made.images[3], prior=NOISE.prior)
+    assert impact.unconnected == (name,)
+    assert name in impact.sentences[0]
+    assert "Unconnected" in impact.sentences[0]
+    assert impact.neighbours == {}
+    assert not np.any(adjustment.correction(name).coefficients)
+    np.testing.assert_allclose(adjustment.covariance(name), np.diag(NOISE.prior.sigmas.ravel() ** 2), rtol=1e-9)
+    del (after := state_of(adjustment))[name]
+    assert all(np.array_equal(after[n][0], before[0][n][0]) for n in before[0])
+    joined = adjustment.add([], own_measures(made, name), shot_sigma=NOISE.shot_image)
+    assert name in joined.images.names
+    assert joined.unconnected == ()
+    assert distances(adjustment, by_batch(adjustment)).within()
+    assert distances(adjustment, adjust_network(network_of(made, range(4)), SolverSettings())).within()
+
+
+def test_two_strips_that_a_bridge_joins() -> None:
+    """What hangs together only by its last image, which sees both ends."""
+    made, adjustment = strip(6), IncrementalAdjustment()
+    for k in (0, 1, 4, 5, 2, 3):
+        take_alone(adjustment, made, k)
+        if k == 5:
+            joint = adjustment.covariance("STRIP/000N", "STRIP/004N")
+            assert not np.any(joint[:18, 18:])
+    assert np.any(adjustment.covariance("STRIP/000N", "STRIP/004N")[:18, 18:])
+    assert distances(adjustment, by_batch(adjustment)).within()
+
+
+# --- every kind of row and loss
+
+
+def rich(held: tuple[int, ...] = ()) -> Network:
+    """The fan with a shift of each laser profile, its ties on a terrain model that may shift."""
+    net = network_of(fan(FAN, known=held), range(FAN))
+    laser = net.points.classes == PointClass.LASER
+    of = [name.split("-")[0] if one else "" for name, one in zip(net.points.ids, laser, strict=True)]
+    names = tuple(sorted(set(of) - {""}))
+    shifts = ProfileShifts(names, np.array([names.index(n) if n else -1 for n in of]), np.full(len(names), 60.0))
+    surface = Surface(slope(net), np.where(laser, np.inf, 250.0), 5000.0)
+    return replace(net, shifts=shifts, surface=surface, held=np.isin(np.arange(FAN), held))
+
+
+@pytest.mark.parametrize(
+    ("choices", "held"),
+    [
+        ({}, (1,)),
+        ({"loss": "huber"}, (0, 3)),
+        ({"loss": "cauchy"}, ()),
+        ({"line": "measured"}, (2,)),
+        ({"angles": "opk-peer", "line": "measured", "loss": "huber"}, ()),
+    ],
+)
+def test_shifts_terrain_losses_and_held_images(choices: dict[str, Any], held: tuple[int, ...]) -> None:
+    net = rich(held)
+    adjustment = IncrementalAdjustment(SolverSettings(**choices))
+    for k in (3, 0, 4, 1, 2):
+        adjustment.add(by_image(net)[k])
+    batch = adjust_network(net, adjustment.settings)
+    assert len(batch.network.shift_names) == 4
+    assert distances(adjustment, batch).within(), distances(adjustment, batch)
+    adjustment.remove("FAN/4")
+    found = distances(adjustment, by_batch(adjustment))
+    assert found.within(), found
+
+
+def test_considered_shifts_are_carried_as_by_batch() -> None:
+    """Of a profile and the terrain model; an image that knows nothing of them has it from its neighbours."""
+    net = rich((1,))
+    assert net.surface is not None
+    net = replace(net, surface=replace(net.surface, shift_sigma=150.0), considered=(net.shift_names[0], TERRAIN))
+    adjustment = IncrementalAdjustment()
+    for k in (3, 0, 4, 1, 2):
+        adjustment.add(by_image(net)[k])
+    assert adjustment.network.considered == net.considered
+    batch, plain = (adjust_network(one, adjustment.settings) for one in (net, replace(net, considered=())))
+    found = distances(adjustment, batch)
+    assert found.within(), found
+    assert np.max(batch.sigmas / plain.sigmas) > 2.0
+    assert distances(IncrementalAdjustment.of(batch), batch).within(EXACT)
+    adjustment.remove("FAN/4")
+    assert distances(adjustment, by_batch(adjustment)).within()
+    assert adjustment.close()[0].close
+
+
+def test_images_that_are_all_held_leave_intersection() -> None:
+    """And the shifts; there is no orientation to adjust."""
+    net = rich(tuple(range(FAN)))
+    adjustment = IncrementalAdjustment()
+    for one in by_image(net):
+        adjustment.add(one)
+    batch = adjust_network(net, adjustment.settings)
+    assert set(adjustment.values) == {Unknown("shift", name) for name in net.shift_names}
+    assert distances(adjustment, batch).within(), distances(adjustment, batch)
+
+
+def test_the_terrain_s_shift_stays_while_points_without_a_place_lie_on_it() -> None:
+    """Ties that only one image is left to see have no place, but belong to the bundle that feels the shift."""
+    net = rich()
+    adjustment = IncrementalAdjustment()
+    for one in by_image(net)[:2]:
+        adjustment.add(one)
+    assert Unknown("shift", "terrain model") in adjustment.values
+    impact = adjustment.remove("FAN/0")
+    assert impact.undetermined
+    assert distances(adjustment, by_batch(adjustment)).within()
+    adjustment.add(by_image(net)[4])
+    adjustment.remove("FAN/4")  # which has nothing to do with the other one's points
+    assert Unknown("shift", "terrain model") in adjustment.values
+    adjustment.add(by_image(net)[0])
+    assert distances(adjustment, by_batch(adjustment)).within()
+
+
+def test_a_shift_goes_with_the_last_points_that_feel_it() -> None:
+    net = rich()
+    adjustment = IncrementalAdjustment()
+    for one in by_image(net):
+        adjustment.add(one)
+    for left in (4, 3, 2, 1):
+        adjustment.remove(f"FAN/{left}")
+        shifts = {unknown.name for unknown in adjustment.values if unknown.kind == "shift"}
+        assert shifts == set(adjustment.network.shift_names)
+    assert len(shifts) < len(net.shift_names)
+
+
+# --- what is there already
+
+
+def test_what_is_known_of_an_image_stays_when_observations_of_it_come() -> None:
+    """A network names images that are there: they are not new, and not held because it says so."""
+    net = rich()
+    first, second = by_image(net)[:2]
+    adjustment = IncrementalAdjustment()
+    adjustment.add(first)
+    both = replace(
+        second, images=(*first.images, *second.images), priors=(replace(NOISE, position=1.0).prior, *second.priors),
+        held=np.array([True, False]), rays=replace(second.rays, image=second.rays.image + 1),
+        ranges=replace(second.ranges, image=second.ranges.image + 1),
+    )  # fmt: skip
+    adjustment.add(both)
+    other = IncrementalAdjustment()
+    for one in (first, second):
+        other.add(one)
+    assert apart(adjustment, (state_of(other), places_of(other))) < 1e-6
+    assert distances(adjustment, by_batch(adjustment)).within()
+
+
+class Shut(InMemory):
+    """A store whose points can be locked away."""
+
+    shut = False
+
+    def bundle(self, members: Members) -> Bundle:
+        """A bundle, unless shut."""
+        assert not self.shut, "points were asked for"
+        return super().bundle(members)
+
+
+def test_it_is_rebuilt_from_reduced_systems_alone() -> None:
+    store = Shut()
+    before = IncrementalAdjustment(store=store)
+    for k in range(6):
+        take(before, strip(), k)
+    store.shut = True
+    after = IncrementalAdjustment(before.settings, store)
+    assert after.images == before.images
+    was, now = state_of(before), state_of(after)
+    for name, (value, covariance) in was.items():
+        sigmas = np.sqrt(np.diag(covariance))
+        assert np.max(np.abs(now[name][0] - value) / sigmas) < 1e-9
+        assert np.max(np.abs(now[name][1] - covariance) / np.outer(sigmas, sigmas)) < 1e-9
+    store.shut = False
+    take(after, strip(7), 6)
+    assert distances(after, by_batch(after)).within()
+
+
+def test_far_bundles_stay_closed_when_nothing_reaches_them() -> None:
+    """A tie of no weight touches the bundle that it joins; the strip's other end isn't looked at."""
+
+    class Counting(InMemory):
+        def __init__(self) -> None:
+            super().__init__()
+            self.asked = set[Members]()
+
+        def bundle(self, members: Members) -> Bundle:
+            self.asked.add(members)
+            return super().bundle(members)
+
+    store = Counting()
+    adjustment = IncrementalAdjustment(store=store)
+    for k in range(6):
+        take(adjustment, strip(), k)
+    store.asked.clear()
+    adjustment.add([], weightless("light", 4, 5))
+    images = {unknown.name for members in store.asked for unknown in members}
+    assert not images & {"STRIP/000N", "STRIP/001X"}
+
+
+def weightless(name: str, *images: int) -> TiePoints:
+    """A tie of a hundred thousand pixels' sigma, where another lies."""
+    ties, names = strip().ties, [strip().images[k].name for k in images]
+    at = {(p, n): k for k, (p, n) in enumerate(zip(ties.measure_point.tolist(), ties.measure_image, strict=True))}
+    point = next(p for p in range(len(ties.ids)) if all((p, n) in at for n in names))
+    rows = [at[point, n] for n in names]
+    return replace(
+        ties, ids=(name,), kinds=ties.kinds[:1], places=ties.places[:1], covariances=ties.covariances[:1],
+        measure_point=np.zeros(len(rows), dtype=int), measure_image=tuple(names), measures=ties.measures[rows],
+        measure_sigmas=np.full((len(rows), 2), 1e5),
+    )  # fmt: skip
+
+
+# --- what a reviewer found
+
+
+def test_points_that_batch_could_not_place_are_no_blunders() -> None:
+    """Nadir images alone: many rays are parallel. Images that converge come later, and make good points of them."""
+    made = strip(4, 30, 5)
+    few = IncrementalAdjustment()
+    for k in (0, 2, 1):
+        take_alone(few, made, k)
+    solution = by_batch(few)
+    assert 0 < np.count_nonzero(~solution.determined) < solution.determined.size
+    again = IncrementalAdjustment.of(solution)
+    rejected = [again.store.bundle(members).network.rays.rejected for members in again.store.members()]
+    assert not any(np.any(marks) for marks in rejected)
+    take_alone(again, made, 3)
+    assert distances(again, by_batch(again)).within()
+
+
+def test_blunders_of_batch_stay_out_until_batch_looks_again() -> None:
+    made = fan()
+    net = grown(made, 4).network
+    places = net.rays.places.copy()
+    wrong = int(np.flatnonzero(net.points.classes[net.rays.point] == 0)[3])
+    places[wrong] += 60.0
+    solution = adjust_network(replace(net, rays=replace(net.rays, places=places)), SolverSettings(reject=6.0))
+    assert solution.rays_rejected is not None
+    assert solution.rays_rejected[wrong]
+    adjustment = IncrementalAdjustment.of(solution)
+    marks = sum(int(adjustment.store.bundle(m).network.rays.rejected.sum()) for m in adjustment.store.members())
+    assert marks == np.count_nonzero(solution.rays_rejected)
+    assert distances(adjustment, solution).within()
+
+
+def test_a_change_larger_than_what_is_kept_laid_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "MOST_KEPT", 20)
+    made, adjustment = fan(), IncrementalAdjustment()
+    for k in range(4):
+        take_alone(adjustment, made, k)
+        assert distances(adjustment, by_batch(adjustment)).within()
+
+
+def test_batch_that_does_not_converge_is_not_taken_over() -> None:
+    adjustment = grown(fan(), 3)
+    before = dict(adjustment.values)
+    adjustment.settings = replace(adjustment.settings, max_iterations=1)
+    closing, solution = adjustment.close()
+    assert not solution.converged
+    assert not closing.adopted
+    assert "did not converge" in closing.sentence
+    assert all(np.array_equal(before[unknown], value) for unknown, value in adjustment.values.items())
+
+
+def test_what_the_tree_cannot_solve_is_an_error_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Failing:
+        def update(self, *_: object) -> None:
+            raise RuntimeError("Indeterminate linear system")
+
+        def calculateEstimate(self) -> None:  # GTSAM's name
+            raise RuntimeError("Indeterminate linear system")
+
+    tree = Tree()
+    monkeypatch.setattr(tree, "_isam", Failing())
+    monkeypatch.setattr(tree, "_by_qr", True)
+    for asked in (tree.change, tree.values):
+        with pytest.raises(SolverError):
+            asked()

@@ -1,0 +1,201 @@
+"""Images of passes come and go: after every change the incremental result is batch's, on a trajectory that is continued
+and shortened with them.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental.closing_check import closing
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.adjustment.incremental.state import InMemory
+from mgsgraph.adjustment.incremental.sweep import Sweep
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.network import Network
+from mgsgraph.network.parts import without_images
+from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+from mgsgraph.simulation.nac_pair import NacSettings, simulate_nac_pair
+from mgsgraph.simulation.rig import PassErrors
+from mgsgraph.simulation.segments import in_segments
+
+WITHIN = 0.01
+"""Sigmas by which the two may differ, as for images with an orientation of their own."""
+
+
+@cache
+def strips(basis: str = "lagrange", spacing: float = 10.0) -> Network:
+    """Two HRSC strips, each line cut into two images."""
+    settings = BlockSettings(strips=2, length=60e3, points=240, terrain=None, spacing=spacing, basis=basis)  # type: ignore[arg-type]
+    return in_segments(simulate_hrsc_block(settings, seed=4).network, 2)
+
+
+@cache
+def rig() -> Network:
+    """Two passes of NAC-L and NAC-R, with R's boresight as shared unknown, and shots; no degree of a polynomial is
+    held: batch squares the tight rows that do so.
+    """
+    errors = PassErrors((30.0, 10.0, 3.0, 1.0), (1.5e-4, 5e-5, 2e-5, 1e-5))
+    return simulate_nac_pair(NacSettings(ties=60, beside=10, shots=6, errors=errors), 3).network
+
+
+def parts(network: Network) -> dict[str, Network]:
+    """What each image sees by itself."""
+    names = {image.name for image in network.images}
+    return {name: one for name in sorted(names) if (one := without_images(network, names - {name})) is not None}
+
+
+def first_grid(one: Network) -> Network:
+    """The same, its pass with nodes over the lines of its image alone, as a case of that image would have it."""
+    (own,) = one.passes
+    image = one.images[0]
+    edges = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch - own.nodes.epoch
+    nodes = evenly_spaced(own.nodes.basis, own.nodes.epoch, (float(edges[0]), float(edges[1])), own.nodes.spacing)
+    return replace(one, passes=(replace(own, nodes=nodes),))
+
+
+def off(adjustment: IncrementalAdjustment, batch: Solution) -> tuple[float, float]:
+    """Largest difference to batch of an unknown or a place, in its sigma, and of a covariance, as a share of itself."""
+    network, stored = adjustment._everything()
+    assert network.points.ids == batch.network.points.ids
+    values = adjustment.values
+    places = Sweep(network, adjustment.settings, stored).places(values)
+    shares = [0.0]
+    for k, one in enumerate(batch.network.passes):
+        _, _, mine = adjustment.trajectory(one.name)
+        first = int(batch.network.first_of_passes[k])
+        for node in range(len(one.nodes)):
+            theirs = batch.joint_covariance.block(first + node, first + node)
+            sigmas = np.sqrt(np.diag(theirs))
+            shares.append(np.max(np.abs(mine[node] - theirs) / np.outer(sigmas, sigmas)))
+    _, _, covariances = adjustment.points(batch.network.points.ids)
+    free = batch.determined & (batch.sigmas[:, 0] > 0.0)
+    largest = np.max(batch.sigmas[free] ** 2, axis=1)[:, None, None]
+    shares.append(np.max(np.abs(covariances[free] - batch.covariances[free]) / largest, initial=0.0))
+    return closing(batch, values, places).worst, float(max(shares))
+
+
+def by_batch(adjustment: IncrementalAdjustment) -> Solution:
+    return adjust_network(adjustment.network, adjustment.settings)
+
+
+@pytest.mark.parametrize("basis", ["lagrange", "spline"])
+def test_a_strip_grows_image_by_image(basis: str) -> None:
+    """From its first image, whose nodes are continued over the others' lines; what is there keeps its times."""
+    adjustment, nodes, times = IncrementalAdjustment(), list[int](), np.zeros(0)
+    every = parts(strips(basis))
+    for name in [name for name in every if name.startswith("HRSC/00")]:
+        impact = adjustment.add(first_grid(every[name]))
+        assert impact.converged
+        now = adjustment.store.definitions().passes["HRSC/00"].nodes
+        assert set(times) <= set(now.times.tolist())
+        assert np.ptp(np.diff(now.times)) < 1e-9
+        times = now.times
+        nodes.append(times.size)
+    assert nodes[-1] > nodes[0]
+    found = off(adjustment, by_batch(adjustment))
+    assert found[0] < WITHIN, found
+    assert found[1] < 1e-3, found
+
+
+def test_any_order_of_additions_and_removals_ends_at_batch() -> None:
+    rng = np.random.default_rng(8)
+    every, adjustment, there = parts(strips()), IncrementalAdjustment(), set[str]()
+    names = list(every)
+    for name in [*rng.permutation(names), *rng.permutation(names)[:6]]:
+        if name in there:
+            adjustment.remove(name)
+        else:
+            adjustment.add(every[name])
+        there ^= {name}
+    assert set(adjustment.images) == there
+    found = off(adjustment, by_batch(adjustment))
+    assert found[0] < WITHIN, found
+    assert found[1] < 1e-3, found
+
+
+def test_a_rig_with_a_shared_boresight_comes_and_goes() -> None:
+    """NAC-L and -R of two passes: R of the second pass shares the boresight of the first one's."""
+    every, adjustment = parts(rig()), IncrementalAdjustment()
+    names = [image.name for image in rig().images]
+    for name in (names[2], names[1], names[0], names[3]):
+        adjustment.add(every[name])
+    adjustment.remove(names[1])
+    adjustment.add(every[names[1]])
+    batch = adjust_network(rig(), SolverSettings())
+    assert len(batch.shared) == 1
+    found = off(adjustment, by_batch(adjustment))
+    assert found[0] < WITHIN, found
+    assert found[1] < 1e-3, found
+    adjustment.remove(names[1], names[3])
+    assert not adjustment.store.definitions().shared
+    assert {unknown.kind for unknown in adjustment.values} <= {"node", "trend", "shift"}
+
+
+def test_nodes_that_no_image_needs_go() -> None:
+    every, adjustment = parts(strips(spacing=4.0)), IncrementalAdjustment()
+    mine = [name for name in every if name.startswith("HRSC/00")]
+    late = [name for name in mine if name.endswith("/2")]
+    for name in mine:
+        adjustment.add(every[name])
+    before = adjustment.store.definitions().passes["HRSC/00"].nodes
+    adjustment.remove(*late)
+    after = adjustment.store.definitions().passes["HRSC/00"].nodes
+    assert set(after.times.tolist()) < set(before.times.tolist())
+    assert after.span == before.trend_span
+    names = {unknown.name for unknown in adjustment.values if unknown.kind == "node"}
+    assert names == {f"HRSC/00 at {time!r} s" for time in after.times.tolist()}
+    adjustment.remove(*(set(mine) - set(late)))
+    assert not adjustment.values
+    assert not adjustment.store.definitions().passes
+
+
+def test_it_goes_on_from_batch_and_from_its_store() -> None:
+    """Both ways of beginning: the tree is grown from reduced systems and the rows of the priors."""
+    every, store = parts(strips()), InMemory()
+    names = list(every)
+    solution = adjust_network(without_images(strips(), {names[-1]}), SolverSettings())  # type: ignore[arg-type]
+    IncrementalAdjustment.of(solution, store)
+    again = IncrementalAdjustment(store=store)
+    again.add(every[names[-1]])
+    found = off(again, by_batch(again))
+    assert found[0] < WITHIN, found
+    assert found[1] < 1e-3, found
+
+
+# --- bad input
+
+
+def test_what_contradicts_a_pass_is_one_line_and_changes_nothing() -> None:
+    every, adjustment = parts(rig()), IncrementalAdjustment()
+    left, right = (every[image.name] for image in rig().images[:2])
+    adjustment.add(left)
+    before = adjustment.values
+
+    def refused(network: Network, said: str) -> None:
+        with pytest.raises(InputError, match=said):
+            adjustment.add(network)
+        assert adjustment.images == [left.images[0].name]
+        assert set(adjustment.values) == set(before)
+
+    image = right.images[0]
+    trajectory = image.trajectory
+    late = replace(image, trajectory=replace(trajectory, epoch=trajectory.epoch + 7200.0))
+    nodes = replace(right.passes[0].nodes, epoch=right.passes[0].nodes.epoch + 7200.0)
+    refused(replace(right, images=(late,), passes=(replace(right.passes[0], nodes=nodes),)), "minutes apart")
+    position = replace(trajectory.position, positions=trajectory.position.positions + 5e3)
+    away = replace(image, trajectory=replace(trajectory, position=position))
+    refused(replace(right, images=(away,)), "m apart; expected images of one spacecraft")
+    again = replace(left, passes=(replace(left.passes[0], name="another"),))
+    refused(again, "an image that is there already")
+    with pytest.raises(InputError, match="it is held"):
+        adjustment.add(replace(right, held=np.array([True])))
+    other = replace(right.shared[0], sigmas=2.0 * right.shared[0].sigmas)
+    adjustment.add(right)
+    with pytest.raises(InputError, match="a-priori sigmas"):
+        adjustment.add(replace(every[rig().images[3].name], shared=(other,)))

@@ -1,0 +1,135 @@
+"""Partitions of an adjustment's rows: they add up to the whole, and a worker that holds one does as it is told."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment.cluster import worker_sweeps
+from mgsgraph.adjustment.cluster.partitions import blocks_of_partition
+from mgsgraph.adjustment.cluster.worker_sweeps import NOT_HELD, PLACES, Order, Source, carry_out
+from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.kernel import sweep
+from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
+from mgsgraph.kernel.rows import partition
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
+
+TIES = 2100
+"""Two pieces of ties; the laser's is a third."""
+
+
+# --- partitions of the rows
+
+
+@pytest.fixture(scope="module")
+def layout() -> Layout:
+    return lay_out(with_shift_and_surface(network(pair(TIES, 30))), SolverSettings())
+
+
+def test_partitions_add_up_to_the_whole(layout: Layout) -> None:
+    rows, constants = layout.rows, (layout.groups, layout.blocks.target, layout.model)
+    x = np.zeros(layout.columns)
+    whole = reduce(rows, *constants, x)
+    found = all_residuals(rows, *constants, x, whole.points)
+    joint = np.random.default_rng(0).normal(size=layout.blocks.target.size)
+    spread = point_covariances(rows, *constants, x, joint, whole.points)
+    pieces = rows.piece.shape[0]
+    assert pieces >= 3
+    for cuts in [range(pieces + 1), *([0, k, pieces] for k in range(1, pieces))]:
+        mine = [partition(rows, first, last) for first, last in pairwise(cuts)]
+        parts = [reduce(part, *constants, x) for part in mine]
+        slopes = sum(reduce(part, *constants, x, GRADIENT).gradient for part in mine)
+        np.testing.assert_allclose(slopes, whole.gradient, rtol=1e-13, atol=1e-13 * scale(whole.gradient))
+        for name in ("blocks", "gradient"):
+            total = getattr(whole, name)
+            summed = sum(getattr(part, name) for part in parts)
+            np.testing.assert_allclose(summed, total, rtol=1e-13, atol=1e-13 * scale(total))
+        assert sum(part.cost for part in parts) == pytest.approx(whole.cost, rel=1e-13)
+        for name in ("points", "states", "piece_cost"):
+            np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(whole, name))
+        again = [all_residuals(one, *constants, x, part.points) for one, part in zip(mine, parts, strict=True)]
+        np.testing.assert_array_equal(np.concatenate(again), found)
+        again = [point_covariances(one, *constants, x, joint, p.points) for one, p in zip(mine, parts, strict=True)]
+        np.testing.assert_array_equal(np.concatenate(again), spread)
+
+
+def scale(values: np.ndarray) -> float:
+    return float(np.abs(values).max())
+
+
+@given(st.data())
+def test_blocks_of_some_groups_keep_their_places(data: st.DataObject) -> None:
+    widths = np.array(data.draw(st.lists(st.sampled_from([2, 6, 18]), min_size=1, max_size=6)), dtype=np.int64)
+    count = widths.size
+    member = st.sets(st.integers(0, count - 1), max_size=count).map(lambda one: tuple(sorted(one)))
+    sets = tuple(sorted(data.draw(st.sets(member, min_size=1, max_size=8))))
+    first, columns = np.cumsum(widths) - widths, int(widths.sum())
+    variables = Variables(count, first, widths, np.ones(columns), *np.zeros((2, columns), dtype=bool))
+    first_member = np.cumsum([0, *(len(mine) for mine in sets)])
+    groups = make_groups(variables, first_member, np.array([v for mine in sets for v in mine], dtype=np.int64))
+    whole = pair_blocks(variables, groups).target
+    used = np.array(sorted(data.draw(st.sets(st.integers(0, len(sets) - 1), min_size=1))))
+    place, mine = blocks_of_partition(groups, whole, used)
+    assert np.unique(place).size == place.size == mine.size <= whole.size
+    for one in used:
+        width = groups.member_width[groups.member_first[one] : groups.member_first[one + 1]]
+        table = slice(groups.pair_first[one], groups.pair_first[one + 1])
+        for here, there, size in zip(mine.pair[table], whole.pair[table], np.outer(width, width).ravel(), strict=True):
+            np.testing.assert_array_equal(place[here : here + size], np.arange(there, there + size))
+
+
+# --- a worker by itself
+
+
+@pytest.fixture
+def source(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> Source:
+    monkeypatch.setattr(worker_sweeps, "_partitions", {})
+    return Source(layout.rows, layout.groups, layout.blocks.target, layout.model)
+
+
+def test_what_is_not_held_is_answered_with_nothing(source: Source, layout: Layout) -> None:
+    x = np.zeros(layout.columns)
+    assert carry_out(Order("a", SYSTEM, x)) == NOT_HELD
+    assert carry_out(Order("a", SYSTEM, x, source)) != NOT_HELD
+    assert carry_out(Order("a", SYSTEM, x)) != NOT_HELD
+    worker_sweeps.forget(["a"])
+    assert carry_out(Order("a", SYSTEM, x)) == NOT_HELD
+
+
+def test_places_of_sweeps_that_are_still_wanted(source: Source, layout: Layout) -> None:
+    x = np.zeros(layout.columns)
+    carry_out(Order("a", SYSTEM, x, source, number=1))
+    carry_out(Order("a", COSTS, x, number=2, after=1, kept=frozenset({1})))
+    assert set(worker_sweeps._partitions["a"].ends) == {1, 2}
+    carry_out(Order("a", COSTS, x, number=3, after=2, kept=frozenset({2})))
+    assert set(worker_sweeps._partitions["a"].ends) == {2, 3}
+    lost, states = carry_out(Order("a", PLACES, x, number=1))  # made again
+    np.testing.assert_allclose(lost, reduce(*source.system, x).points, atol=1e-6)
+    assert states is not None
+
+
+def test_what_nobody_asks_for_makes_room(source: Source, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
+    x = np.zeros(layout.columns)
+    carry_out(Order("a", COSTS, x, source))
+    monkeypatch.setattr(worker_sweeps, "_KEPT", -1.0)
+    carry_out(Order("b", COSTS, x, source))
+    assert set(worker_sweeps._partitions) == {"b"}
+
+
+def test_what_comes_over_the_wire_is_what_the_kernel_was_compiled_for(source: Source, layout: Layout) -> None:
+    """A read-only array would be another type to numba: a minute of compiling on every worker."""
+    x = np.zeros(layout.columns)
+    for values in (x, *(one for one in source.rows if isinstance(one, np.ndarray))):
+        values.flags.writeable = False
+    try:
+        assert carry_out(Order("a", SYSTEM, x, source)) != NOT_HELD
+        assert len(sweep.sweep.signatures) == 1
+        assert all(one.flags.writeable for one in worker_sweeps._partitions["a"].source.rows)
+    finally:
+        for values in source.rows:
+            values.flags.writeable = values.base is None

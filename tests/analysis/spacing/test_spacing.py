@@ -1,0 +1,374 @@
+"""How close orientation images should stand: what rays support, what those held out say, where residuals ask."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.spacing.choice import choose_spacing, error_of_mean, respaced, with_nodes
+from mgsgraph.analysis.spacing.densify import ResidualPattern, densify, halved, pattern
+from mgsgraph.analysis.spacing.rays import hold_out, misfits, whitening
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.network import JointNodePrior
+from mgsgraph.network.support import (
+    LEAST,
+    pass_rays,
+    require_supported,
+    support,
+    supported_spacing,
+    useful_rays,
+)
+from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.strip_truth import Jitter
+from mgsgraph.units import MGON
+
+PITCH = Jitter(4.0 * MGON, 0.06, "pitch")
+CALM = TrajectoryErrors(attitude_wander=0.3 * MGON, position_wander=0.3)
+EXACT = TrajectoryErrors(*[1e-9] * 3, *[1e-3] * 3)
+
+
+@cache
+def block(
+    jitter: Jitter | None = None,
+    errors: TrajectoryErrors | None = None,
+    spacing: float = 8.0,
+    seed: int = 1,
+    points: int = 700,
+) -> SimulatedBlock:
+    """One strip of 80 s, without terrain."""
+    settings = BlockSettings(
+        strips=1, length=150e3, points=points, terrain=None, spacing=spacing, jitter=jitter,
+        errors=errors or TrajectoryErrors(),
+    )  # fmt: skip
+    return simulate_hrsc_block(settings, seed)
+
+
+# --- support
+
+
+def test_spacing_that_is_said_to_be_supported_is() -> None:
+    net = block().network
+    require_supported(net)
+    with pytest.raises(InputError, match=r"nodes closer than the data supports: of 1704 nodes.*what they support"):
+        require_supported(respaced(net, 0.05))
+    rays = useful_rays(net, 0)
+    spacing = supported_spacing(respaced(net, 0.05).passes[0].nodes, rays)
+    assert 0.05 < spacing < 8.0
+    require_supported(respaced(net, spacing))
+
+
+@pytest.mark.parametrize("basis", ["lagrange", "spline"])
+def test_node_without_rays_is_named(basis: str) -> None:
+    """A cloud over all that one node depends on: this node is weak, and no other."""
+    net = block().network
+    nodes = evenly_spaced(basis, net.passes[0].nodes.epoch, net.passes[0].nodes.coverage, 4.0)  # type: ignore[arg-type]
+    net = with_nodes(net, [nodes])
+    mine, reach = pass_rays(net, 0), 1 if basis == "lagrange" else 2
+    hidden = np.zeros(net.rays.point.size, dtype=bool)
+    hidden[mine.rays[(mine.times >= nodes.times[9 - reach]) & (mine.times <= nodes.times[9 + reach])]] = True
+    net = replace(net, rays=replace(net.rays, rejected=hidden))
+    assert np.flatnonzero(support(net, 0).weak).tolist() == [9]
+    with pytest.raises(InputError, match=r" 10 at .*rays near it"):
+        require_supported(net)
+
+
+def test_rays_of_one_line_are_not_enough_where_two_look() -> None:
+    net = block().network
+    mine = pass_rays(net, 0)
+    middle = (mine.times > net.passes[0].nodes.times[3]) & (mine.times < net.passes[0].nodes.times[6])
+    looking = np.unique(mine.line[middle])
+    assert looking.size > 1
+    taken = np.ones(net.rays.point.size, dtype=bool)
+    taken[mine.rays[middle & (mine.line != looking[0])]] = False
+    found = support(net, 0, taken=taken)
+    assert np.all(found.rays >= LEAST)
+    assert found.weak.any()
+    assert set(np.flatnonzero(found.weak)) <= {4, 5}
+
+
+def test_rays_that_place_nothing_do_not_count() -> None:
+    """Of points whose other rays are gone."""
+    net = block().network
+    first = np.unique(net.rays.point, return_index=True)[1]
+    taken = np.zeros(net.rays.point.size, dtype=bool)
+    taken[first] = True
+    assert support(net, 0, taken=taken).rays.max() == 0
+
+
+def test_priors_of_just_these_nodes_are_refused() -> None:
+    net = block().network
+    joint = JointNodePrior(np.eye(6 * len(net.passes[0].nodes)), np.zeros(0))
+    net = replace(net, passes=(replace(net.passes[0], prior=joint),))
+    with pytest.raises(InputError, match="joint prior"):
+        respaced(net, 4.0)
+    with pytest.raises(InputError, match="no strips"):
+        respaced(replace(net, passes=()), 4.0)
+
+
+# --- rays held out
+
+
+@given(st.floats(0.05, 1.0), st.integers(0, 100))
+def test_one_ray_of_a_point_is_held_out(share: float, seed: int) -> None:
+    net = block().network
+    held = hold_out(net, share, np.random.default_rng(seed))
+    points = net.rays.point[held.rays]
+    assert np.unique(points).size == points.size == round(share * len(net.points))
+    assert np.bincount(net.rays.point, held.taken(net)).min() >= 2
+    np.testing.assert_array_equal(held.rays, hold_out(net, share, np.random.default_rng(seed)).rays)
+
+
+def test_prediction_knows_nothing_of_the_ray() -> None:
+    """A ray held out that is moved by 20 and -10 px is predicted where it was."""
+    net = block().network
+    held = hold_out(net, 0.3, np.random.default_rng(1))
+    places = net.rays.places.copy()
+    places[held.rays] += [20.0, -10.0]
+    moved = replace(net, rays=replace(net.rays, places=places))
+    before, after = (
+        misfits(adjust_network(one, SolverSettings(), left_in=held.left_in(one)), held) for one in (net, moved)
+    )
+    np.testing.assert_allclose(after - before, np.broadcast_to([20.0, -10.0], before.shape), atol=1e-6)
+
+
+def test_misfits_of_a_known_orientation_are_noise_of_unit_size() -> None:
+    net = block(errors=EXACT, points=2000).network
+    held = hold_out(net, 1.0, np.random.default_rng(2))
+    solution = adjust_network(net, SolverSettings(), left_in=held.left_in(net))
+    white = np.einsum("hij,hj->hi", whitening(net, held, solution.places), misfits(solution, held))
+    assert white.shape == (2000, 2)
+    for squares in (white**2).T:
+        assert squares.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 2000))
+
+
+@pytest.mark.parametrize("share", [0.0, 1.5, float("nan")])
+def test_share_out_of_range(share: float) -> None:
+    with pytest.raises(InputError, match="share"):
+        hold_out(block().network, share, np.random.default_rng(0))
+
+
+def test_error_of_a_mean_counts_stretches_not_rays() -> None:
+    rng = np.random.default_rng(3)
+    values, each = rng.standard_normal(400), np.arange(400)
+    alone = error_of_mean(values, each)
+    assert alone == pytest.approx(values.std(ddof=1) / 20.0, rel=1e-9)
+    assert error_of_mean(np.repeat(values, 5), np.repeat(each, 5)) == pytest.approx(alone, rel=1e-9)
+
+
+def test_jitter_asks_for_nodes_that_follow_it() -> None:
+    """A period of 17 s: nodes every 4 s follow it, such every 20 s don't, and rays held out know."""
+    choice = choose_spacing(block(PITCH).network, SolverSettings(), [20.0, 0.05, 4.0, 10.0])
+    assert [one.spacing for one in choice.candidates] == [0.05, 4.0, 10.0, 20.0]
+    assert "nodes closer than the data supports" in choice.candidates[0].refused
+    assert choice.spacing == 4.0
+    close, _, wide = choice.candidates[1:]
+    assert close.rms < 1.1 < 1.3 < wide.rms
+    assert choice.worse[3] > 5.0 * choice.worse_errors[3]
+    assert len(choice.chosen_network.passes[0].nodes) == close.nodes
+
+
+def test_calm_flight_needs_few_nodes() -> None:
+    """Where nothing happens between nodes 28 s apart, closer ones predict no better; the closest isn't chosen."""
+    for seed in (1, 2, 3):
+        choice = choose_spacing(block(None, CALM, 28.0, seed).network, SolverSettings(), [3.0, 7.0, 28.0])
+        assert choice.spacing > 3.0
+        assert choice.candidates[2].rms < 1.01 * choice.candidates[choice.best].rms
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_rule_of_one_standard_error(seed: int) -> None:
+    """By another way to the standard error: the mean without each stretch in turn (the jackknife). The chosen one is
+    as good as the best within it, and all that are coarser are worse.
+    """
+    choice = choose_spacing(block(seed=seed).network, SolverSettings(), [3.0, 5.0, 8.0, 14.0, 28.0])
+    means = np.array([one.squares.mean() for one in choice.candidates])
+    assert choice.best == np.argmin(means)
+    assert choice.best <= choice.chosen < 4
+    for k in range(choice.best + 1, 5):
+        difference = choice.candidates[k].squares - choice.candidates[choice.best].squares
+        left = np.array([difference[choice.stretch != one].mean() for one in np.unique(choice.stretch)])
+        error = np.sqrt((left.size - 1) / left.size * np.sum((left - left.mean()) ** 2))
+        assert choice.worse_errors[k] == pytest.approx(error, rel=0.1)
+        assert choice.worse[k] == pytest.approx(difference.mean(), rel=1e-12)
+        assert k != choice.chosen or difference.mean() <= error
+        assert k <= choice.chosen or difference.mean() > error
+
+
+def test_blunders_held_out_count_for_none() -> None:
+    net, share = block(PITCH).network, 0.3
+    held = hold_out(net, share, np.random.default_rng(0))
+    places = net.rays.places.copy()
+    places[held.rays[:5], 0] += 60.0
+    spoilt = replace(net, rays=replace(net.rays, places=places))
+    clean, found = (choose_spacing(one, SolverSettings(), [4.0, 20.0], share) for one in (net, spoilt))
+    assert (clean.blunders, found.blunders) == (0, 5)
+    assert found.candidates[0].rms == pytest.approx(clean.candidates[0].rms, rel=0.05)
+
+
+def test_blunders_do_not_choose() -> None:
+    """1 % of the rays 5 to 100 px off: with a blunder limit most are found, once, and candidates don't see them."""
+    settings = BlockSettings(
+        strips=1, length=150e3, points=700, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
+    )  # fmt: skip
+    made = simulate_hrsc_block(settings, 1)
+    choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0, 10.0])
+    assert choice.candidates[choice.closest].spacing == 4.0
+    assert 0.8 * made.blunders.sum() < choice.rejected < 1.5 * made.blunders.sum()
+    assert choice.spacing == 4.0
+    assert all(one.sigma0 < 1.8 for one in choice.candidates)  # 9 with the blunders
+    assert choice.candidates[0].rms < 1.1 < 1.3 < choice.candidates[2].rms
+    assert not np.any(choice.chosen_network.rays.rejected)
+    with_them = choose_spacing(made.network, SolverSettings(), [20.0, 4.0])
+    assert with_them.rejected == 0
+    assert with_them.candidates[0].sigma0 > 5.0
+
+
+def test_points_off_the_model_are_judged() -> None:
+    """Half of the posts are missing: rays of points there are judged by their other rays alone."""
+    made = simulate_hrsc_block(BlockSettings(strips=1, length=150e3, points=400), 1)
+    surface = made.network.surface
+    assert surface is not None
+    radii = surface.grid.radii.copy()
+    radii[: radii.shape[0] // 2] = np.nan
+    grid = replace(surface.grid, radii=radii)
+    there = np.isfinite(grid.at(made.true_points))
+    assert 0.2 < there.mean() < 0.8
+    net = replace(made.network, surface=replace(surface, grid=grid, sigmas=np.where(there, surface.sigmas, np.inf)))
+    choice = choose_spacing(net, SolverSettings(), [5.0, 20.0], 0.5)
+    assert choice.unjudged == 0
+    assert choice.candidates[0].squares.size + choice.blunders == 200
+    assert choice.candidates[0].rms == pytest.approx(1.0, abs=0.15)
+
+
+def test_rays_that_nothing_else_predicts_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def some(*arguments: Any) -> Array:
+        found = whitening(*arguments)
+        found[:7] = np.nan
+        return found
+
+    monkeypatch.setattr("mgsgraph.analysis.spacing.choice.whitening", some)
+    choice = choose_spacing(block().network, SolverSettings(), [8.0, 20.0])
+    assert choice.unjudged == 7
+    assert choice.candidates[0].squares.size == 140 - 7 - choice.blunders
+
+
+@pytest.mark.parametrize(
+    ("spacings", "words"), [([4.0], "two or more"), ([60.0, 90.0], "two or more"), ([0.02, 0.05], "0 of 2 that can")]
+)
+def test_nothing_to_choose_from(spacings: list[float], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        choose_spacing(block().network, SolverSettings(), spacings)
+
+
+# --- closer nodes
+
+
+@pytest.mark.parametrize("freedom", [6, 8, 12, 24])
+@pytest.mark.parametrize("level", [0.05, 0.01, 1e-4])
+def test_critical_values_are_those_of_chi_square(freedom: int, level: float) -> None:
+    squares = chi2.isf(level / 3, freedom) * np.array([1.0 - 1e-9, 1.0 + 1e-9, np.inf])
+    found = ResidualPattern(squares, np.array([freedom, freedom, 0]), np.ones(3))
+    assert found.asking(level, 0.1, 3).tolist() == [False, True, False]
+
+
+def test_residuals_of_a_calm_flight_ask_for_nothing() -> None:
+    found = densify(block(None, CALM, 28.0).network, SolverSettings())
+    assert len(found.rounds) == 1
+    assert found.rounds[0].asked == (0,)
+    assert "No interval" in found.message
+
+
+def test_pattern_is_chi_square_of_noise() -> None:
+    """Over all intervals and some seeds: 1 % at 1 %, within what so many allow."""
+    shares, numbers = [], 0
+    for seed in range(4):
+        solution = adjust_network(block(None, CALM, 6.0, seed).network, SolverSettings())
+        found = pattern(solution, 0)
+        shares.append(found.squares / found.freedom)
+        numbers += found.squares.size
+        assert not found.asking(1e-3, 0.0, found.squares.size).any()
+    mean = float(np.concatenate(shares).mean())
+    assert 0.6 < mean < 1.0 + 4.0 * np.sqrt(2.0 / 12.0 / numbers)  # nodes take some of it
+
+
+def test_residuals_of_jitter_ask_until_they_are_noise() -> None:
+    found = densify(respaced(block(PITCH).network, 20.0), SolverSettings())
+    assert found.rounds[0].asked[0] == found.rounds[0].nodes[0] - 1
+    assert found.rounds[-1].asked == (0,)
+    assert np.diff(found.network.passes[0].nodes.times).max() < 9.0
+    assert found.rounds[0].sigma0 > 1.3
+    assert found.rounds[-1].sigma0 < 1.1
+    for this, following in pairwise(found.rounds):
+        assert this.nodes[0] + this.granted[0] == following.nodes[0]
+
+
+def test_densification_stops_where_rays_are_few() -> None:
+    found = densify(respaced(block(PITCH).network, 20.0), SolverSettings(), least=400)
+    assert sum(found.rounds[-1].refused) > 0
+    assert "don't support" in found.message
+    require_supported(found.network, 400)
+
+
+@given(
+    st.lists(st.booleans(), min_size=5, max_size=12).filter(any),
+    st.integers(0, 3),
+    st.floats(0.0, 1.0),
+)
+def test_halved_nodes_are_graded_and_supported(asking: list[bool], rounds: int, blind: float) -> None:
+    """Old nodes stay, neighbours differ by twice at the most, and none stands where nothing supports it."""
+    nodes = OrientationImages("lagrange", 0.0, np.arange(len(asking) + 1.0))
+    blind *= len(asking)
+
+    def supported(other: OrientationImages) -> Mask:
+        old = np.isin(other.times, nodes.times)
+        return np.asarray(old | (np.abs(other.times - blind) > 1.5))
+
+    now, wish = nodes, np.array(asking)
+    for _ in range(rounds + 1):
+        now, _ = halved(now, wish, supported)
+        wish = np.resize(wish, len(now) - 1)
+    steps = np.diff(now.times)
+    assert set(nodes.times) <= set(now.times)
+    assert np.all(supported(now))
+    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= 2.0 + 1e-9
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_splines_are_halved_throughout_or_not_at_all(good: bool) -> None:
+    nodes = evenly_spaced("spline", 0.0, (0.0, 10.0), 2.0)
+
+    def supported(other: OrientationImages) -> Mask:
+        return np.full(len(other), good)
+
+    asking = np.zeros(len(nodes) - 1, dtype=bool)
+    asking[3] = True
+    found, refused = halved(nodes, asking, supported)
+    want: Array = np.arange(-1.0, 12.0) if good else nodes.times
+    np.testing.assert_allclose(found.times, want)
+    assert refused == (0 if good else 1)
+
+
+def test_spline_strip_is_densified() -> None:
+    net = block(PITCH).network
+    old = net.passes[0].nodes
+    net = with_nodes(net, [evenly_spaced("spline", old.epoch, old.coverage, 20.0)])
+    found = densify(net, SolverSettings())
+    assert len(found.network.passes[0].nodes) > len(net.passes[0].nodes)
+    assert found.rounds[-1].sigma0 < 1.1
+
+
+@pytest.mark.parametrize(("level", "worth"), [(0.0, 0.1), (0.01, -1.0), (float("nan"), 0.1)])
+def test_levels_out_of_range(level: float, worth: float) -> None:
+    with pytest.raises(InputError, match="densification"):
+        densify(block().network, SolverSettings(), level, worth)

@@ -1,0 +1,167 @@
+"""Vibrations in residuals: planted ones are found with their size, none of noise, and what can't be seen is said."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import lombscargle
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.spacing.residual_series import Series, residual_series
+from mgsgraph.analysis.spacing.residual_spectrum import SeriesSpectrum
+from mgsgraph.analysis.spacing.vibrations import residual_vibrations
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+from mgsgraph.results.figures.vibrations import vibrations_sheet
+from mgsgraph.simulation.ctx import PIXEL, ControlSettings, CtxSettings, Look, SimulatedCtxPair, simulate_ctx_pair
+from mgsgraph.simulation.jitter import JitterSettings
+
+CALM = JitterSettings(pitch=0.0, roll=0.0)
+
+
+@cache
+def case(
+    look: Look = "across", jitter: JitterSettings = CALM, control: bool = False, seed: int = 11
+) -> tuple[SimulatedCtxPair, Solution]:
+    settings = CtxSettings(look=look, ties=1200, jitter=jitter, control=ControlSettings() if control else None)
+    mine = simulate_ctx_pair(settings, seed)
+    return mine, adjust_network(mine.network, SolverSettings(starts=0))
+
+
+def difference(mine: SimulatedCtxPair, turn: int) -> float:
+    """px, true amplitude of the first image's vibration less the second's."""
+    first, second = mine.truth
+    return float(np.hypot(*(first.phasors[turn] - second.phasors[turn]))) / PIXEL
+
+
+def uneven(count: int, rng: np.random.Generator) -> Array:
+    """Times of 10 s, from the middle of the first and the last."""
+    times = np.sort(rng.uniform(-5.0, 5.0, count))
+    return np.asarray(times - 0.5 * (times[0] + times[-1]))
+
+
+def white(count: int, rng: np.random.Generator, values: Array | None = None) -> tuple[SeriesSpectrum, Array]:
+    """A search in noise of 0.1 px at uneven times over 10 s, half of which residuals show."""
+    times, ones = uneven(count, rng), np.ones(count)
+    one = Series(0, "made", "pitch", np.arange(count), times, ones, 0.5 * ones, 100.0 * ones)
+    residuals = 0.1 * np.sqrt(0.5) * rng.standard_normal(count) if values is None else values
+    return SeriesSpectrum(one), residuals
+
+
+# --- properties
+
+
+def test_spectrum_is_lomb_scargle_where_all_is_even() -> None:
+    """Of noise of one size, and all of a move shown, with a mean, it is the generalised periodogram of Zechmeister."""
+    rng = np.random.default_rng(5)
+    count, ones = 500, np.ones(500)
+    times = uneven(count, rng)
+    search = SeriesSpectrum(Series(0, "made", "pitch", np.arange(count), times, ones, ones, ones))
+    values = rng.standard_normal(count)
+    fits = search.fits(values)
+    high = fits.frequencies > 1.0  # where the polynomial beside it is no other than a mean
+    theirs = lombscargle(times, values, 2.0 * np.pi * fits.frequencies[high], floating_mean=True)
+    ours = (fits.tests * fits.floor)[high] / 2.0
+    np.testing.assert_allclose(ours, theirs, rtol=0.1, atol=0.3)
+    assert np.corrcoef(ours, theirs)[0, 1] > 0.995
+
+
+def test_fast_sums_are_direct_ones() -> None:
+    search, residuals = white(400, np.random.default_rng(2))
+    fits = search.fits(residuals)
+    values, covariance, _ = search._directly(residuals, fits.frequencies)
+    size = np.sqrt(np.trace(covariance, axis1=1, axis2=2))[:, None]
+    assert np.abs((fits.values - values) / size).max() < 0.15
+    np.testing.assert_allclose(fits.covariance, covariance, rtol=0.05, atol=0.03 * covariance.max())
+
+
+def test_noise_alone_is_not_named_more_often_than_stated() -> None:
+    """Of 600 spectra of noise, three times as large as stated, 5 % at most are below p = 0.05; and some are."""
+    rng, chances = np.random.default_rng(8), []
+    for _ in range(600):
+        search, residuals = white(160, rng)
+        chances.append(search.fits(3.0 * residuals).probability)
+    assert 0.0 < np.mean(np.array(chances) < 0.05) < 0.06
+    assert 0.15 < np.mean(np.array(chances) < 0.5) < 0.55
+
+
+def test_amplitude_counts_what_the_points_took_up() -> None:
+    """Residuals show half of the wave; the amplitude is that of the camera."""
+    rng = np.random.default_rng(3)
+    search, residuals = white(800, rng)
+    wave = 0.3 * np.cos(2.0 * np.pi * 1.7 * search.series.times + 0.4)
+    found = search.wave(residuals + 0.5 * wave, search.fits(residuals + 0.5 * wave))
+    assert found.peak.amplitude == pytest.approx(0.3, abs=4.0 * found.peak.sigma)
+    assert found.peak.sigma == pytest.approx(0.1 * np.sqrt(2.0 / (800 * 0.5)), rel=0.3)
+    assert found.peak.frequency == pytest.approx(1.7, abs=0.01)
+
+
+def test_what_a_turn_shows_is_what_adjustment_leaves_of_it() -> None:
+    """Rays of one image moved by hand, and adjusted again: residuals change as predicted."""
+    mine, solution = case()
+    residuals = residual_series(solution, 60)
+    one = next(each for each in residuals.series if (each.image, each.turn) == (0, "pitch"))
+    moved = 0.5 * np.cos(2.0 * np.pi * 3.0 * one.times)
+    rays = mine.network.rays
+    places = np.array(rays.places)
+    places[residuals.rays[one.own], 0] += moved
+    other = adjust_network(replace(mine.network, rays=replace(rays, places=places)), SolverSettings(starts=0))
+    change = (other.residuals - solution.residuals)[residuals.rays]
+    shown = residuals.shown(one, moved)
+    assert np.abs(shown).max() > 0.2
+    assert np.sqrt(np.mean((change - shown) ** 2)) < 0.02
+
+
+# --- planted
+
+
+@pytest.mark.parametrize(("look", "turn", "blind"), [("across", "pitch", "roll"), ("along", "roll", "pitch")])
+def test_what_ties_can_see_is_named_and_what_not_is_said(look: Look, turn: str, blind: str) -> None:
+    mine, solution = case(look, JitterSettings())
+    found = residual_vibrations(solution)
+    (one,) = found.vibrations
+    assert one.turn == turn
+    assert one.frequency == pytest.approx(2.0, abs=0.015)
+    true = difference(mine, 0 if turn == "pitch" else 1)
+    assert one.amplitude == pytest.approx(true, abs=4.0 * one.sigma + 0.05 * true)
+    other = {"CTX/A": "CTX/B", "CTX/B": "CTX/A"}[one.image]
+    assert f"{other} ({turn})" in one.alternatives
+    assert f"{blind} of CTX/A, {blind} of CTX/B" in found.sentences[-1]
+    assert "2.0" in found.sentences[0]
+    # a project has no record of its solution, and says the same
+    assert residual_vibrations(at_solution(solution)).sentences == found.sentences
+
+
+def test_control_shows_what_ties_cannot() -> None:
+    mine, solution = case("across", JitterSettings(pitch=0.0), control=True)
+    found = residual_vibrations(solution)
+    (one,) = found.vibrations
+    assert one.turn == "roll"
+    assert one.frequency == pytest.approx(2.0, abs=0.02)
+    assert one.amplitude == pytest.approx(difference(mine, 1), abs=4.0 * one.sigma + 0.1)
+    assert not any("Not seen" in said for said in found.sentences)
+
+
+@pytest.mark.parametrize("control", [False, True])
+def test_calm_pairs_show_nothing(control: bool) -> None:
+    for seed in range(31, 35):
+        assert not residual_vibrations(case(control=control, seed=seed)[1]).vibrations
+
+
+def test_too_few_rays_are_refused() -> None:
+    _, solution = case()
+    with pytest.raises(InputError, match="no image with 5000 rays"):
+        residual_series(solution, 5000)
+
+
+def test_figure_draws_what_is_seen_and_says_what_not() -> None:
+    found = residual_vibrations(case("across", JitterSettings())[1])
+    sheet = vibrations_sheet(found, "a pair")
+    assert "Hz" in sheet.caption
+    assert "heights" in sheet.caption
+    said = [text.get_text() for panel in sheet.figure.axes for text in panel.texts]
+    assert sum("not seen" in one for one in said) == 2

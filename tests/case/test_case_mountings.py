@@ -1,0 +1,143 @@
+"""[[mountings]] in a case file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig_files import PASS, write_rig
+from rigs import TURN, rig
+
+import mgsgraph
+from mgsgraph.case.mountings import MountingInput, mounted_images, mounting_unknowns
+from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import SharedKind, SharedUnknown
+from mgsgraph.network.shared import image_effect
+from mgsgraph.results.inventory import inventory
+from mgsgraph.units import MRAD
+
+R = '[[mountings]]\ncamera = ["R"]\nname = "NAC-R"\n'
+
+
+def shared_of(folder: Path, tables: str) -> list[SharedUnknown]:
+    return list(mgsgraph.read_case(write_rig(folder, PASS + tables)).network.shared)
+
+
+def turned(angles: list[float], arm: list[float]) -> tuple[Array, Array, Array]:
+    """Places (n, 3) and matrices (n, 3, 3) of R so mounted, at some lines; and these lines."""
+    image = rig().images[1]
+    entry = MountingInput(camera=("R",), sharing="fixed", boresight_mrad=tuple(angles), lever_arm_m=tuple(arm))
+    (moved,) = mounted_images([entry], [""], [image], "here")
+    lines = np.linspace(0.0, image.lines, 7)
+    pose = moved.pose(lines)
+    return pose.position, pose.matrix, lines
+
+
+def test_what_is_stated_is_what_the_unknowns_of_the_same_values_do() -> None:
+    """To first order: of a boresight and of a lever arm, by the effects that the adjustment takes."""
+    image = rig().images[1]
+    angles, arm = [0.03, -0.02, 0.05], [1.5, -2.0, 0.7]
+    places, matrices, lines = turned(angles, arm)
+    nominal = image.pose(lines)
+    u = image.normalised(lines)[:, None] ** np.arange(6)
+    by_arm = np.einsum("c,cpk,np->nk", arm, image_effect(image, SharedKind.CAMERA_LEVER_ARM, "camera"), u)
+    by_turn = np.einsum(
+        "c,cpk,np->nk", np.array(angles) * MRAD, image_effect(image, SharedKind.CAMERA_BORESIGHT, "camera"), u
+    )
+    np.testing.assert_allclose(places - nominal.position, by_arm[:, :3], atol=1e-3)
+    turns = rotation.logarithm(nominal.matrix @ np.swapaxes(matrices, 1, 2))
+    np.testing.assert_allclose(turns, by_turn[:, 3:], atol=1e-9)
+
+
+def test_a_fixed_mounting_is_no_unknown(tmp_path: Path) -> None:
+    path = write_rig(tmp_path, PASS + R + 'sharing = "fixed"\nboresight_mrad = [0.5, 0.0, 0.0]\n')
+    net = mgsgraph.read_case(path).network
+    assert net.shared == ()
+    before = mgsgraph.read_case(write_rig(tmp_path, PASS)).network
+    assert net.passes[0].axes is not None
+    assert before.passes[0].axes is not None
+    turn = rotation.logarithm((net.passes[0].axes[1] @ before.passes[0].axes[1].T)[None])[0]
+    np.testing.assert_allclose(turn, [-0.5 * MRAD, 0.0, 0.0], atol=1e-9)
+
+
+def test_unknowns_of_a_campaign_and_of_each_pass(tmp_path: Path) -> None:
+    (one,) = shared_of(tmp_path, R + "boresight_sigma_mrad = [1.6, 1.6, 0.5]\n")
+    assert (one.name, one.kind, one.images.tolist()) == ("boresight of NAC-R", SharedKind.CAMERA_BORESIGHT, [1])
+    np.testing.assert_allclose(one.sigmas, np.array([1.6, 1.6, 0.5]) * MRAD)
+    both = '[[mountings]]\ncamera = ["other", "R"]\nname = "R"\nsharing = "pass"\nlever_arm_sigma_m = 0.2\n'
+    found = shared_of(tmp_path, both)
+    assert [one.name for one in found] == ["lever arm of R, one", "lever arm of R, other"]
+    assert [one.images.tolist() for one in found] == [[1], [2]]
+    assert {one.kind for one in found} == {SharedKind.CAMERA_LEVER_ARM}
+
+
+def test_a_stated_lever_arm_of_a_camera_moves_no_range() -> None:
+    """The trajectory of L is the origin of ranges; R carries none, and an arm of 0 or a turn moves none."""
+    net = rig(boresight=False)
+    assert set(net.ranges.image.tolist()) == {0}
+
+    def unknowns(**stated: tuple[float, ...]) -> tuple[SharedUnknown, ...]:
+        entry = MountingInput(camera=("L",), sharing="fixed", **stated)  # type: ignore[arg-type]
+        return mounting_unknowns([entry], [[0]], net, "case.toml")
+
+    with pytest.raises(InputError, match=r"mountings\[0\], lever_arm_m: a stated arm of image L, whose traj.*_sigma_m"):
+        unknowns(lever_arm_m=(0.0, 0.0, 200.0))
+    assert unknowns(lever_arm_m=(0.0, 0.0, 0.0)) == unknowns(boresight_mrad=(0.1, 0.0, 0.0)) == ()
+    right = MountingInput(camera=("R",), sharing="fixed", lever_arm_m=(0.0, 0.0, 200.0))
+    assert mounting_unknowns([right], [[1]], net, "case.toml") == ()
+
+
+WRONG = {
+    "more than half a turn": (
+        R + 'sharing = "fixed"\nboresight_mrad = [10000, 0, 0]', r"mountings\[0\], boresight_mrad: \[10000.*up to 3141"
+    ),
+    "no camera": ("[[mountings]]\nboresight_sigma_mrad = 1", r"mountings\[0\]: no camera; expected one of camera, ins"),
+    "two": (R + 'laser = ["L"]\nboresight_sigma_mrad = 1', "camera and laser; expected one of"),
+    "unknown image": (R.replace('["R"]', '["Q"]') + "boresight_sigma_mrad = 1", "the image 'Q'; expected some of"),
+    "no sigma": (R, "an unknown mounting without a sigma"),
+    "a fixed one with a sigma": (R + 'sharing = "fixed"\nboresight_sigma_mrad = 1', "sigmas of a mounting with"),
+    "a fixed one of nothing": (R + 'sharing = "fixed"', "a fixed mounting without angles and arms"),
+    "two numbers": (R + 'sharing = "fixed"\nboresight_mrad = [1, 2]', r"boresight_mrad: \[1.0, 2.0\]; expected three"),
+    "two mountings": (R + "boresight_sigma_mrad = 1\n" + R + "lever_arm_sigma_m = 1", r"'R', which mountings\[0\] has"),
+    "two cameras": (
+        '[[mountings]]\ncamera = ["L", "R"]\nboresight_sigma_mrad = 1', r"L and R of one camera, mounted 178 deg apart"
+    ),
+    "shared, too": (
+        R + 'boresight_sigma_mrad = 1\n[[shared]]\nkind = "camera boresight"\nimages = ["R"]\nsigma_mrad = 1',
+        r"mountings: a camera boresight of image R in \[\[shared\]\], too",
+    ),
+    "an instrument that no file names": (
+        '[[mountings]]\ninstrument = "NACR"\nboresight_sigma_mrad = 1', "'NACR', of no image; .*ISDs and states"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_one_clear_line(tmp_path: Path, fault: str) -> None:
+    tables, message = WRONG[fault]
+    with pytest.raises(InputError, match=message) as caught:
+        mgsgraph.read_case(write_rig(tmp_path, PASS + tables))
+    assert "\n" not in str(caught.value)
+
+
+def test_check_says_who_makes_a_pass_and_how_it_is_mounted(tmp_path: Path) -> None:
+    """The angle of 3.1 rad about z, 177.6 degrees; and that boresights of both cameras are one too many."""
+    said = inventory(mgsgraph.read_case(write_rig(tmp_path, PASS + R + "boresight_sigma_mrad = 1\n")))
+    assert "Passes\n  one: L, R\n    4 orientation images (lagrange)" in said
+    assert "a-priori sigmas: of the terms 1, s, s^2, s^3 of polynomials" in said
+    x, y, z = np.degrees(rotation.logarithm(TURN.T[None])[0])
+    assert f"mounted at {x:+.4f}, {y:+.4f}, {z:+.4f} deg (nominal rotation vector, about the axes x" in said
+    apart = np.degrees(np.arccos(TURN[2, 2]))
+    assert f", y, z of L; optical axes {apart:.4f} deg apart): R" in said
+    assert "orientation images of pass one" in said
+    assert "leave one camera out" not in said
+    both = R + "boresight_sigma_mrad = 1\n" + R.replace("R", "L") + "boresight_sigma_mrad = 1\n"
+    said = inventory(mgsgraph.read_case(write_rig(tmp_path, PASS + both)))
+    assert "boresights of all cameras of one are unknown beside the pass's own attitude: what they have" in said
+
+
+def test_a_name_that_says_boresight_says_it_once(tmp_path: Path) -> None:
+    table = '\n[[mountings]]\nname = "boresight of R"\ncamera = ["R"]\nboresight_sigma_mrad = 1.0\n'
+    (shared,) = mgsgraph.read_case(write_rig(tmp_path, PASS + table)).network.shared
+    assert shared.name == "boresight of R"

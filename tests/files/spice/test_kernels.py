@@ -1,0 +1,361 @@
+"""Trajectories out of kernels are SPICE's own; the pool is left as it was; what is missing is said in one line."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import spiceypy
+from mgs import START, STOP, kernels
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.spice.kernels import (
+    clock_time,
+    ellipsoid,
+    fixed_rotation,
+    loaded,
+    pool_numbers,
+    sample_trajectory,
+)
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.trajectory import Trajectory
+
+ARCSEC = np.pi / 180.0 / 3600.0
+MGS, STRUCTURE, NARROW = -94, -94000, -94031
+
+
+@pytest.fixture(autouse=True)
+def _empty_pool() -> Iterator[None]:
+    spiceypy.kclear()
+    yield
+    spiceypy.kclear()
+
+
+@pytest.fixture
+def mgs_kernels(shared_data: Path) -> list[Path]:
+    return kernels(shared_data)
+
+
+def sampled(interval: float = 0.5, bias: float = -1.15, **settings: object) -> Trajectory:
+    return sample_trajectory(
+        MGS, "MARS", STRUCTURE, np.eye(3), START, STOP, interval, attitude_bias=bias, **settings  # type: ignore[arg-type]
+    )
+
+
+def pointing(times: np.ndarray, bias: float) -> np.ndarray:
+    """CK(t + bias), by ckgp alone."""
+    return np.stack([spiceypy.ckgp(STRUCTURE, spiceypy.sce2c(MGS, time + bias), 0.0, "J2000")[0] for time in times])
+
+
+def places(times: np.ndarray, correction: str = "NONE") -> np.ndarray:
+    return np.array(spiceypy.spkezr("-94", times, "J2000", correction, "499")[0])[:, :3] * 1e3
+
+
+def turned(one: np.ndarray, other: np.ndarray) -> float:
+    """rad, largest angle between rotations (n, 3, 3)."""
+    return float(np.linalg.norm(rotation.logarithm(one @ np.swapaxes(other, 1, 2)), axis=1).max())
+
+
+# --- parity with SPICE
+
+
+def test_clock_count_of_the_published_image(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels):
+        assert clock_time(MGS, "619971158:28") == pytest.approx(START, abs=1e-7)
+
+
+def test_start_middle_and_end_are_those_of_spice(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels):
+        got = sampled()
+        times = np.array([START, got.epoch, STOP])
+        since = times - got.epoch
+        assert got.epoch == pytest.approx(0.5 * (START + STOP), abs=1e-8)
+        assert all(np.isin(since, table.times).all() for table in (got.position, got.camera, got.body))
+        np.testing.assert_allclose(got.position.at(since)[0], places(times), rtol=0, atol=1e-6)
+        assert turned(got.camera.at(since)[0], pointing(times, -1.15)) < 1e-9
+        fixed = np.stack([spiceypy.pxform("J2000", "IAU_MARS", time) for time in times])
+        assert turned(got.body.at(since)[0], fixed) < 1e-12
+
+
+@pytest.mark.parametrize("interval", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("bias", [-1.15, 0.0, 1.14])
+def test_anywhere_in_between_it_stays_with_spice(mgs_kernels: list[Path], interval: float, bias: float) -> None:
+    """Within 1 mm and 0.01 arcsec, the margins before the first and after the last line included."""
+    with loaded(mgs_kernels):
+        got = sampled(interval, bias)
+        assert got.coverage == pytest.approx((START - got.epoch - 2.0, STOP - got.epoch + 2.0), abs=1e-6)
+        times = got.epoch + np.random.default_rng(1).uniform(*got.coverage, 300)
+        since = times - got.epoch
+        assert np.abs(got.position.at(since)[0] - places(times)).max() < 1e-3
+        assert turned(got.camera.at(since)[0], pointing(times, bias)) < 0.01 * ARCSEC
+        fixed = np.stack([spiceypy.tipbod("J2000", 499, time) for time in times])
+        assert turned(got.body.at(since)[0], fixed) < 0.01 * ARCSEC
+        after, before = got.camera.quaternions[1:], got.camera.quaternions[:-1]
+        np.testing.assert_array_less(0.0, np.einsum("ni,ni->n", after, before))
+
+
+def test_position_bias_moves_positions_only(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels):
+        plain, moved = sampled(), sampled(position_bias=0.3)
+        times = np.array([START, STOP])
+        np.testing.assert_allclose(moved.position.at(times - moved.epoch)[0], places(times + 0.3), rtol=0, atol=1e-4)
+    np.testing.assert_array_equal(plain.camera.quaternions, moved.camera.quaternions)
+
+
+def test_aberration_gives_the_positions_of_isis_tables(mgs_kernels: list[Path]) -> None:
+    """Start position of M04/02852 in ALE's published support data, which are LT+S seen from the body."""
+    with loaded(mgs_kernels):
+        got = sampled(aberration="LT+S").position.at(np.array([START - 0.5 * (START + STOP)]))[0]
+        geometric = places(np.array([START]))
+    want = 1e3 * np.array([[-1745.7033016421271, 1342.9623258406766, -3030.553596888067]])
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-3)
+    assert np.linalg.norm(got - geometric) == pytest.approx(145.0, abs=1.0)
+
+
+def test_dense_noisy_records_of_a_ck_are_kept(mgs_kernels: list[Path], tmp_path: Path) -> None:
+    """Records every 0.13 s with 5 arcsec of noise: a regular grid would miss what SPICE says between them."""
+    path, rng = tmp_path / "noisy.bc", np.random.default_rng(7)
+    with loaded(mgs_kernels):
+        times = np.arange(START - 20.0, STOP + 20.0, 0.13)
+        matrices = rotation.exponential(rng.normal(0.0, 5.0 * ARCSEC, (times.size, 3))) @ pointing(times, 0.0)
+        ticks = np.array([spiceypy.sce2c(MGS, time) for time in times])
+        handle = spiceypy.ckopn(str(path), "noisy", 0)
+        quaternions = rotation.from_matrix(matrices)
+        spiceypy.ckw03(
+            handle, ticks[0], ticks[-1], STRUCTURE, "J2000", False, "noisy", ticks.size, ticks, quaternions,
+            np.zeros((ticks.size, 3)), 1, ticks[:1],
+        )  # fmt: skip
+        spiceypy.ckcls(handle)
+    with loaded([*mgs_kernels, path]):
+        got = sampled()
+        asked = got.epoch + rng.uniform(*got.coverage, 300)
+        assert turned(got.camera.at(asked - got.epoch)[0], pointing(asked, -1.15)) < 0.01 * ARCSEC
+
+
+def test_the_camera_frame_is_the_one_of_the_last_instrument_kernel(shared_data: Path) -> None:
+    for order in (("moc20.ti", "mocAddendum004.ti"), ("mocAddendum004.ti", "moc20.ti")):
+        with loaded(kernels(shared_data, order)):
+            got = fixed_rotation(STRUCTURE, NARROW)
+            angles = pool_numbers("TKFRAME_-94031_ANGLES", 3)
+        # R1 R2 R3 of a TK frame lead from the camera to the structure (NAIF frames required reading)
+        product = np.eye(3)
+        for axis, angle in zip((1, 2, 3), angles, strict=True):
+            product = product @ spiceypy.rotate(angle, axis)
+        np.testing.assert_allclose(got, product.T, rtol=0, atol=1e-15)
+
+
+def test_the_body_is_that_of_the_constants(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels):
+        mars = ellipsoid("Mars")
+        assert (mars.equatorial, mars.polar) == (3_396_190.0, 3_376_200.0)
+        with pytest.raises(InputError, match="body of revolution"):
+            ellipsoid("PHOBOS")
+        with pytest.raises(InputError, match="'Krypton'; expected a name"):
+            ellipsoid("Krypton")
+
+
+# --- the pool
+
+
+def contents() -> tuple[object, ...]:
+    files = [spiceypy.kdata(k, "ALL")[:3] for k in range(spiceypy.ktotal("ALL"))]
+    names = sorted(spiceypy.gnpool("*", 0, 100_000)) if files else []
+    kinds = {name: spiceypy.dtpool(name) for name in names}
+    values = {
+        name: list(spiceypy.gcpool(name, 0, n, 200)) if kind == "C" else spiceypy.gdpool(name, 0, n).tolist()
+        for name, (n, kind) in kinds.items()
+    }
+    return files, values
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_callers_pool_is_left_as_it_was(mgs_kernels: list[Path], tmp_path: Path, fails: bool) -> None:
+    listed = ",\n".join(f"'{path}'" for path in mgs_kernels[:3])
+    meta = tmp_path / "mine.tm"
+    meta.write_text(f"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( {listed} )\nOWN = 'kept'\n\\begintext\n")
+    spiceypy.furnsh(str(meta))
+    spiceypy.furnsh(str(mgs_kernels[-1]))
+    spiceypy.unload(str(mgs_kernels[0]))
+    spiceypy.pdpool("PUT_IN", [1.5, 2.5])
+    spiceypy.pcpool("WORDS", ["one", "two three"])
+    spiceypy.pdpool("BODY499_RADII", [1.0, 2.0, 3.0])  # over the file's
+    spiceypy.dvpool("OWN")
+    before = contents()
+
+    try:
+        with loaded(mgs_kernels[:4]):
+            assert spiceypy.ktotal("ALL") == 4
+            assert spiceypy.gdpool("BODY499_RADII", 0, 3)[0] == 3396.19
+            spiceypy.pdpool("LITTER", [1.0])
+            if fails:
+                raise ZeroDivisionError
+    except ZeroDivisionError:
+        assert fails
+
+    assert contents() == before
+
+
+def test_an_empty_pool_is_empty_again(mgs_kernels: list[Path], tmp_path: Path) -> None:
+    with loaded(mgs_kernels):
+        pass
+    with pytest.raises(InputError), loaded([*mgs_kernels, tmp_path / "gone.bc"]):
+        pass
+    assert contents() == ([], {})
+
+
+def test_a_callers_kernel_that_has_gone_stops_before_anything_changes(tmp_path: Path, mgs_kernels: list[Path]) -> None:
+    own = tmp_path / "own.tls"
+    own.write_bytes(mgs_kernels[0].read_bytes())
+    spiceypy.furnsh(str(own))
+    own.unlink()
+    with pytest.raises(InputError, match=r"own\.tls: a kernel that is loaded has gone"), loaded(mgs_kernels):
+        pass
+    assert spiceypy.ktotal("ALL") == 1
+
+
+def test_meta_kernels_find_files_by_symbol_and_beside_them(
+    mgs_kernels: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "beside.tls").write_bytes(mgs_kernels[0].read_bytes())
+    (tmp_path / "here.tpc").write_bytes(mgs_kernels[1].read_bytes())
+    monkeypatch.chdir(tmp_path)
+    folder = mgs_kernels[2].parent
+    meta = Path("site") / "all.tm"
+    meta.write_text(
+        f"KPL/MK\n\\begindata\nPATH_VALUES = ( '{folder}' )\nPATH_SYMBOLS = ( 'MGS' )\n"
+        "KERNELS_TO_LOAD = ( 'beside.tls', 'here.tpc'\n '$MGS/MGS_SCLKSCET+'\n '.00061.tsc' )\n\\begintext\n"
+    )
+    with loaded([meta]):
+        assert clock_time(MGS, "619971158:28") == pytest.approx(START, abs=1e-7)
+        assert ellipsoid(499).polar == 3_376_200.0
+
+
+# --- what is missing or wrong
+
+
+def one_line(caught: pytest.ExceptionInfo[InputError]) -> str:
+    text = str(caught.value)
+    assert "\n" not in text
+    assert "Toolkit" not in text
+    return text
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("gone.bsp", None, "gone.bsp: no such file"),
+        ("notes.txt", b"nothing of SPICE", "notes.txt: no SPICE kernel"),
+        ("picture.img", bytes(range(256)) * 8, "picture.img: no SPICE kernel"),
+        ("moved.xsp", b"DAFETF NAIF DAF ENCODED TRANSFER FILE\n", "moved.xsp: a transfer file"),
+        ("cut.bsp", b"DAF/SPK " + bytes(200), "cut.bsp: 208 bytes; expected 1024"),
+        ("broken.tpc", b"KPL/PCK\n\\begindata\nA = ( 1, 'x' )\n", "broken.tpc: SPICE says: "),
+        ("meta.tm", b"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( 'lost.bc' )\n", "meta.tm: the kernel 'lost.bc' that it"),
+    ],
+)
+def test_a_kernel_that_is_none(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError) as caught, loaded([tmp_path / name]):
+        pass
+    assert said in one_line(caught)
+    assert contents()[0] == []
+
+
+@pytest.mark.parametrize("suffix", [".bsp", ".bc"])
+def test_a_kernel_cut_short_is_said_with_both_sizes(mgs_kernels: list[Path], tmp_path: Path, suffix: str) -> None:
+    whole = next(path for path in mgs_kernels if path.suffix == suffix).read_bytes()
+    cut = tmp_path / f"cut{suffix}"
+    cut.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError) as caught, loaded([cut]):
+        pass
+    assert f"cut{suffix}: {len(whole) // 2} bytes; expected " in one_line(caught)
+    assert len(whole) - 1024 < int(one_line(caught).split("expected ")[1].split()[0]) <= len(whole)
+
+
+def test_a_folder_is_no_kernel(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a folder; expected a file"), loaded([tmp_path]):
+        pass
+
+
+def test_gaps_are_refused_with_what_is_covered(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels), pytest.raises(InputError) as caught:
+        sample_trajectory(MGS, "MARS", STRUCTURE, np.eye(3), START - 400.0, STOP, attitude_bias=-1.15)
+    text = one_line(caught)
+    assert "positions of -94" in text
+    assert "1999-08-24T14:10:13.635 .. 1999-08-24T14:14:19.559 UTC (ET -11224122.182 .. -11223876.258 s)" in text
+    assert "1999-08-24T13:58:15.744" in text
+
+
+@pytest.mark.parametrize("bias", [-130.0, 125.0])
+def test_the_biased_time_is_what_must_be_covered(mgs_kernels: list[Path], bias: float) -> None:
+    with loaded(mgs_kernels), pytest.raises(InputError, match="attitude of -94000: nothing for all of"):
+        sampled(bias=bias)
+
+
+def test_the_margin_ends_with_the_kernels(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels):
+        got = sample_trajectory(
+            MGS, "MARS", STRUCTURE, np.eye(3), -11224122.0, STOP, attitude_bias=1.15, margin=5.0, interval=2.0
+        )
+        start = got.epoch + got.coverage[0]
+        assert start == pytest.approx(-11224122.182, abs=1e-3)
+        assert np.abs(got.position.positions[:1] - places(np.array([start]))).max() < 1e-3
+
+
+def test_other_spacecraft_are_named(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels):
+        with pytest.raises(InputError) as caught:
+            sample_trajectory(-41, "MARS", STRUCTURE, np.eye(3), START, STOP, attitude_bias=0.0)
+        assert "positions of -41" in one_line(caught)
+        assert "an id out of those in the kernels: -94, 4, 10, 499" in str(caught.value)
+        with pytest.raises(InputError) as caught:
+            sample_trajectory(MGS, "MARS", -41001, np.eye(3), START, STOP, attitude_bias=0.0)
+        assert "attitude of -41001" in one_line(caught)
+        assert "kernels: -94000" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "said"),
+    [(".bsp", "at least one SPK"), (".bc", "at least one CK"), (".tsc", "load the SCLK"), ("tpc", "load the PCK")],
+)
+def test_each_kind_of_kernel_is_missed(mgs_kernels: list[Path], left_out: str, said: str) -> None:
+    fewer = [path for path in mgs_kernels if not path.name.endswith(left_out)]
+    with loaded(fewer), pytest.raises(InputError) as caught:
+        sampled()
+    assert said in one_line(caught)
+
+
+def test_without_leap_seconds_gaps_are_told_in_ephemeris_time(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels[1:]), pytest.raises(InputError) as caught:
+        sample_trajectory(MGS, "MARS", STRUCTURE, np.eye(3), 0.0, 1.0, attitude_bias=0.0)
+    assert "UTC" not in one_line(caught)
+    assert "ET -11224122.182 .. -11223876.258 s" in str(caught.value)
+
+
+@pytest.mark.parametrize("count", ["nonsense", "", "1/2/3", "99999999999:0"])
+def test_a_clock_count_that_is_none(mgs_kernels: list[Path], count: str) -> None:
+    with loaded(mgs_kernels), pytest.raises(InputError, match="spacecraft clock count") as caught:
+        clock_time(MGS, count)
+    one_line(caught)
+
+
+def test_constants_that_are_missing_or_of_another_kind(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels[:1]):
+        with pytest.raises(InputError, match="no INS-94031_PIXEL_PITCH"):
+            pool_numbers("INS-94031_PIXEL_PITCH", 1)
+        with pytest.raises(InputError, match="frame"):
+            fixed_rotation(STRUCTURE, NARROW)
+        spiceypy.pdpool("PAIR", [1.0, 2.0])
+        spiceypy.pcpool("WORD", ["a"])
+        with pytest.raises(InputError, match=r"PAIR: 2 numbers; expected 3 number\(s\)"):
+            pool_numbers("PAIR", 3)
+        with pytest.raises(InputError, match="WORD: 1 texts"):
+            pool_numbers("WORD", 1)
+
+
+def test_nonsense_times_are_refused(mgs_kernels: list[Path]) -> None:
+    with loaded(mgs_kernels):
+        for start, stop, interval in ((STOP, START, 1.0), (START, np.nan, 1.0), (START, STOP, 0.0)):
+            with pytest.raises(InputError, match="start < stop"):
+                sample_trajectory(MGS, 499, STRUCTURE, np.eye(3), start, stop, interval, attitude_bias=0.0)

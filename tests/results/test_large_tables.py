@@ -1,0 +1,69 @@
+"""Tables of points and residuals as Parquet are those of the CSV files, number for number."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from networks import network, pair
+from pyarrow import csv, parquet
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.files.rasters.coordinate_systems import geographic_crs
+from mgsgraph.results import large_tables
+from mgsgraph.results.large_tables import form_of, write_large_tables
+from mgsgraph.results.results import write_results
+from mgsgraph.results.tables import points_table, residuals_table
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    return adjust_network(network(pair()), SolverSettings())
+
+
+def test_parquet_holds_what_csv_does(solution: Solution, tmp_path: Path) -> None:
+    for form in ("csv", "parquet"):
+        names = write_results(solution, tmp_path / form, figures=False, tables=form)  # type: ignore[arg-type]
+        assert {f"points.{form}", f"residuals.{form}"} <= set(names)
+    for name in ("points", "residuals"):
+        one = csv.read_csv(tmp_path / "csv" / f"{name}.csv")
+        other = parquet.read_table(tmp_path / "parquet" / f"{name}.parquet")
+        left = other.drop_columns(["geometry"]) if name == "points" else other
+        assert one.column_names == left.column_names
+        for column in one.column_names:
+            assert [x or None for x in one[column].to_pylist()] == [x or None for x in left[column].to_pylist()], column
+
+
+def test_places_are_in_geoparquet(solution: Solution, tmp_path: Path) -> None:
+    write_results(solution, tmp_path / "r", figures=False, tables="parquet")
+    table = parquet.read_table(tmp_path / "r" / "points.parquet")
+    about = json.loads(table.schema.metadata[b"geo"])
+    assert about["columns"]["geometry"]["crs"] == geographic_crs(solution.network.images[0].body)
+    shapely = pytest.importorskip("shapely")
+    shapes = shapely.from_wkb(np.array(table["geometry"].to_pylist(), dtype=object))
+    lon, lat = table["lon_deg"].to_numpy(), table["lat_deg"].to_numpy()
+    np.testing.assert_allclose(shapely.get_x(shapes) % 360.0, lon, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(shapely.get_y(shapes), lat)
+
+
+def test_the_longer_table_decides(solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert form_of(solution) == "csv"
+    assert form_of(solution, "parquet") == "parquet"
+    monkeypatch.setattr(large_tables, "MOST_CSV_ROWS", 10)
+    assert form_of(solution) == "parquet"
+    assert form_of(solution, "csv") == "csv"
+
+
+@pytest.mark.parametrize("piece", [1, 7, 1000])
+def test_tables_in_pieces_are_the_whole_ones(
+    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int
+) -> None:
+    whole = (table(solution).arrow for table in (points_table, residuals_table))
+    monkeypatch.setattr(large_tables, "_PIECE", piece)
+    for name, expected in zip(write_large_tables(solution, tmp_path, "parquet"), whole, strict=True):
+        found = parquet.ParquetFile(tmp_path / name)
+        assert found.metadata.num_row_groups == -(-expected.num_rows // piece)
+        for column in expected.column_names:
+            assert found.read()[column].to_pylist() == expected[column].to_pylist(), column

@@ -1,0 +1,329 @@
+"""Strips in reports: course and sigmas along time, tables, words, pictures, and the archive that reads them back."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mex import CHANGES
+from networks import as_nodes, network, pair
+from strip_files import block, write_block
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.datum.frames import flight_frame
+from mgsgraph.adjustment.settings import Angles, SolverSettings
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.analysis.flight import node_times, strip_corrections, strip_reports
+from mgsgraph.case.reading import read_case
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.network import Network, Pass
+from mgsgraph.network.joining import seconds
+from mgsgraph.results.archive import read_solution, write_archive
+from mgsgraph.results.figures import write_figures
+from mgsgraph.results.figures.passes import drawn_strip
+from mgsgraph.results.inventory import inventory
+from mgsgraph.results.passes import bare_nodes, calendar, nodes_table
+from mgsgraph.results.results import solution_json
+from mgsgraph.results.summary import statements, summary_table
+from mgsgraph.units import ARCSEC, MGON
+
+
+def with_basis(basis: Basis) -> Network:
+    """The block with nodes every 3 s."""
+    strips = []
+    for strip in block().network.passes:
+        nodes = evenly_spaced(basis, strip.nodes.epoch, strip.nodes.coverage, 3.0)
+        strips.append(replace(strip, nodes=nodes))
+    return replace(block().network, passes=tuple(strips))
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    return adjust_network(with_basis("lagrange"), SolverSettings(), "block")
+
+
+@pytest.fixture(scope="module")
+def spline() -> Solution:
+    return adjust_network(with_basis("spline"), SolverSettings(), "block")
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Solution:
+    """The pair: its first image a strip with a joint prior of its four nodes, the other one by itself."""
+    net = network(pair())
+    start, stop = seconds(net.images[0])
+    epoch = net.images[0].trajectory.epoch
+    nodes = evenly_spaced("lagrange", epoch, (start - epoch, stop - epoch), (stop - start) / 2.0)
+    u = net.images[0].normalised(net.images[0].timing.lines(nodes.times))
+    trend = np.array([1.0, 0.3, 0.1, 0.05])[:, None] * net.priors[0].sigmas[0]
+    prior = as_nodes(replace(net.priors[0], sigmas=trend), nodes, u)
+    strip = Pass('one, "A"', np.array([0]), nodes, prior)
+    return adjust_network(replace(net, passes=(strip,)), SolverSettings(), "mixed")
+
+
+# --- the course
+
+
+@pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
+@pytest.mark.parametrize("basis", ["lagrange", "spline"])
+def test_the_course_is_what_each_image_has(basis: Basis, angles: Angles) -> None:
+    """Lengths of corrections, and sums of variances, are those of the images' own profiles, whatever the axes."""
+    solved = adjust_network(with_basis(basis), SolverSettings(angles=angles), "block")
+    for image in (0, 2, 9):
+        profile = orientation_profile(solved, image, 7)
+        course = strip_corrections(solved, image // 5, profile.times)
+        for part, correction, sigma in (
+            (slice(0, 3), profile.position_after - profile.position_before, profile.position_sigma),
+            (slice(3, 6), profile.rotation, profile.rotation_sigma),
+        ):
+            for ours, theirs in ((course.values[:, part], correction), (course.sigmas[:, part], sigma)):
+                np.testing.assert_allclose(np.linalg.norm(ours, axis=1), np.linalg.norm(theirs, axis=1), rtol=1e-3)
+
+
+def test_axes_are_those_of_the_analysis(solution: Solution) -> None:
+    """Roll, pitch and yaw, along, across and radial, in the middle of an image: `datum.frames` finds the same."""
+    for strip, image in ((0, 2), (1, 7)):
+        picture = solution.network.images[image]
+        middle = picture.moments(np.array([0.5 * picture.lines]))
+        course = strip_corrections(solution, strip, middle.times + middle.epoch)
+        correction, _ = solution.correction(image).at(middle)
+        np.testing.assert_allclose(course.values, correction @ flight_frame(picture).turn.T, rtol=1e-6, atol=1e-9)
+
+
+def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
+    """84 corrections at nodes, with those of the true trajectory."""
+    errors = []
+    for k in range(2):
+        times = node_times(solution, k)
+        truth = replace(solution, nodes=tuple(block().corrections[5 * k].nodes.dense(
+            times - block().corrections[5 * k].nodes.epoch, block().corrections[5 * k].nodes.epoch
+        )[0] @ block().true_nodes(k) for k in range(2)))  # fmt: skip
+        found, true = (strip_corrections(one, k, times) for one in (solution, truth))
+        errors.append((found.values - true.values) / found.sigmas)
+    assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2.0
+
+
+def test_nodes_of_a_spline_within_the_strip(spline: Solution) -> None:
+    one = spline.network.passes[0]
+    times = node_times(spline, 0)
+    assert times.size == len(one.nodes) - 2
+    c = spline.nodes[0]
+    want = (c[:-2] + 4.0 * c[1:-1] + c[2:]) / 6.0
+    np.testing.assert_allclose(
+        np.linalg.norm(strip_corrections(spline, 0, times).values[:, :3], axis=1),
+        np.linalg.norm(want[:, :3], axis=1), rtol=1e-9,
+    )  # fmt: skip
+
+
+# --- tables and words
+
+
+def test_report(solution: Solution) -> None:
+    one, image = strip_reports(solution)[0], solution.network.images[2]
+    start, stop = seconds(image)
+    assert (one.name, one.images[2], one.nodes) == ("HRSC/00", "HRSC/00/ND", len(solution.network.passes[0].nodes))
+    assert one.spacing == pytest.approx(np.diff(solution.network.passes[0].nodes.times)[0])
+    assert one.lines == pytest.approx(one.spacing / (stop - start) * image.lines)
+    middle = image.pose(np.array([0.5 * image.lines]))
+    speed = np.linalg.norm(middle.velocity) * image.lines / (stop - start) * 3396e3 / np.linalg.norm(middle.position)
+    assert one.ground == pytest.approx(speed * one.spacing, rel=0.03)
+    assert [part[:2] for part in one.trend[:4]] == [("bias", "X"), ("bias", "Y"), ("bias", "Z"), ("bias", "rotation x")]
+    assert [part[2] for part in one.trend] == solution.trends[0].tolist()
+    first = int(solution.network.first_of_passes[1]) - 1
+    variances = np.diagonal(solution.joint_covariance.block(first, first))
+    np.testing.assert_allclose([part[3] for part in one.trend], np.sqrt(variances))
+
+
+def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None:
+    nodes_table(solution).write_csv(tmp_path / "passes.csv")
+    with (tmp_path / "passes.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == sum(len(strip.nodes) for strip in solution.network.passes)
+    assert [row["node"] for row in rows[:3]] == ["1", "2", "3"]
+    for k, row in enumerate(rows[: len(solution.nodes[0])]):
+        nodes = solution.network.passes[0].nodes
+        assert float(row["time_et_s"]) == nodes.times[k] + nodes.epoch
+        size = np.linalg.norm([float(row[f"correction_{name}_m"]) for name in ("along", "across", "radial")])
+        assert size == pytest.approx(np.linalg.norm(solution.nodes[0][k, :3]))
+        turn = np.linalg.norm([float(row[f"correction_{name}_mgon"]) for name in ("roll", "pitch", "yaw")])
+        assert turn * MGON == pytest.approx(np.linalg.norm(solution.nodes[0][k, 3:]))
+        for part in ("correction", "sigma"):
+            assert float(row[f"{part}_yaw_arcsec"]) * ARCSEC == pytest.approx(float(row[f"{part}_yaw_mgon"]) * MGON)
+        assert min(float(row[name]) for name in row if name.startswith("sigma")) > 0.0
+
+
+def test_calendar_is_tdb() -> None:
+    """h5270 begins at 2008-02-08T12:08:53.843 UTC, which is 65.184 s behind."""
+    assert calendar(CHANGES[0][0]) == "2008-02-08T12:09:59.027"
+    assert calendar(-0.0004) == "2000-01-01T12:00:00.000"
+
+
+def test_words_and_table(solution: Solution, mixed: Solution) -> None:
+    said = [line for line in statements(solution) if line.startswith("Pass ")]
+    assert len(said) == 2
+    nodes = len(solution.network.passes[0].nodes)
+    assert said[0].startswith(f"Pass HRSC/00 (5 images): {nodes} orientation images (lagrange), one every ")
+    assert "km on the ground" in said[0]
+    (datum,) = [line for line in statements(solution) if line.startswith("No laser rows")]
+    assert " are 50 m in position and 0.442 mrad in rotation" in datum  # 28 and 3 mgon together
+    assert not any("held" in line for line in statements(solution))
+    for one in (solution, mixed):
+        table = summary_table(one)
+        assert "Passes " in table
+        assert "held" not in table
+        assert max(map(len, table.splitlines())) <= 110
+
+
+def test_json(solution: Solution, mixed: Solution) -> None:
+    for one in (solution, mixed):
+        record = solution_json(one)
+        assert json.loads(json.dumps(record, allow_nan=False)) == record
+        assert not any(image["held"] for image in record["images"])
+    assert [image["pass"] for image in solution_json(mixed)["images"]] == ['one, "A"', None]
+    strip = solution_json(solution)["passes"][0]
+    assert strip["images"][0] == "HRSC/00/S1"
+    assert strip["trend"][3]["component"] == "rotation x"
+    assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(solution.trends[0][3])
+
+
+def test_without_strips_nothing_is_said(tmp_path: Path) -> None:
+    solved = adjust_network(network(pair()), SolverSettings(), "pair")
+    assert not any("trip" in line for line in statements(solved))
+    assert "Strips" not in summary_table(solved)
+    assert solution_json(solved)["passes"] == []
+
+
+# --- check
+
+
+def test_check(tmp_path: Path) -> None:
+    case = read_case(write_block(tmp_path))
+    said = inventory(case)
+    assert "orientation images of pass HRSC/01" in said
+    assert f"{len(case.network.passes[1].nodes)} orientation images (lagrange), one every" in said
+    assert (
+        "a-priori sigmas: bias 50 m and 28 mgon, drift 10 m and 5 mgon, departures 1 m and 3 mgon, correlated over 60 s"
+        in said
+    )
+    assert "held" not in said.replace("no held image", "")
+    assert "no laser, no ground control, no held image" in said
+
+
+def test_bare_nodes_are_counted() -> None:
+    """Rays between the third and the fifth node are taken out: the fourth one has none; and none at the end."""
+    net = block().network
+    strip = net.passes[0]
+    strip = replace(strip, nodes=evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 6.0))
+    net = replace(net, passes=(strip,), rays=net.rays.chosen(net.rays.image < 5))
+    assert bare_nodes(net) == []
+    times = np.empty(net.rays.point.size)
+    for j in range(5):
+        mine = net.rays.image == j
+        times[mine] = net.images[j].timing.at(net.rays.places[mine, 0])[0]
+    gone = (times > strip.nodes.times[2]) & (times < strip.nodes.times[4])
+    (said,) = bare_nodes(replace(net, rays=net.rays.chosen(~gone)))
+    assert said.startswith(f"pass HRSC/00: fewer than 3 rays near 1 of its {len(strip.nodes)} nodes, between others")
+    (said,) = bare_nodes(replace(net, rays=net.rays.chosen(times < strip.nodes.times[-3])))
+    assert said == "pass HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
+
+
+# --- pictures
+
+
+def test_the_curve_passes_through_its_nodes(solution: Solution, spline: Solution) -> None:
+    for one in (solution, spline):
+        drawn = drawn_strip(one, 1)
+        assert drawn.nodes[0] == pytest.approx(0.0, abs=1e-6)
+        assert drawn.nodes[-1] == pytest.approx(drawn.places[-1])
+        for (curve, sigma), at in zip(drawn.curves, drawn.at_nodes, strict=True):
+            near = np.interp(drawn.nodes, drawn.places, curve)
+            np.testing.assert_allclose(near, at, atol=max(0.1 * float(np.ptp(curve)), 1e-6))
+            assert np.all(sigma > 0.0)
+
+
+@pytest.mark.usefixtures("light_figures")
+def test_files(solution: Solution, mixed: Solution, tmp_path: Path) -> None:
+    names = write_figures(solution, tmp_path / "block")
+    assert "passes.png" in names
+    assert "passes.svg" in names
+    assert not any(name.startswith("orientation") for name in names)
+    assert {"passes.png", "orientation.png"} <= set(write_figures(mixed, tmp_path / "mixed"))
+
+
+# --- the archive
+
+
+@pytest.mark.parametrize("which", ["solution", "spline", "mixed"])
+def test_the_same_solution_comes_back(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    solved: Solution = request.getfixturevalue(which)
+    write_archive(solved, tmp_path / "solution.npz")
+    back = read_solution(tmp_path)
+    write_archive(back, tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "solution.npz").read_bytes()
+    assert type(back.network.passes[0].prior) is type(solved.network.passes[0].prior)
+    assert back.network.passes[0].nodes.basis == solved.network.passes[0].nodes.basis
+    assert solution_json(back) == solution_json(solved)
+
+
+def edited(solved: Solution, path: Path, drop: tuple[str, ...] = (), **arrays: np.ndarray) -> Path:
+    """The archive of a solution without some fields of its record, and with other arrays."""
+    write_archive(solved, path)
+    with np.load(path) as archive:
+        parts = {name: archive[name] for name in archive.files}
+    record = json.loads(parts["record"].tobytes())
+    for name in drop:
+        inner, _, key = f"record.{name}".rpartition(".")
+        holder = record
+        for step in inner.split(".")[1:]:
+            holder = holder[step]
+        del holder[key]
+    parts["record"] = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
+    parts |= {name.replace("__", "."): array for name, array in arrays.items()}
+    np.savez(path, **parts)
+    return path
+
+
+def test_archives_of_before_strips_are_read(tmp_path: Path) -> None:
+    solved = adjust_network(network(pair()), SolverSettings(), "pair")
+    back = read_solution(edited(solved, tmp_path / "old.npz", ("nodes", "trends", "network.passes")))
+    assert back.nodes == back.trends == back.network.passes == ()
+    assert solution_json(back) == solution_json(solved)
+
+
+@pytest.mark.parametrize(
+    ("drop", "arrays", "says"),
+    [
+        (("nodes",), {}, "nodes.0: an array that"),
+        (("trends",), {}, "trends.0: an array that"),
+        ((), {"nodes__0": np.zeros((3, 6))}, r"nodes: shapes \[\(3, 6\)"),
+        ((), {"trends__1": np.full(12, np.nan)}, "trends: not a number"),
+        ((), {"network__passes__0__nodes__times": np.arange(3.0)}, "3 nodes; expected at least 4"),
+        ((), {"network__passes__1__images": np.array([0, 1])}, "image 0; expected an image of the network, of one"),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    solution: Solution, tmp_path: Path, drop: tuple[str, ...], arrays: dict[str, np.ndarray], says: str
+) -> None:
+    path = edited(solution, tmp_path / "x.npz", drop, **arrays)
+    with pytest.raises(InputError, match=says) as caught:
+        read_solution(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+# --- the command line
+
+
+def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_block(tmp_path)
+    assert not group(["adjust", str(path), "--out", str(tmp_path / "out"), "--no-figures"], standalone_mode=False)
+    said = capsys.readouterr().out
+    nodes = len(block().network.passes[1].nodes)
+    assert f"Pass HRSC/01 (5 images): {nodes} orientation images" in said
+    assert "pitch" in said
+    assert (tmp_path / "out" / "passes.csv").is_file()
+    assert len(read_solution(tmp_path / "out").network.passes) == 2

@@ -1,0 +1,561 @@
+"""The report page: its figures, tables and comparisons, and what a real browser makes of it."""
+
+import base64
+import io
+import re
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import networks
+import numpy as np
+import PIL.Image
+import profiles
+import pytest
+from sharing import with_all_kinds
+from strip_files import block
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.case.reading import Case, read_case
+from mgsgraph.case.reading import adjust as adjust_case
+from mgsgraph.errors import InputError
+from mgsgraph.files.output.table import NONE, Table, fixed
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.results import page_tables as report_tables
+from mgsgraph.results.comparison import compare, orientation_difference
+from mgsgraph.results.figures import page as report_figures
+from mgsgraph.results.figures.page import local_corrections
+from mgsgraph.results.figures.page_scene import Scene, scenes
+from mgsgraph.results.page import write_report
+from mgsgraph.results.page_tables import tables
+from mgsgraph.simulation.files import write_pair
+
+LINES, SAMPLES = (3000, 3400), (100, 250)
+"""Of the bright field in the pictures."""
+FIGURES = {
+    "map", "connectivity", "discrepancy", "closeups", "orientation", "residuals", "corrections", "sigma_map",
+    "comparison",
+}
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """The small pair with a MOLA profile and pictures: dark, with a bright field."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    path = profiles.with_profile(write_pair(networks.pair(ties=20, shots=8), tmp_path_factory.mktemp("case")))
+    grey = np.random.default_rng(0).integers(20, 60, (5000, 1024), dtype=np.uint8)
+    grey[slice(*LINES), slice(*SAMPLES)] = 250
+    text = path.read_text(encoding="utf-8")
+    for letter in "AB":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path.with_name(f"{letter}.tif"), "w", driver="GTiff", height=5000, width=1024, count=1,
+                               dtype="uint8") as file:  # fmt: skip
+                file.write(grey, 1)
+        text = text.replace(f'isd = "image_{letter}.isd"', f'isd = "image_{letter}.isd"\npixels = "{letter}.tif"')
+    path.write_text(text, encoding="utf-8")
+    return read_case(path)
+
+
+@pytest.fixture(scope="module")
+def solution(case: Case) -> Solution:
+    return adjust_case(case)
+
+
+@pytest.fixture(scope="module")
+def registration(case: Case, solution: Solution) -> CaseRegistration:
+    return register_case(case, solution)
+
+
+@pytest.fixture(scope="module")
+def scene(registration: CaseRegistration) -> Scene:
+    return scenes(registration)[0][0]
+
+
+@pytest.fixture(scope="module")
+def page(case: Case, solution: Solution, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    earlier = replace(solution, name="earlier", places=solution.places + 1.0)
+    inputs = {"solution.npz": "0" * 64, "gone.bsp": None}
+    return write_report(solution, tmp_path_factory.mktemp("page") / "report.html", case, earlier, inputs)
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of other things: figures take most of the time."""
+    monkeypatch.setattr(report_figures, "figure_tasks", lambda *_: [("map", list)])
+    monkeypatch.setattr(report_figures, "sigma_figures", lambda *_: ([], "none"))
+
+
+def text_of(solution: Solution, folder: Path, **wanted: Any) -> str:
+    return write_report(solution, folder / "r.html", **wanted).read_text(encoding="utf-8")
+
+
+def named(found: list[Table], name: str) -> Table:
+    return next(table for table in found if table.name == name)
+
+
+# --- the file
+
+
+def test_it_is_one_file_without_an_outside_address(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    addresses = re.findall(r'(?:src|href|action|srcset|data|poster)="([^"]*)"', text)
+    assert len(addresses) > 20
+    assert [one[:60] for one in addresses if not one.startswith(("data:", "#"))] == []
+    assert re.findall(r"https?://|@import|url\((?!#)", text) == []
+    assert set(re.findall(r'data-name="([a-z_]+)"', text)) == FIGURES
+    assert len(text) < 5_000_000
+
+
+@pytest.mark.slow
+def test_the_same_inputs_give_the_same_page(page: Path, case: Case, solution: Solution, tmp_path: Path) -> None:
+    earlier = replace(solution, name="earlier", places=solution.places + 1.0)
+    again = text_of(solution, tmp_path, case=case, earlier=earlier,
+                    inputs={"solution.npz": "0" * 64, "gone.bsp": None})  # fmt: skip
+    assert again == page.read_text(encoding="utf-8")
+
+
+def test_what_could_not_be_read_is_said(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert '<td>gone.bsp</td><td class="sum">could not be read</td>' in text
+    assert '<td class="sum">' + "0" * 64 in text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_page_takes_the_place_of_no_other_file(solution: Solution, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"'.npz'; expected a page \(.html\)"):
+        write_report(solution, tmp_path / "solution.npz")
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="can't be written"):
+        write_report(solution, tmp_path / "file" / "r.html")
+    (tmp_path / "r.html").mkdir()
+    with pytest.raises(InputError, match="what is there is no file"):
+        write_report(solution, tmp_path / "r.html")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "r.html"]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_an_earlier_page_stays_whole(solution: Solution, tmp_path: Path) -> None:
+    earlier = '<meta name="generator" content="mgsgraph report">'
+    (tmp_path / "r.html").write_text(earlier)
+    others = replace(solution.network, images=tuple(
+        replace(image, name=f"other {image.name}") for image in solution.network.images
+    ))  # fmt: skip
+    with pytest.raises(InputError, match="no image in common; expected some of SIM/A, SIM/B"):
+        write_report(solution, tmp_path / "r.html", earlier=replace(solution, network=others))
+    assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
+    assert (tmp_path / "r.html").read_text() == earlier
+
+
+# --- solutions of other kinds
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_one_that_has_not_converged_is_marked(tmp_path: Path) -> None:
+    bad = adjust_network(networks.network(networks.pair()), SolverSettings(max_iterations=1), "A <b>&")
+    text = text_of(bad, tmp_path)
+    assert "NOT CONVERGED: nothing on this page is a result" in text
+    assert "<h1>Report on A &lt;b&gt;&amp;</h1>" in text
+    assert "<b>" not in text
+    assert "with the case file (--case)" in text
+    assert "if the case names profiles of MOLA" in text  # others' footprints can't be shown
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_strips_without_laser(tmp_path: Path) -> None:
+    text = text_of(adjust_network(block().network, SolverSettings(), "block"), tmp_path)
+    assert "This solution has no laser points" in text
+    assert 'id="table-passes"' in text
+    assert 'id="table-ranges"' not in text
+
+
+def test_unknowns_that_images_share() -> None:
+    network = with_all_kinds(networks.with_shift_and_surface(networks.network(networks.pair())))
+    found = tables(adjust_network(network, SolverSettings()))
+    assert len(named(found, "shared").rows) == sum(one.kind.width for one in network.shared)
+    assert [row[0] for row in named(found, "shifts").rows] == list(network.shift_names)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_case_without_profiles_says_so(solution: Solution, case: Case, tmp_path: Path) -> None:
+    text = text_of(solution, tmp_path, case=replace(case, profiles=()))
+    assert "case.toml names no laser profile" in text
+    assert 'class="scene"' not in text
+
+
+def test_without_pixels_the_frame_stands_for_the_image(registration: CaseRegistration) -> None:
+    found, _ = scenes(replace(registration, pictures=(None, None)))
+    assert [one.uri for one in found] == ["", ""]
+    assert all(one.states[0].marks for one in found)
+
+
+# --- tables
+
+
+def test_a_long_table_is_cut_and_says_so(solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_tables, "MOST_ROWS", 5)
+    found = named(tables(solution), "points")
+    total = len(solution.network.points)
+    assert f"5 of {total} are listed, those that nothing determines and those of the largest sigma" in found.note
+    size = np.linalg.norm(solution.sigmas, axis=1)
+    assert {row[0] for row in found.rows} == {solution.network.points.ids[i] for i in np.argsort(-size)[:5]}
+    assert "listed" not in named(tables(solution), "classes").note
+
+
+def test_undetermined_points_have_dashes(solution: Solution) -> None:
+    places = solution.places.copy()
+    places[3] = np.nan
+    covariances = solution.covariances.copy()
+    covariances[3] = np.nan
+    determined = np.arange(len(places)) != 3
+    found = named(tables(replace(solution, places=places, covariances=covariances, determined=determined)), "points")
+    (row,) = [row for row in found.rows if row[0] == solution.network.points.ids[3]]
+    assert row[3:12] == [NONE] * 9
+    assert row[-1] == "rejected"
+    assert found.numeric[3:12] == (True,) * 9
+
+
+def test_every_row_has_every_column(solution: Solution) -> None:
+    for table in [*tables(solution), *compare(solution, solution).tables]:
+        assert {len(row) for row in table.rows} == {len(table.headings)}, table.name
+
+
+def test_measures_are_those_that_fit_worst(solution: Solution) -> None:
+    table = named(tables(solution), "measures")
+    worst = [float(row[-2]) for row in table.rows]
+    assert worst == sorted(worst, reverse=True)
+    k = int(np.argmax(np.max(np.abs(solution.residuals / solution.network.rays.sigmas), axis=1)))
+    line, sample = solution.network.rays.places[k] + 0.5  # ISIS counts from (1, 1)
+    assert table.rows[0][3:5] == [f"{line:.2f}", f"{sample:.2f}"]
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(1.005e3, "1005.00"), (-0.001, "0.00"), (-1.5, "-1.50"), (float("nan"), NONE), (1e9, "1e+09")]
+)
+def test_numbers(value: float, said: str) -> None:
+    assert fixed(value) == said
+
+
+def test_corrections_are_eastward_northward_upward(solution: Solution) -> None:
+    frames = east_north_up(solution.places)
+    before = solution.places - np.einsum("nij,i->nj", frames, np.array([1.0, 2.0, -3.0]))
+    moved = local_corrections(replace(solution, places_before=before))
+    np.testing.assert_allclose(moved, np.tile([1.0, 2.0, -3.0], (len(before), 1)), atol=1e-6)
+
+
+# --- against an earlier solution
+
+
+def test_against_itself_nothing_moved(solution: Solution) -> None:
+    found = compare(solution, solution)
+    assert "differs by at most 0 sigmas" in found.sentences[1]
+    assert "0 new, 0 gone; they moved by 0 m (rms)" in found.sentences[2]
+
+
+def test_a_known_difference_of_orientation_is_found(solution: Solution) -> None:
+    step = np.array([3.0, -4.0, 5.0, 1e-6, -2e-6, 3e-6])
+    first = solution.coefficients[0].copy()
+    first[0] -= step
+    earlier = replace(solution, coefficients=(first, *solution.coefficients[1:]))
+    moved, sigmas = orientation_difference(solution, 0, earlier, 0)
+    np.testing.assert_allclose(moved, np.tile(step, (len(moved), 1)), rtol=1e-3, atol=1e-9)
+    most = np.max(np.abs(moved) / sigmas)
+    found = compare(solution, earlier)
+    assert f"differs by at most {most:.2g} sigmas (SIM/A)" in found.sentences[1]
+    row = named(found.tables, "images_compared").rows[0]
+    assert row[:4] == ["SIM/A", "3.00", "4.00", "5.00"]
+
+
+def test_differences_are_in_units_of_the_larger_sigma(solution: Solution) -> None:
+    network = solution.network
+    loose = tuple(replace(prior, sigmas=5.0 * prior.sigmas) for prior in network.priors)
+    other = adjust_network(replace(network, priors=loose), solution.settings)
+    parts = [np.concatenate([one.position_sigma, one.rotation_sigma], axis=1)
+             for one in (orientation_profile(each, 1) for each in (solution, other))]  # fmt: skip
+    assert not np.allclose(*parts, rtol=0.1)
+    for pair in ((solution, other), (other, solution)):
+        _, sigmas = orientation_difference(pair[0], 1, pair[1], 1)
+        np.testing.assert_allclose(sigmas, np.maximum(*parts))
+
+
+def test_a_solution_without_laser_has_fewer_points_and_observations(case: Case, solution: Solution) -> None:
+    other = adjust_case(read_case(case.path, laser=False))
+    found = compare(solution, other)
+    assert found.tables[0].note.startswith("The numbers of observations differ")
+    names = set(solution.network.points.ids) - set(other.network.points.ids)
+    assert f", {len(names)} new, 0 gone" in found.sentences[2]
+
+
+def test_costs_of_other_losses_are_not_compared(solution: Solution) -> None:
+    other = replace(solution, settings=replace(solution.settings, loss="huber", loss_width=2.0))
+    found = named(compare(solution, other).tables, "merit_compared")
+    assert "The losses differ (huber, width 2; now none)" in found.note
+    assert named(compare(solution, solution).tables, "merit_compared").note == ""
+
+
+def test_points_by_their_names(solution: Solution) -> None:
+    """In another order, with a new one, and moved by a known distance; a degree of freedom changes nothing of it."""
+    points = solution.network.points
+    names = ("NEW", *points.ids[1:])
+    earlier = replace(solution, places=solution.places - np.array([0.0, 3.0, 4.0]),
+                      network=replace(solution.network, points=replace(points, ids=names)))  # fmt: skip
+    found = compare(solution, earlier)
+    n = len(names) - 1
+    assert f"{n} points of both, 1 new, 1 gone; they moved by 5 m (rms), 5 m at the most" in found.sentences[2]
+    table = named(found.tables, "points_compared")
+    assert {row[4] for row in table.rows} == {"5.00"}
+    size = max(np.linalg.norm(solution.sigmas[1:], axis=1))
+    assert min(float(row[5]) for row in table.rows) == pytest.approx(5.0 / size, abs=0.006)
+
+
+def test_other_pixels_are_refused(solution: Solution) -> None:
+    images = solution.network.images
+    other = replace(images[0], lines=images[0].lines - 1)
+    earlier = replace(solution, network=replace(solution.network, images=(other, *images[1:])))
+    with pytest.raises(InputError, match=r"image SIM/A: \d+ x \d+ pixels; expected \d+ x \d+, as in"):
+        compare(solution, earlier)
+
+
+# --- footprints on images
+
+
+def test_marks_are_where_footprints_fall(registration: CaseRegistration, scene: Scene) -> None:
+    for state, profiles_ in registration.states():
+        found = profiles_[0].found
+        (shown,) = [one for one in scene.states if one.orientation == state]
+        inside = np.flatnonzero(found.inside[0])
+        assert [mark.number - 1 for mark in shown.marks] == inside.tolist()
+        drawn = np.array([[float(mark.x) / scene.per_line, 1024.0 - float(mark.y)] for mark in shown.marks])
+        np.testing.assert_allclose(drawn, found.places[0, inside], atol=0.06 / min(1.0, scene.per_line))
+    assert {mark.level for mark in scene.states[0].marks} == {50, 10, 5, 1}
+
+
+def test_the_picture_lies_under_the_marks(scene: Scene) -> None:
+    """The bright field has its lines to the right and its samples upward."""
+    data = base64.b64decode(scene.uri.partition(",")[2])
+    grey = np.asarray(PIL.Image.open(io.BytesIO(data)).convert("L"))
+    rows, columns = np.nonzero(grey > 150)
+    per_x, per_y = scene.covered[0] / grey.shape[1], scene.covered[1] / grey.shape[0]
+    top = scene.width - scene.covered[1]
+    assert np.array([columns.min(), columns.max() + 1]) * per_x / scene.per_line == pytest.approx(LINES, abs=8)
+    assert scene.width - (top + np.array([rows.max() + 1, rows.min()]) * per_y) == pytest.approx(SAMPLES, abs=8)
+
+
+def test_heights_run_along_the_image(registration: CaseRegistration, scene: Scene) -> None:
+    shots = registration.before[0].found.shots
+    assert scene.relief.count("L") + 1 == scene.dots.count("M") == int(registration.before[0].found.inside[0].sum())
+    low, high = (float(text) for text in scene.heights)
+    assert 30.0 < high - low < 41.0  # waves of 20 m
+    assert shots.times.size == profiles.SHOTS
+
+
+# --- in a browser
+
+
+class Opened:
+    """The page in a browser, with what it complained of and asked for."""
+
+    def __init__(self, browser: Any, page: Path, **settings: Any) -> None:
+        self.said, self.asked = list[str](), list[str]()
+        self.tab = browser.new_context(offline=True, **settings).new_page()
+        self.tab.on("console", lambda message: self.said.append(message.text))
+        self.tab.on("pageerror", lambda error: self.said.append(str(error)))
+        self.tab.on("request", lambda request: self.asked.append(request.url))
+        self.tab.goto(page.as_uri())
+        self.tab.evaluate("for (const one of document.images) one.loading = 'eager'")
+        self.tab.wait_for_function("[...document.images].every(one => one.complete)")
+
+    def column(self, table: str, c: int) -> list[str]:
+        """Texts that can be seen."""
+        rows = f"[...document.querySelectorAll('#table-{table} tbody tr')].filter(row => !row.hidden)"
+        return list(self.tab.evaluate(f"{rows}.map(row => row.cells[{c}].textContent)"))
+
+    def box(self, n: int = 0) -> list[float]:
+        """The part of a scene's drawing that can be seen."""
+        text = self.tab.locator(".view").nth(n).get_attribute("viewBox")
+        return [float(value) for value in text.split()]
+
+
+def test_every_figure_is_there_and_nothing_is_asked_for(browser: Any, page: Path) -> None:
+    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
+    widths = seen.tab.evaluate("[...document.querySelectorAll('figure')].map(one => [one.dataset.name, "
+                               "one.querySelector('.drawing').clientWidth, one.querySelector('p').textContent.length])")
+    assert {name for name, _, _ in widths} == FIGURES
+    assert all(width > 300 and words > 30 for _, width, words in widths)
+    assert set(seen.tab.evaluate("[...document.images].map(one => one.complete && one.naturalWidth > 300)")) == {True}
+    assert seen.tab.evaluate("[...document.querySelectorAll('nav a')].every(one => document.querySelector(one.hash))")
+    assert seen.said == []
+    assert {url for url in seen.asked if not url.startswith("data:")} == {page.as_uri()}
+
+
+def test_what_figures_say_can_be_selected(browser: Any, page: Path) -> None:
+    """Axes' labels are text, ids are there once, and what an id is asked for by is there."""
+    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
+    tab = seen.tab
+    tab.evaluate("getSelection().selectAllChildren(document.querySelector('figure[data-name=map]'))")
+    assert "km east of longitude" in tab.evaluate("getSelection().toString()")
+    ids = tab.evaluate("[...document.querySelectorAll('.drawing [id]')].map(one => one.id)")
+    assert len(ids) == len(set(ids))
+    asked = tab.evaluate("[...document.querySelectorAll('.drawing use')].map(one => one.getAttribute('xlink:href'))")
+    assert {one.removeprefix("#") for one in asked} <= set(ids)
+
+
+@pytest.mark.parametrize(("width", "some"), [(380, True), (1280, False)])
+def test_what_is_wider_than_the_screen_says_so(browser: Any, page: Path, width: int, some: bool) -> None:
+    tab = Opened(browser, page, viewport={"width": width, "height": 800}).tab
+    tab.wait_for_timeout(200)
+    found = tab.evaluate("[...document.querySelectorAll('.scroll')].map(one => [one.scrollWidth > one.clientWidth + 1, "
+                         "one.previousElementSibling?.className === 'hint'])")  # fmt: skip
+    assert all(wider == said for wider, said in found)
+    assert any(wider for wider, _ in found) or not some
+
+
+@pytest.mark.parametrize("width", [380, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_and_can_be_read(browser: Any, page: Path, width: int, scheme: str) -> None:
+    """No sideways scrolling of the page, and a contrast of text of 4.5 at least (WCAG 2.2, 1.4.3)."""
+    seen = Opened(browser, page, viewport={"width": width, "height": 800}, color_scheme=scheme)
+    assert seen.tab.evaluate("document.documentElement.scrollWidth") <= width
+    assert seen.tab.evaluate("[...document.querySelectorAll('.bar button')].filter(one => one.checkVisibility())"
+                             ".every(one => one.getBoundingClientRect().height >= 24)")
+    assert min(seen.tab.evaluate(CONTRAST)) >= 4.5
+    assert seen.said == []
+
+
+CONTRAST = """(() => {
+  const light = text => { const [r, g, b] = text.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255)
+    .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4); return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+  const behind = one => { for (; one; one = one.parentElement) { const c = getComputedStyle(one).backgroundColor;
+    if (!/, 0\\)$/.test(c)) return c; } return 'rgb(255, 255, 255)'; };
+  const text = 'h1, h2, h3, p, li, a, button, label, legend, dt, dd, th, td, small, strong, span';
+  return [...document.querySelectorAll(text)].filter(one => one.checkVisibility()).map(one => {
+      const a = light(getComputedStyle(one).color), b = light(behind(one));
+      return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05); });
+})()"""
+
+
+def test_tables_are_sorted_by_keys_alone(browser: Any, page: Path, solution: Solution) -> None:
+    seen = Opened(browser, page)
+    texts = [row[8] for row in named(tables(solution), "points").rows]
+    head = seen.tab.locator("#table-points thead th").nth(8)
+    head.locator("button").focus()
+    for key, way, name in (("Enter", 1, "ascending"), ("Space", -1, "descending")):
+        seen.tab.keyboard.press(key)
+        assert head.get_attribute("aria-sort") == name
+        values = [float(text) for text in seen.column("points", 8)]
+        assert len(values) == 25  # the first page
+        assert values == [float(text) for text in sorted(texts, key=lambda text: way * float(text))[:25]]
+    seen.tab.locator("#table-points thead th button").nth(0).press("Enter")
+    ids = [row[0] for row in named(tables(solution), "points").rows]
+    assert set(seen.column("points", 0)) < set(ids)
+    assert seen.tab.locator("#table-points th[aria-sort]").count() == 1
+    assert seen.said == []
+
+
+def test_tables_have_pages(browser: Any, page: Path, solution: Solution) -> None:
+    seen = Opened(browser, page)
+    total = len(named(tables(solution), "points").rows)
+    status, first = seen.tab.locator("#table-points [role=status]"), seen.column("points", 0)
+    assert status.text_content() == f"rows 1 to 25 of {total}"
+    seen.tab.locator("#table-points button", has_text="next").press("Enter")
+    assert status.text_content() == f"rows 26 to {min(50, total)} of {total}"
+    assert not set(first) & set(seen.column("points", 0))
+    seen.tab.locator("#table-points button", has_text="all rows").click()
+    assert len(seen.column("points", 0)) == total
+    assert "next" not in seen.tab.inner_text("#table-classes")
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_unknown_numbers_come_last(browser: Any, solution: Solution, tmp_path: Path) -> None:
+    held = replace(solution.network, held=np.array([True, False]))
+    path = write_report(replace(solution, network=held), tmp_path / "r.html")
+    seen = Opened(browser, path)
+    c = next(c for c, (heading, _) in enumerate(named(tables(solution), "images").headings) if heading == "σ X")
+    button = seen.tab.locator("#table-images thead th").nth(c).locator("button")
+    for _ in range(2):
+        button.click()
+        assert seen.column("images", c)[-1] == NONE
+
+
+def test_images_are_zoomed_and_panned(browser: Any, page: Path, scene: Scene) -> None:
+    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
+    view = seen.tab.locator(".view").first
+    mark = "document.querySelector('.view').style.getPropertyValue('--k')"
+    size = view.bounding_box()
+    x, y, w, h = seen.box()
+    assert (x, y) == (0.0, 0.0)
+    assert h == pytest.approx(scene.width)  # the image fills the height
+    view.focus()
+    seen.tab.keyboard.press("+")
+    x, y, w2, h2 = seen.box()
+    assert (w2, h2) == pytest.approx((w / 1.5, h / 1.5))
+    assert (x + w2 / 2.0, y + h2 / 2.0) == pytest.approx((w / 2.0, h / 2.0))
+    assert float(seen.tab.evaluate(mark)) == pytest.approx(w2 / size["width"])  # units per pixel of the screen
+    seen.tab.keyboard.press("ArrowRight")
+    assert seen.box()[0] == pytest.approx(x + 80.0 * w2 / size["width"])
+    heights = seen.tab.locator(".profile").first.get_attribute("viewBox").split()
+    assert [float(heights[k]) for k in (0, 2)] == [seen.box()[k] for k in (0, 2)]  # above their lines
+    view.scroll_into_view_if_needed()
+    x, y, w, _ = seen.box()
+    place = view.bounding_box()
+    middle = place["x"] + place["width"] / 2.0, place["y"] + place["height"] / 2.0
+    seen.tab.mouse.move(*middle)
+    seen.tab.mouse.down()
+    seen.tab.mouse.move(middle[0] - 100.0, middle[1])
+    seen.tab.mouse.up()
+    assert seen.box()[0] == pytest.approx(x + 100.0 * w / place["width"], rel=1e-3)
+    box = seen.box()
+    seen.tab.mouse.down(button="right")
+    seen.tab.mouse.move(*middle)
+    seen.tab.mouse.up(button="right")
+    assert seen.box() == box  # only the first button drags
+    seen.tab.keyboard.press("0")
+    x, _, w, _ = seen.box()
+    assert x <= 1e-6
+    assert w >= scene.length - 1e-6
+    seen.tab.locator("button[data-do=start]").first.click()
+    assert seen.box()[0] == 0.0
+    assert "lines 0 to" in seen.tab.locator(".where").first.text_content()
+    assert seen.said == []
+
+
+def test_before_and_after_can_be_told_apart(browser: Any, page: Path) -> None:
+    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
+    view = seen.tab.locator(".view").first
+    view.scroll_into_view_if_needed()
+    shown = {}
+    for value in ("both", "before", "after"):
+        seen.tab.locator(f".scene input[value={value}]").first.check()
+        pixels = np.asarray(PIL.Image.open(io.BytesIO(view.screenshot())).convert("RGB")).astype(int)
+        red, blue = pixels[..., 0], pixels[..., 2]
+        shown[value] = (int(np.count_nonzero(red - blue > 90)) > 50, int(np.count_nonzero(blue - red > 90)) > 50)
+    assert shown == {"both": (True, True), "before": (True, False), "after": (False, True)}
+
+
+def test_on_paper_images_are_whole(browser: Any, page: Path) -> None:
+    seen = Opened(browser, page, viewport={"width": 700, "height": 900})
+    seen.tab.emulate_media(media="print")
+    visible = "sel => [...document.querySelectorAll(sel)].map(one => one.checkVisibility())"
+    assert set(seen.tab.evaluate(visible, ".strips")) == {True}
+    assert set(seen.tab.evaluate(visible, ".viewer, nav, .bar button")) == {False}
+    assert set(seen.tab.evaluate(visible, "#table-points [role=status]")) == {True}  # what was cut
+    shapes = seen.tab.evaluate("[...document.querySelectorAll('.piece > svg')].map(one => [one.clientWidth / "
+                               "one.clientHeight, one.viewBox.baseVal.width / one.viewBox.baseVal.height])")
+    assert all(drawn == pytest.approx(wanted, rel=0.02) for drawn, wanted in shapes)
+    right = "one => one.getBoundingClientRect().right"
+    assert max(seen.tab.evaluate(f"[...document.querySelectorAll('.piece > *, figure .drawing')].map({right})")) <= 700
+    assert seen.said == []
+
+
+def test_without_javascript_nothing_is_missing(browser: Any, page: Path) -> None:
+    tab = browser.new_context(offline=True, java_script_enabled=False).new_page()
+    tab.goto(page.as_uri())
+    assert tab.locator(".strips").first.is_visible()
+    assert not tab.locator(".viewer").first.is_visible()
+    assert tab.locator("#table-points tbody tr").last.is_visible()

@@ -1,0 +1,289 @@
+"""Figures of merit of two steps, heights by cell, and their page, tables and map."""
+
+import csv
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.two_steps import adjust_in_two_steps
+from mgsgraph.analysis.height_cells import height_cells
+from mgsgraph.analysis.spacing.corrections import correction_series
+from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, owners, two_step_statistics
+from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, PointClass
+from mgsgraph.results.archive import read_solution
+from mgsgraph.results.figures.height_maps import height_map_sheet
+from mgsgraph.results.results import write_results
+from mgsgraph.results.two_steps import cells_of, two_steps_json, two_steps_statements, two_steps_table, write_two_steps
+from mgsgraph.simulation.hrsc_block import BlockSettings, TerrainErrors, simulate_hrsc_block
+from mgsgraph.units import DEG, MGON
+
+TERRAIN = TerrainErrors(missing=0.02)
+
+
+@cache
+def merit(which: str) -> TwoStepStatistics:
+    return two_step_statistics(adjust_in_two_steps(networks(which), SolverSettings(reject=4.0), which))
+
+
+@cache
+def networks(which: str) -> Network:
+    if which == "pair":
+        return with_shift_and_surface(network(pair(ties=40, shots=6)))
+    settings = BlockSettings(strips=2, length=150e3, points=400, terrain=TERRAIN)
+    return simulate_hrsc_block(settings, seed=3).network
+
+
+# --- cells
+
+
+@given(
+    st.integers(1, 200), st.floats(-180.0, 180.0), st.floats(-80.0, 80.0), st.floats(0.01, 5.0),
+    st.sampled_from([None, 0.05, 0.5]), st.integers(0, 2**31),
+)  # fmt: skip
+def test_squares_of_the_cells_sum_to_the_whole(
+    count: int, longitude: float, latitude: float, size: float, step: float | None, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    angles = np.array([longitude, latitude]) + size * rng.uniform(-1.0, 1.0, (count, 2))
+    places = from_planetocentric(np.column_stack([angles * DEG, np.full(count, 3.4e6)]))
+    heights = rng.normal(5.0, 20.0, (3, count))
+    found = height_cells(places, heights, None if step is None else step * DEG)
+    assert found.count.sum() == count
+    np.testing.assert_allclose(found.total, np.sqrt(np.mean(heights**2, axis=1)), rtol=1e-12)
+    np.testing.assert_allclose(
+        np.nansum(found.mean * found.count, axis=(1, 2)) / count, heights.mean(axis=1), rtol=1e-9, atol=1e-9
+    )
+    assert np.all(np.isnan(found.rms) == (found.count == 0))
+    some = found.count > 0
+    assert np.all(found.rms[:, some] >= np.abs(found.mean[:, some]) - 1e-9)
+    west, east, south, north = found.extent
+    assert east - west < 2.0 * size + 2.1 * found.steps[0] / DEG  # across the date line, too
+    assert south <= angles[:, 1].min() + 1e-9
+    assert north >= angles[:, 1].max() - 1e-9
+
+
+def test_each_height_lies_in_its_cell() -> None:
+    angles = np.array([[179.95, 10.05], [-179.95, 10.05], [-179.96, 10.04], [-179.95, 10.15]])
+    places = from_planetocentric(np.column_stack([angles * DEG, np.full(4, 3.4e6)]))
+    found = height_cells(places, np.array([[3.0, -1.0, 1.0, 7.0]]), 0.1 * DEG)
+    np.testing.assert_allclose(found.extent, (179.9, 180.1, 10.0, 10.2))
+    assert found.count.tolist() == [[1, 2], [0, 1]]
+    np.testing.assert_allclose(found.rms[0], [[3.0, 1.0], [np.nan, 7.0]])
+    np.testing.assert_allclose(found.mean[0], [[3.0, 0.0], [np.nan, 7.0]], atol=1e-15)
+
+
+# --- figures of merit
+
+
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_the_whole_is_its_parts(which: str) -> None:
+    found = merit(which)
+    assert [group.name for group in found.groups] == [name for name, _ in owners(networks(which))]
+    assert found.whole.points <= sum(group.points for group in found.groups)
+    for group in (found.whole, *found.groups):
+        assert np.all(group.mean[1] < group.mean[0])  # what an adjustment knows is no less than what each point knows
+        assert np.all(group.poses[2] <= group.poses[0] * (1.0 + 1e-9))
+    assert found.whole.heights.count == int(found.used.sum())
+    np.testing.assert_allclose(found.whole.heights.rms, np.sqrt(np.mean(found.heights[:, found.used] ** 2, axis=1)))
+    np.testing.assert_allclose(cells_of(found).total, found.whole.heights.rms)
+
+
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
+    """Along the vertical of each point, whatever flew over it."""
+    found, steps = merit(which), merit(which).steps
+    ties = (steps.network.points.classes == PointClass.TIE) & steps.free.determined & steps.fitted.determined
+    up = steps.fitted.places[ties] / np.linalg.norm(steps.fitted.places[ties], axis=1, keepdims=True)
+    stages = (steps.rays_alone.nominal()[1], steps.free.covariances, steps.fitted.covariances)
+    sigmas = [np.sqrt(np.einsum("ni,nij,nj->n", up, one[ties], up)) for one in stages]
+    assert found.whole.points == int(ties.sum())
+    np.testing.assert_allclose(found.whole.mean[:, 2], np.mean(sigmas, axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found.whole.median[:, 2], np.median(sigmas, axis=1), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.whole.point_factors[:, 2], np.mean(sigmas[0]) / np.mean(sigmas, axis=1), rtol=1e-9
+    )
+
+
+def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
+    """As `analysis.spacing.corrections` has them at the nodes, between which they hardly change."""
+    found, net = merit("block"), networks("block")
+    means = np.empty((2, len(net.passes), 6))
+    for step, solution in enumerate((found.steps.free, found.steps.fitted)):
+        for k, strip in enumerate(net.passes):
+            image = net.images[int(strip.images[2])]
+            nodes, at = correction_series(solution, k), image.moments(np.linspace(0.0, float(image.lines), 101))
+            times = at.times + (at.epoch - nodes.epoch)
+            means[step, k] = [np.interp(times, nodes.times, nodes.sigmas[:, axis]).mean() for axis in range(6)]
+            np.testing.assert_allclose(found.groups[k].poses[step + 1], means[step, k], rtol=0.01)
+    np.testing.assert_allclose(found.whole.poses[1:], means.mean(axis=1), rtol=0.01)
+
+
+def test_what_is_held_is_known_beforehand() -> None:
+    """Without unknowns the orientation is not uncertain, and step 1 has nothing to add to the rays."""
+    net = replace(networks("block"), passes=(), held=np.ones(10, dtype=bool))
+    found = two_step_statistics(adjust_in_two_steps(net, SolverSettings()))
+    assert np.all(found.whole.poses == 0.0)
+    np.testing.assert_allclose(found.whole.mean[0], found.whole.mean[1], rtol=1e-9)
+    assert np.all(found.whole.mean[2] < found.whole.mean[1])
+    assert "no a-priori sigma" not in " ".join(two_steps_statements(found))
+
+
+def test_a_priori_attitude_is_the_settings() -> None:
+    """28 mgon of bias, 3 of wander and a drift of 5 at the ends, whose mean over the strip is smaller."""
+    found = merit("block").whole.poses[0, 3:] / MGON
+    assert np.all(found > np.hypot(28.0, 2.0))
+    assert np.all(found < np.sqrt(28.0**2 + 3.0**2 + 5.0**2))
+
+
+def test_the_block_does_what_the_paper_says() -> None:
+    whole = merit("block").whole
+    assert np.all(whole.poses[1, 4:] < whole.poses[0, 4:] / 3.0)  # pitch and yaw come without the terrain
+    assert whole.poses[1, 3] > 0.3 * whole.poses[0, 3]  # roll doesn't
+    assert whole.point_factors[1, 2] > 1.3
+    assert np.all(np.diff(whole.heights.rms) < 0.0)
+    assert whole.heights.rms_adjusted < whole.heights.rms[2] < whole.heights.rms_given
+
+
+def test_heights_before_are_of_the_places_that_fit_the_images_best() -> None:
+    """By Gauss-Newton on the pixels, with differences for derivatives, from where the rays come closest in space."""
+    net, found = networks("block"), merit("block")
+    assert net.surface is not None
+    left_out = found.steps.free.rays_rejected
+    assert left_out is not None
+    rays = np.flatnonzero(~left_out)
+    point, origins, directions = net.rays.point[rays], *np.empty((2, rays.size, 3))
+    for j, image in enumerate(net.images):
+        mine = net.rays.image[rays] == j
+        origins[mine], directions[mine] = image.sightlines(*net.rays.places[rays[mine]].T)
+    places, _, _ = intersect_rays(origins, directions, point, len(net.points))
+
+    def misfit(at: Array) -> Array:
+        result = np.empty((rays.size, 2))
+        for j, image in enumerate(net.images):
+            mine = net.rays.image[rays] == j
+            measured = net.rays.places[rays[mine]]
+            result[mine] = image.ground_to_image(at[point[mine]], start=measured[:, 0])[0] - measured
+        return result / net.rays.sigmas[rays]
+
+    for _ in range(3):
+        r = misfit(places)
+        by = np.stack([(misfit(places + step) - misfit(places - step)) / 20.0 for step in 10.0 * np.eye(3)], axis=2)
+        normal, right = np.zeros((len(net.points), 3, 3)), np.zeros((len(net.points), 3))
+        np.add.at(normal, point, np.einsum("rki,rkj->rij", by, by))
+        np.add.at(right, point, np.einsum("rki,rk->ri", by, r))
+        some = np.unique(point)
+        places[some] -= np.linalg.solve(normal[some], right[some, :, None])[:, :, 0]
+    np.testing.assert_allclose(found.heights[0], above(net, places[found.points]), atol=0.02, rtol=0.02)
+    assert np.std(found.heights[0]) > 50.0
+
+
+def test_heights_after_step_1_are_of_its_places() -> None:
+    net, found = networks("block"), merit("block")
+    np.testing.assert_allclose(found.heights[1], above(net, found.steps.free.places[found.points]), rtol=0.02)
+
+
+def above(net: Network, places: Array) -> Array:
+    """m above the terrain model, along its normal."""
+    assert net.surface is not None
+    return net.surface.grid.height_above(places)[0]
+
+
+def test_points_over_missing_posts_are_counted() -> None:
+    surface = networks("block").surface
+    assert surface is not None
+    assert merit("block").without_row == int(np.isinf(surface.sigmas).sum()) > 0
+    ties = len(networks("block").points)
+    assert merit("block").points.size + merit("block").without_row + merit("block").left_out == ties
+    said = " ".join(two_steps_statements(merit("block")))
+    assert f"{merit('block').without_row} tie points had no height row" in said
+
+
+# --- page, tables, map
+
+
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_files(which: str, tmp_path: Path) -> None:
+    found, out = merit(which), tmp_path / "out"
+    write_two_steps(found, out, figures=False)
+    write_two_steps(found, out, figures=False)  # an earlier result is replaced
+    record = json.loads((out / "two_steps.json").read_text(encoding="utf-8"))
+    assert record == json.loads(json.dumps(record))
+    assert [one["name"] for one in record["steps"]] == [f"{which}, step 1", which]
+    assert [len(one["iterations"]) for one in record["steps"]] == [len(one) for one in found.steps.history]
+    assert record["all"]["heights"]["rms_m"] == dict(zip(STAGES, found.whole.heights.rms.tolist(), strict=True))
+    again = read_solution(out)
+    np.testing.assert_array_equal(again.places, found.steps.fitted.places)
+
+    page = (out / "two_steps.txt").read_text(encoding="utf-8")
+    assert max(len(line) for line in two_steps_table(found).splitlines()) <= 110
+    assert page.startswith(two_steps_table(found))
+    with (out / "two_steps.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == (len(found.groups) + 1) * 14
+    pitch = next(row for row in rows if row["strip"] == "all" and row["quantity"] == "pose_sigma_pitch")
+    assert pitch["unit"] == "mgon"
+    assert float(pitch["before"]) / float(pitch["step_1"]) == pytest.approx(float(pitch["factor_step_1"]))
+    assert float(pitch["step_2"]) == pytest.approx(found.whole.poses[2, 4] / MGON)
+    with (out / "heights.csv").open(encoding="utf-8") as file:
+        heights = list(csv.DictReader(file))
+    used = np.array([float(row["height_step_2_m"]) for row in heights if row["used"] == "true"])
+    assert np.sqrt(np.mean(used**2)) == pytest.approx(found.whole.heights.rms[2])
+    with (out / "height_cells.csv").open(encoding="utf-8") as file:
+        cells = list(csv.DictReader(file))
+    squares = sum(float(row["points"]) * float(row["rms_before_m"]) ** 2 for row in cells)
+    assert np.sqrt(squares / used.size) == pytest.approx(found.whole.heights.rms[0])
+
+
+@pytest.mark.usefixtures("light_figures")
+def test_results_with_figures_can_be_replaced(tmp_path: Path) -> None:
+    found, out = merit("block"), tmp_path / "out"
+    write_two_steps(found, out)
+    drawn = {path.name for path in out.iterdir()}
+    assert {"passes.png", "passes.svg", "map.png", "height_map.png", "height_map.svg", "two_steps.txt"} <= drawn
+    write_two_steps(found, out, figures=False)
+    write_results(found.steps.fitted, out, figures=False)
+    assert not any(path.name.startswith(("passes.png", "two_steps")) for path in out.iterdir())
+
+
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_the_map_shows_before_and_after_on_one_scale(which: str) -> None:
+    found = merit(which)
+    cells = cells_of(found)
+    sheet = height_map_sheet(found, cells)
+    shown = [image for axes in sheet.figure.axes for image in axes.images]
+    assert len(shown) == 4
+    for one, other in (shown[:2], shown[2:]):
+        assert one.get_clim() == other.get_clim()
+    assert shown[2].get_clim()[0] == -shown[2].get_clim()[1]
+    for image, values in zip(shown, (cells.rms[0], cells.rms[2], cells.mean[0], cells.mean[2]), strict=True):
+        np.testing.assert_array_equal(np.ma.filled(np.ma.asarray(image.get_array()), np.nan), values)
+    assert f"rms {found.whole.heights.rms[0]:.3g} m" in sheet.caption
+    labels = {axes.get_xlabel() for axes in sheet.figure.axes}
+    assert {"east longitude (°)", "rms height (m)"} <= labels
+
+
+def test_words_without_a_priori_sigmas_or_heights() -> None:
+    found = merit("pair")
+    nothing = np.full_like(found.whole.poses, np.nan)
+    mean = found.whole.mean.copy()
+    mean[0] = np.nan
+    whole = replace(found.whole, mean=mean, median=mean, poses=np.vstack([nothing[:1], found.whole.poses[1:]]))
+    blank = replace(found, whole=whole, groups=(whole,))
+    said = " ".join(two_steps_statements(blank))
+    assert "no a-priori sigma" in said
+    assert "nan" not in said + two_steps_table(blank)
+    assert "NaN" not in json.dumps(two_steps_json(found)["statements"])
+    quiet = replace(found, steps=replace(found.steps, free=replace(found.steps.free, converged=False)))
+    assert "NOT CONVERGED: step 1" in two_steps_statements(quiet)[0]
+    assert "NOT CONVERGED" in two_steps_table(quiet)

@@ -1,0 +1,116 @@
+"""The size of each room: lines of code, syntax nodes and files stay below their ceilings.
+
+A line of code holds a token that is no comment, docstring or import. Nodes of the syntax tree do not depend on how
+lines are broken. Every tracked Python file counts. A change that makes a room smaller lowers its ceiling; a ceiling
+rises only for a capability that an issue names, with its reason in CHANGELOG.md.
+"""
+
+import ast
+import io
+import subprocess
+import tokenize
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+NO_CODE = {
+    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING,
+    tokenize.ENDMARKER,
+}  # fmt: skip
+CEILINGS = {
+    "cli": (1530, 15334, 14),
+    "studio": (2340, 34880, 25),
+    "fetch": (1516, 18305, 17),
+    "project": (2848, 36588, 26),
+    "export": (3540, 51941, 28),
+    "simulation": (5032, 73481, 47),
+    "results": (8162, 117327, 73),
+    "registration": (1893, 28734, 19),
+    "planning": (1035, 16372, 8),
+    "case": (2291, 33944, 21),
+    "analysis": (5650, 87858, 51),
+    "adjustment": (8078, 122467, 83),
+    "matching": (2318, 38415, 24),
+    "network": (2827, 44237, 26),
+    "files": (9623, 129129, 107),
+    "kernel": (2730, 46883, 22),
+    "geometry": (2918, 48246, 35),
+    "factors": (449, 7855, 14),
+    "single files": (867, 10298, 13),
+    "scripts": (10383, 145517, 80),
+    "tests": (45228, 666927, 359),
+    "docs": (294, 3822, 13),
+}  # fmt: skip
+"""Room: lines of code, nodes, files."""
+
+
+def size(text: str) -> Counter[str]:
+    """Lines of code, nodes, and one file."""
+    tree, passed, nodes = ast.parse(text), set[int](), 0
+    for node in ast.walk(tree):
+        nodes += 1
+        inner = [node] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        body = getattr(node, "body", None)
+        for part in body if isinstance(body, list) else []:
+            if isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant) and isinstance(part.value.value, str):
+                inner.append(part)
+        for part in inner:
+            passed |= set(range(part.lineno, (part.end_lineno or part.lineno) + 1))
+    lines = {
+        line
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type not in NO_CODE
+        for line in range(token.start[0], token.end[0] + 1)
+    }
+    return Counter(code=len(lines - passed), nodes=nodes, files=1)
+
+
+def room_of(path: str) -> str:
+    """The room that a tracked file counts for."""
+    first, *rest = Path(path).parts
+    if first != "mgsgraph":
+        return first
+    return "single files" if len(rest) == 1 else rest[0]
+
+
+def sizes() -> dict[str, Counter[str]]:
+    """Size of each room."""
+    listed = subprocess.run(["git", "ls-files", "*.py"], capture_output=True, text=True, cwd=ROOT, check=True).stdout
+    found: dict[str, Counter[str]] = {}
+    for path in listed.splitlines():
+        if (ROOT / path).exists():
+            found.setdefault(room_of(path), Counter()).update(size((ROOT / path).read_text(encoding="utf-8")))
+    return found
+
+
+@pytest.fixture(scope="module")
+def measured() -> dict[str, Counter[str]]:
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout: which files are tracked is unknown")
+    return sizes()
+
+
+def test_every_room_has_a_ceiling(measured: dict[str, Counter[str]]) -> None:
+    assert set(measured) == set(CEILINGS)
+
+
+@pytest.mark.parametrize("room", CEILINGS)
+def test_no_room_is_above_its_ceiling(room: str, measured: dict[str, Counter[str]]) -> None:
+    found = measured[room]
+    for name, ceiling in zip(("code", "nodes", "files"), CEILINGS[room], strict=True):
+        assert found[name] <= ceiling, f"{room}: {found[name]} {name}, ceiling {ceiling}"
+
+
+def test_ceilings_are_what_was_reached(measured: dict[str, Counter[str]]) -> None:
+    """A ceiling much higher than its room would let it grow unseen: at most 2 % and 20 lines, 300 nodes, 0 files."""
+    slack = {"code": 20, "nodes": 300, "files": 0}
+    for room, ceilings in CEILINGS.items():
+        for name, ceiling in zip(slack, ceilings, strict=True):
+            assert ceiling <= 1.02 * measured[room][name] + slack[name], f"{room}: lower the ceiling of {name}"
+
+
+def test_what_counts_as_code() -> None:
+    text = '"""Doc."""\n\nimport os\n\n\ndef f():\n    """Doc."""\n    # comment\n    return (1,\n            2)\n'
+    assert size(text) == {"code": 3, "nodes": len(list(ast.walk(ast.parse(text)))), "files": 1}
