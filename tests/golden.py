@@ -223,21 +223,18 @@ def adjusted(case: str, folder: Path) -> Result:
     return of_solution(mgsgraph.adjust(mgsgraph.read_case(case_file(case, folder))))
 
 
-def analyzed(case: str, folder: Path) -> Result:
-    """The numbers of `analyze`; w without its sign, since of two measures that check one another alone it names one."""
-    command("adjust", case_file(case, folder), "--out", folder / "result", "--no-figures")
-    command("analyze", folder / "result", "--out", folder / "analysis", "--no-figures")
-    columns = of_json(folder / "analysis" / "analysis.json")
-    return of_columns({one: np.abs(of).tolist() if one.endswith("suspects/w") else of for one, of in columns.items()})
-
-
-def exported(case: str, targets: Iterable[str], folder: Path) -> Result:
-    """The numbers in files for other programs."""
-    path, found = case_file(case, folder), Result()
-    command("adjust", path, "--out", folder / "result", "--no-figures")
+def files(case: str, targets: Iterable[str], folder: Path) -> Result:
+    """The numbers of `analyze`, and those in files for other programs."""
+    path, result = case_file(case, folder), folder / "result"
+    command("adjust", path, "--out", result, "--no-figures")
+    command("analyze", result, "--out", folder / "analyze", "--no-figures")
+    columns = of_json(folder / "analyze" / "analysis.json")
+    # of two measures that check one another alone it names one: w may have either sign
+    columns = {name: np.abs(column).tolist() if "suspects/w" in name else column for name, column in columns.items()}
+    found = prefixed("analyze", of_columns(columns))
     for target in targets:
         more = ["--case", path] if target in ("csm", "asp") else []
-        command("export", folder / "result", "--to", target, "--out", folder / target, *more)
+        command("export", result, "--to", target, "--out", folder / target, *more)
         if target == "spice":
             found |= prefixed(target, of_columns(of_kernels(folder / target), POSE))
         for file in sorted((folder / target).iterdir()):
@@ -277,25 +274,22 @@ def incremental(folder: Path) -> Result:
     return found | _of_points(*adjustment.points())
 
 
-LRO, MOC, HADLEY, MOLA = "lro_nac_lola", "mgs_moc_wa_three", "lro_nac_hadley", "mola_megdr"
 GOLDEN = {
     "gusev": Golden(partial(adjusted, "gusev --no-pictures")),
     "isidis": Golden(partial(adjusted, "isidis --no-pictures")),
-    "lro_nac_lola": Golden(partial(adjusted, "lro_nac_lola.toml"), (LRO,)),
-    "moc_wa_three": Golden(partial(adjusted, "moc_wa_three.toml"), (MOC,)),
-    "moc_wa_three_mola": Golden(partial(adjusted, "moc_wa_three_mola.toml"), (MOC, MOLA)),
-    "hadley_rig": Golden(partial(adjusted, "hadley_rig.toml"), (HADLEY,)),
+    "lro_nac_lola": Golden(partial(adjusted, "lro_nac_lola.toml"), ("lro_nac_lola",)),
+    "moc_wa_three": Golden(partial(adjusted, "moc_wa_three.toml"), ("mgs_moc_wa_three",)),
+    "moc_wa_three_mola": Golden(partial(adjusted, "moc_wa_three_mola.toml"), ("mgs_moc_wa_three", "mola_megdr")),
+    "hadley_rig": Golden(partial(adjusted, "hadley_rig.toml"), ("lro_nac_hadley",)),
     "strip_12": Golden(partial(adjusted, "strip --images 12 --ties 150")),
     "block_100": Golden(partial(adjusted, "archive --kind block --images 100 --ties 10000")),
     "grown": Golden(grown),
     "incremental": Golden(incremental),
-    "analyze_gusev": Golden(partial(analyzed, "gusev --no-pictures")),
-    "analyze_hadley_rig": Golden(
-        partial(analyzed, "hadley_rig.toml"), (HADLEY,), "weak/(sigma|parts)",
+    "gusev_files": Golden(partial(files, "gusev --no-pictures", ("spice", "csm", "isis", "asp"))),
+    "hadley_rig_files": Golden(
+        partial(files, "hadley_rig.toml", ("spice", "isis")), ("lro_nac_hadley",), "weak/(sigma|parts)",
         "directions of which nothing was learned, all of one ratio: which is which of them, rounding decides",
     ),
-    "export_gusev": Golden(partial(exported, "gusev --no-pictures", ("spice", "csm", "isis"))),
-    "export_lro_nac_lola": Golden(partial(exported, "lro_nac_lola.toml", ("spice", "isis", "asp")), (LRO,)),
 }  # fmt: skip
 
 
