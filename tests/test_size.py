@@ -51,11 +51,12 @@ def size(text: str) -> Counter[str]:
     tree, passed, nodes = ast.parse(text), set[int](), 0
     for node in ast.walk(tree):
         nodes += 1
-        inner = [node] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        inner: list[ast.stmt] = [node] if isinstance(node, ast.Import | ast.ImportFrom) else []
         body = getattr(node, "body", None)
         for part in body if isinstance(body, list) else []:
-            if isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant) and isinstance(part.value.value, str):
-                inner.append(part)
+            match part:
+                case ast.Expr(value=ast.Constant(value=str())):
+                    inner.append(part)
         for part in inner:
             passed |= set(range(part.lineno, (part.end_lineno or part.lineno) + 1))
     lines = {
