@@ -12,9 +12,9 @@ from increments import by_image, distances, fan, network_of
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.bundle import shared_vector
+from mgsgraph.adjustment.incremental.bayes_tree import Tree
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import ReducedSystem
-from mgsgraph.adjustment.incremental.tree import Tree
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import SolverError
 from mgsgraph.network.parts import Members, Unknown
