@@ -18,8 +18,10 @@ from projects import StopHere, change, digest, images, interrupted
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
+from mgsgraph.incremental.state import InMemory
 from mgsgraph.project.checksum import checksum
 from mgsgraph.project.connection import WRITER
+from mgsgraph.project.kept import KeptAdjustment
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.schema import FORMAT
 from mgsgraph.project.settings import ProjectSettings, read_settings
@@ -36,6 +38,17 @@ def folder(tmp_path: Path) -> Path:
         change(project.store, 1)
         project.record("init", "by the test", {})
     return path
+
+
+def test_an_adjustment_is_kept_until_another_process_changes_the_project() -> None:
+    settings, store, kept = SolverSettings(), InMemory(), KeptAdjustment()
+    first = kept.resumed("before", settings, store)
+    kept.noted("ours")
+    assert kept.resumed("ours", settings, store) is first
+    assert kept.resumed("ours", settings, store) is not first  # a change that was begun, and never noted
+    second = kept.resumed("ours", settings, store)
+    kept.noted("ours, too")
+    assert kept.resumed("another's", settings, store) is not second
 
 
 def state(folder: Path) -> str:
