@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 FAULTS = ROOT / "tests/faults.toml"
-PYTEST = ["-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-p", "no:randomly", "--tb=line"]
+PYTEST = ["-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", "--tb=line"]
 LONGEST = 900.0
 """s that the tests of a fault may take."""
 
@@ -42,19 +42,13 @@ class Fault(NamedTuple):
     compiles: bool = False
     """Whether its tests compile a kernel again."""
 
-    @property
-    def marks(self) -> list[str]:
-        """Options that select its tests."""
-        return ["-m", ""] if self.slow else []
-
 
 class Outcome(NamedTuple):
-    """What the tests of a fault have shown."""
+    """What the tests of a fault have shown: which of them failed, or how they ended otherwise."""
 
     caught: bool
     seconds: float
     said: str
-    """The test that failed, or how it ended otherwise."""
 
 
 def read_faults(names: Sequence[str] = ()) -> list[Fault]:
@@ -114,7 +108,7 @@ def tried(fault: Fault, plain: Path) -> Outcome:
         if text.count(fault.old) != 1:
             return Outcome(False, 0.0, f"the old text occurs {text.count(fault.old)} times in {fault.file}")
         path.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
-        status, output, seconds = run(copy, *PYTEST, *fault.marks, *fault.tests)
+        status, output, seconds = run(copy, *PYTEST, *(["-m", ""] if fault.slow else []), *fault.tests)
     failed = re.findall(r"^FAILED ([^\s\[]+)", output, re.MULTILINE)
     last = failed[0] if failed else f"status {status}: {(output.split(chr(10))[-2:] or [''])[0]}"
     return Outcome(status == 1 and last in fault.tests, seconds, last)
@@ -142,7 +136,8 @@ def main() -> None:
                 verdict = "caught" if found.caught else "NOT caught"
                 print(f"{found.seconds:6.1f} s  {fault.name}: {verdict} ({found.said})", flush=True)
         if options.json:
-            options.json.write_text(json.dumps({name: one._asdict() for name, one in outcomes.items()}, indent=2) + "\n")
+            record = {name: one._asdict() for name, one in outcomes.items()}
+            options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         print(f"{time.monotonic() - began:.0f} s in all")
     caught = sum(one.caught for one in outcomes.values())
     print(f"{caught} of {len(outcomes)} faults caught")

@@ -99,7 +99,7 @@ def test_groups_that_little_checks_are_not_judged() -> None:
 
 
 def test_all_groups_share_one_probability_of_a_false_alarm(behind: Solution) -> None:
-    """What lies beyond all bands together, of chi-square with their redundancies, is what a single one would leave out."""
+    """What lies beyond all bands together, of chi-square with their redundancies."""
     judged = [one for one in group_fits(behind) or () if one.judged]
     beyond = [
         chi2.cdf(one.redundancy * one.low**2, one.redundancy) + chi2.sf(one.redundancy * one.high**2, one.redundancy)
