@@ -86,7 +86,7 @@ def copied(source: Path, names: Iterable[str], folder: Path) -> Path:
 def run(copy: Path, *arguments: str) -> tuple[int, str, float]:
     """Exit status, output and s of Python with a copy's package; what takes too long is ended, with status -1."""
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    environment |= {"PYTHONPATH": str(copy.parent / "path"), "OPENBLAS_NUM_THREADS": "1"}
+    environment |= {"PYTHONPATH": str(copy.parent / "path"), "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "200"}
     began = time.monotonic()
     try:
         done = subprocess.run(
@@ -109,9 +109,10 @@ def tried(fault: Fault, plain: Path) -> Outcome:
             return Outcome(False, 0.0, f"the old text occurs {text.count(fault.old)} times in {fault.file}")
         path.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
         status, output, seconds = run(copy, *PYTEST, *(["-m", ""] if fault.slow else []), *fault.tests)
-    failed = re.findall(r"^FAILED ([^\s\[]+)", output, re.MULTILINE)
-    last = failed[0] if failed else f"status {status}: {(output.split(chr(10))[-2:] or [''])[0]}"
-    return Outcome(status == 1 and last in fault.tests, seconds, last)
+    failed = re.search(r"^FAILED (([^\s\[]+).*)$", output, re.MULTILINE)
+    if failed is None:
+        return Outcome(False, seconds, f"status {status}: {' '.join(output.split())[-200:]}")
+    return Outcome(status == 1 and failed[2] in fault.tests, seconds, failed[1])
 
 
 def main() -> None:
@@ -122,14 +123,17 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the outcomes")
     options = parser.parse_args()
     faults = sorted(read_faults(options.names), key=lambda one: (not one.compiles, not one.slow))
+    outcomes, began = dict[str, Outcome](), time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mgsgraph-faults-") as folder:
-        plain, began = copied(ROOT, tracked(), Path(folder)), time.monotonic()
-        print(run(plain, "-c", "import mgsgraph; print('Package:', mgsgraph.__file__)")[1].strip(), flush=True)
+        plain = copied(ROOT, tracked(), Path(folder))
+        package = run(plain, "-P", "-c", "import mgsgraph; print(mgsgraph.__file__)")[1].strip()
+        if not package.startswith(f"{folder}/path/"):
+            sys.exit(f"Not the copy's package is imported: {package}")
+        print(f"Package: {package}", flush=True)
         status, output, seconds = run(plain, *PYTEST, "-m", "", *sorted({test for one in faults for test in one.tests}))
         if status != 0:
             sys.exit(f"{output}\nTests fail without any fault.")
         print(f"{seconds:6.1f} s  without a fault: passed", flush=True)
-        outcomes = dict[str, Outcome]()
         with ThreadPoolExecutor(options.jobs) as pool:
             for fault, found in zip(faults, pool.map(lambda one: tried(one, plain), faults), strict=True):
                 outcomes[fault.name] = found
@@ -139,9 +143,8 @@ def main() -> None:
             record = {name: one._asdict() for name, one in outcomes.items()}
             options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         print(f"{time.monotonic() - began:.0f} s in all")
-    caught = sum(one.caught for one in outcomes.values())
-    print(f"{caught} of {len(outcomes)} faults caught")
-    sys.exit(caught < len(outcomes))
+    print(f"{sum(one.caught for one in outcomes.values())} of {len(outcomes)} faults caught")
+    sys.exit(not all(one.caught for one in outcomes.values()))
 
 
 if __name__ == "__main__":
