@@ -87,12 +87,9 @@ def run(copy: Path, *arguments: str) -> tuple[int, str, float]:
     """Exit status, output and s of Python with a copy's package; what takes too long is ended, with status -1."""
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     environment |= {"PYTHONPATH": str(copy.parent / "path"), "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "200"}
-    began = time.monotonic()
+    began, how = time.monotonic(), {"cwd": copy, "env": environment, "timeout": LONGEST, "check": False}
     try:
-        done = subprocess.run(
-            [sys.executable, *arguments], cwd=copy, env=environment, capture_output=True, text=True, timeout=LONGEST,
-            check=False,
-        )  # fmt: skip
+        done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, **how)
     except subprocess.TimeoutExpired:
         return -1, f"more than {LONGEST:g} s", LONGEST
     return done.returncode, done.stdout + done.stderr, time.monotonic() - began
