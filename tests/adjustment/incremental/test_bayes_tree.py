@@ -126,6 +126,18 @@ def test_replacing_and_removing_is_building_anew(seed: int) -> None:
         assert np.all(from_dense(tree, rest, left, seed) < CLOSE)
 
 
+def test_an_unknown_that_comes_back_counts_as_new() -> None:
+    """Also where its value is what it was: whoever asks what has moved has forgotten it with the unknown."""
+    one, other = Unknown("image", "one"), Unknown("image", "other")
+    tree = Tree()
+    tree.change({one: np.ones(6), other: np.ones(6)})
+    assert set(tree.moved()) == {one, other}
+    assert not tree.moved()
+    tree.change(dropped=[one])
+    tree.change({one: np.ones(6)})
+    assert set(tree.moved()) == {one}
+
+
 def pair_of_poorly_scaled_images(rows: int) -> tuple[Priors, Systems]:
     """Directions known 10,000 times better than beforehand, across all components: hundreds of good ties do that."""
     rng = np.random.default_rng(1)
