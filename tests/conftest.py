@@ -31,7 +31,13 @@ LONG = (
     "project/", "studio/review/",
 )  # fmt: skip
 """Those that take long, next, so that short files fill up what is left at the end."""
-sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
+if ROOT not in [Path(one).resolve() for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]:
+    sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]  # the installed package is tested
+if (PACKAGE := find_spec("mgsgraph")) is None or PACKAGE.origin is None:
+    pytest.exit(f"mgsgraph is not installed: pip install -e {ROOT}", 2)
+CHECKOUT = Path(PACKAGE.origin).resolve().parents[1]
+if CHECKOUT != ROOT and (CHECKOUT / "pyproject.toml").exists():
+    pytest.exit(f"mgsgraph is that of {CHECKOUT}, not of {ROOT}: pip install -e . here, or PYTHONPATH={ROOT}", 2)
 
 gc.set_threshold(20_000, 20, 100)  # a twentieth of the run, else
 # no clock, for machines are shared; the same examples each time (600 random ones passed)

@@ -39,8 +39,8 @@ CEILINGS = {
     "geometry": (2918, 48246, 35),
     "factors": (449, 7855, 14),
     "single files": (867, 10298, 13),
-    "scripts": (10413, 145991, 81),
-    "tests": (45457, 670913, 361),
+    "scripts": (10505, 147456, 82),
+    "tests": (45659, 673901, 362),
     "docs": (294, 3822, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
