@@ -62,6 +62,7 @@ def test_files_and_record(folder: Path) -> None:
     assert any("3396.190 km" in sentence for sentence in record["statements"])
 
 
+@pytest.mark.program("gdalinfo")
 def test_bands_in_gdal_s_hands(folder: Path) -> None:
     told = json.loads(subprocess.check_output(["gdalinfo", "-json", "-checksum", str(folder / "dem.tif")]))
     names = [band["description"] for band in told["bands"]]
