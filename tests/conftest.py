@@ -62,7 +62,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests in a browser are slow, and need that program; `PLAIN` ones come first, then `LONG` ones, the rest as it is."""
+    """Tests in a browser are slow, and need it; `PLAIN` ones come first, then `LONG` ones, the rest as it is."""
     order = [f"tests/{start}" for start in (*PLAIN, *LONG)]
 
     def rank(item: pytest.Item) -> int:

@@ -1,6 +1,7 @@
 """Data and programs from outside, which the project does not ship.
 
-Where one is absent its tests are skipped, or fail if MGSGRAPH_NO_SKIPS says so: 1, or `data` or `programs` for these alone.
+Where one is absent its tests are skipped, or fail if MGSGRAPH_NO_SKIPS says so: 1, or `data` or `programs` for these
+alone.
 """
 
 import os

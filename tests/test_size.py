@@ -40,7 +40,7 @@ CEILINGS = {
     "factors": (449, 7855, 14),
     "single files": (867, 10298, 13),
     "scripts": (10505, 147456, 82),
-    "tests": (45659, 673901, 362),
+    "tests": (45680, 674191, 362),
     "docs": (294, 3822, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
