@@ -23,7 +23,7 @@ from mgsgraph.results.soundness import state_of
 from mgsgraph.results.summary import statements
 from mgsgraph.workers import called_in_workers
 
-_TEMPLATE = "reports/templates/report.html"
+_TEMPLATE = "results/templates/report.html"
 _SECTIONS = ("map", "registration", "orientation", "residuals", "comparison")
 """Sections of the page that have figures of the solution."""
 _ENDINGS = (".html", ".htm")
