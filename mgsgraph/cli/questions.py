@@ -127,12 +127,12 @@ def analyze(
         click.echo(f"- {warning}")
     if out is None:
         for section in analysed(posterior, wanted, name):
-            click.echo(section.text)
+            click.echo(section.text(None))
         return
     sections = list(analysed(posterior, wanted, name))
     write_analysis(name, sections, out, figures=not no_figures)  # before anything is said: a reader may go away
     for section in sections:
-        click.echo(section.text)
+        click.echo(section.text(None))
     click.echo(f"The analysis is in {out}")
 
 

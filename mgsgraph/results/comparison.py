@@ -19,11 +19,12 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.names import Names
 from mgsgraph.network import PointClass
 from mgsgraph.results.comparison_input import input_differences, setting_differences
-from mgsgraph.results.page_tables import MOST_IMAGES
 from mgsgraph.results.soundness import state_of
 from mgsgraph.text import NAMED, many, root_mean_square, some
 
 _POINTS = "points_compared"
+_MOST_IMAGES = 300
+"""Images whose orientation is compared."""
 _MOST_SHOWN = 10
 """Rows of a table that are printed; the files have all."""
 _MOST_POINTS = 200
@@ -161,7 +162,7 @@ def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int
 
 
 def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]) -> tuple[list[str], Table]:
-    shown = shared[:MOST_IMAGES]
+    shown = shared[:_MOST_IMAGES]
     names = [solution.network.images[j].name for j, _ in shown]
     found = [orientation_difference(solution, j, earlier, i) for j, i in shown]
     rms = np.array([root_mean_square(moved, 0) for moved, _ in found])

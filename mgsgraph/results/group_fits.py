@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.group_fits import ODDS, GroupFit, group_fits
 from mgsgraph.files.output.table import Column, Table
+from mgsgraph.results.section import Section
 from mgsgraph.text import listed
 
 _KEYS = {
@@ -34,7 +34,7 @@ def group_fits_table(fits: Sequence[GroupFit] | None) -> Table:
     shown = fits or ()
     numbers = np.array([(one.redundancy, one.sigma0, one.low, one.high) for one in shown]).reshape(-1, 4)
     return Table("fits", "Fit of each group of observations", (
-        Column("group", [one.name for one in shown], page="s", label="Fit by group", text="<38"),
+        Column("group", [one.name for one in shown], page="s", text="<38"),
         Column("rows", np.array([one.rows for one in shown], dtype=np.int64), page="s", text=">7"),
         Column("redundancy", numbers[:, 0], meaning="sum of the rows' redundancy numbers", page=".1f", text=">10.1f"),
         Column("sigma0", numbers[:, 1], meaning="root of squares over redundancy", page=".3f", text=">8.3f"),
@@ -50,10 +50,12 @@ def _state(one: GroupFit) -> str:
     return "WORSE than stated" if one.worse else "better than stated" if one.better else ""
 
 
-def fits_json(solution: Solution) -> list[dict[str, Any]] | None:
-    """The same for strict JSON; None where nobody has looked."""
+def fits_section(solution: Solution) -> Section:
+    """What sigma0 says, and each group's; numbers are None where nobody has looked."""
     fits = group_fits(solution)
-    return None if fits is None else group_fits_table(fits).records()
+    table = group_fits_table(fits)
+    return Section("fits", sentences=weight_unit(solution), tables=[table],
+                   numbers=None if fits is None else table.records())  # fmt: skip
 
 
 def weight_unit(solution: Solution) -> list[str]:

@@ -116,7 +116,10 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         found = questions_of(wanted)
         if not found:
             raise InputError("questions", "none", "points, pairs, poses, projections or pixels")
-        return [{"text": one.text, "record": one.record} for one in answered(opened.posterior(), found)]
+        return [
+            {"text": "\n".join(one.sentences), "record": one.numbers}
+            for one in answered(opened.posterior(), found)
+        ]
 
     def planned(_: Request) -> Response:
         return JSONResponse(opened.once("next measures", lambda: next_measures(opened, views.linked)))

@@ -25,13 +25,14 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import NONE, Table, fixed
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.registration.case import CaseRegistration, register_case
-from mgsgraph.results import page_tables as report_tables
+from mgsgraph.results import page as report_page
 from mgsgraph.results.comparison import compare, orientation_difference
 from mgsgraph.results.figures import page as report_figures
 from mgsgraph.results.figures.page import local_corrections
 from mgsgraph.results.figures.page_scene import Scene, scenes
+from mgsgraph.results.page import tables as tables_of
 from mgsgraph.results.page import write_report
-from mgsgraph.results.page_tables import tables
+from mgsgraph.results.summary import solution_sections
 from mgsgraph.simulation.files import write_pair
 
 LINES, SAMPLES = (3000, 3400), (100, 250)
@@ -94,6 +95,10 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def text_of(solution: Solution, folder: Path, **wanted: Any) -> str:
     return write_report(solution, folder / "r.html", **wanted).read_text(encoding="utf-8")
+
+
+def tables(solution: Solution) -> list[Table]:
+    return tables_of(solution, solution_sections(solution))
 
 
 def named(found: list[Table], name: str) -> Table:
@@ -199,7 +204,7 @@ def test_without_pixels_the_frame_stands_for_the_image(registration: CaseRegistr
 
 
 def test_a_long_table_is_cut_and_says_so(solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report_tables, "MOST_ROWS", 5)
+    monkeypatch.setattr(report_page, "MOST_ROWS", 5)
     found = named(tables(solution), "points")
     total = len(solution.network.points)
     assert f"5 of {total} are listed, those that nothing determines and those of the largest sigma" in found.note
