@@ -148,7 +148,7 @@ def _in_two_steps(
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.results.results import write_results
-    from mgsgraph.results.two_steps import two_steps_page, write_two_steps
+    from mgsgraph.results.two_steps import two_steps_section, write_two_steps
 
     require_terrain(read.network, str(read.path))
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
@@ -160,7 +160,7 @@ def _in_two_steps(
             statistics = two_step_statistics(steps)
         with stages.stage("tables and figures"):
             write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
-    click.echo(two_steps_page(statistics))
+    click.echo(two_steps_section(statistics).text(None))
     click.echo(f"Results are in {out}")
     return steps.converged and is_result(steps.fitted)
 

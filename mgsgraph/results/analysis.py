@@ -162,7 +162,7 @@ def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
         Column("rms", numbers(statistics, "rms"), text=">6.2f"),
         Column("skewness", numbers(statistics, "skewness"), label="skew", text=">6.2f"),
         Column("excess_kurtosis", numbers(statistics, "kurtosis"), label="kurt.", text=">6.2f"),
-        Column("beyond_1_2_3_sigma", beyond, label=f"% beyond 1, 2, 3 sigmas ({_EXPECTED})",
+        Column("beyond_1_2_3_sigma", beyond, label=f"beyond 1, 2, 3 sigmas ({_EXPECTED} %)",
                parts=("1", "2", "3"), text=">10.3f"),
         Column("p", p, meaning="chance of no less odd ones", text=">8.2g"),
         Column("odd", odd, label="", text="<", files=False),

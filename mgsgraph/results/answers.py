@@ -56,8 +56,8 @@ class Questions:
 
 
 def answered(posterior: Posterior, asked: Questions) -> Iterator[Section]:
-    """A finding for each question, in the order of the questions' kinds; InputError where something asked about isn't in
-    the solution.
+    """A finding for each question, in the order of their kinds; InputError where something asked about isn't in the
+    solution.
     """
     for name in asked.points:
         yield _place(posterior.point(name), asked.probability, "point")

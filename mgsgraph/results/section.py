@@ -43,7 +43,8 @@ class Section:
         """Lines for the terminal, with so many rows of each table at most; None: with all."""
         found = [*([self.title] if self.title else []), *(f"- {sentence}" for sentence in self.sentences)]
         for table in self.tables:
-            if rows := table.text(most, f"more row: see {table.name}.csv", indent=2, units=True):
+            rows = table.text(most, f"more row: see {table.name}.csv", indent=2, units=True)
+            if len(table) and rows:
                 found += [*([""] if found else []), table.title, *rows]
         return "\n".join(found)
 

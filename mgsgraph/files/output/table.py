@@ -274,6 +274,8 @@ class Table:
         """
         rows = len(self) if most is None else min(most, len(self))
         shown = [column for column in self.take(np.arange(rows)).columns if column.text]
+        if not shown:
+            return []
         lines = []
         for k, (first, *others) in enumerate(zip(*(column.titles(units) for column in shown), strict=True)):
             begin = " " * indent + first if k else f"{first.rstrip():<{indent + len(first)}}"
