@@ -110,7 +110,7 @@ def _without_rows() -> Iterator[tuple[str, Table]]:
     )
     checks = HeightChecks((), index, (), np.zeros((0, 3)), pairs, none, none, none, none)
     dem: Any = SimpleNamespace(checks=checks, model=SimpleNamespace(map=SimpleNamespace(radius=0.0)))
-    yield "plan.csv", judged_table(())
+    yield "plan.csv", judged_table({})
     yield "matches.csv", matches_table(matches)
     yield "shots.csv", shots_table(dem)
     relief = _relief_without_shots()

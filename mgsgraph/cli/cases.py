@@ -248,7 +248,7 @@ def nodes(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.files.output.folders import NODES, require_replaceable
     from mgsgraph.results.analysis import require_used
-    from mgsgraph.results.spacing import node_statements, seconds_of, spacing_table, write_nodes
+    from mgsgraph.results.spacing import nodes_section, seconds_of, write_nodes
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     wanted = seconds_of(spacings)
@@ -259,8 +259,7 @@ def nodes(
         study = study_nodes(read.network, read.settings, read.name, wanted, hold_out, seed, densify, progress=bar)
     if out is not None:
         write_nodes(study, out, figures=not no_figures)
-    click.echo(spacing_table(study.choice))
-    print_sentences(node_statements(study))
+    click.echo(nodes_section(study).text())
     if out is not None:
         click.echo(f"The study is in {out}")
 

@@ -163,7 +163,7 @@ def plan(
     from mgsgraph.planning.candidates_file import read_candidates
     from mgsgraph.planning.plan import plan as make
     from mgsgraph.project.reading import read_state
-    from mgsgraph.results.plan import plan_table, statements, write_plan
+    from mgsgraph.results.plan import plan_section, write_plan
 
     if out is not None:
         require_replaceable(out, PLAN)
@@ -176,8 +176,7 @@ def plan(
         made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
     if out is not None:
         write_plan(made, out)
-    click.echo(plan_table(made))
-    print_sentences(statements(made))
+    click.echo(plan_section(made).text())
     if out is not None:
         click.echo(f"The plan is in {out}")
 

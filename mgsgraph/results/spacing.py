@@ -1,9 +1,9 @@
 """A study of orientation images in words, and as files: nodes.json, CSV files of all numbers, and figures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,12 +13,16 @@ from mgsgraph.analysis.spacing.densify import Densified
 from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
 from mgsgraph.analysis.spacing.study import NodeStudy
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import plain, write_json
-from mgsgraph.files.output.folders import NODES, PROGRAM, fresh_folder
+from mgsgraph.files.output.csv_json import picked
+from mgsgraph.files.output.folders import NODES
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Array
+from mgsgraph.results.section import Section, write_sections
 from mgsgraph.text import many, some
 from mgsgraph.units import ARCSEC, MGON
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
 
 _CONTRADICTED = 3.0
 """Times the prior's sigma that a vibration may have before the prior counts as wrong."""
@@ -35,31 +39,23 @@ def seconds_of(text: str) -> list[float]:
     return found
 
 
-def spacing_table(choice: Choice) -> str:
-    """Candidates and how well they predict rays held out; noise is 1, or what rays do scatter."""
-    head = (
-        "Misfits of rays held out, in sigmas that they have when orientation is known (rms, median; worse: mean square "
-        "less that of the best)"
-    )
-    return "\n".join([head, *candidates_table(choice).text(units=True)])
-
-
 def candidates_table(choice: Choice) -> Table:
     """One row per candidate spacing."""
     several = choice.candidates
     state = ["chosen" if k == choice.chosen else "best" if k == choice.best else "" for k in range(len(several))]
     nodes, refused = [one.nodes for one in several], [one.refused for one in several]
-    return Table("spacings", "Spacings of orientation images", (
+    return Table("spacings", "Misfits of rays held out, in their sigmas for known orientation (worse: than the best)", (
         Column("standing", ["refused" if why else state for why, state in zip(refused, state, strict=True)]),
-        Column("reason", refused),
+        Column("reason", refused, json="refused"),
         Column("spacing", numbers(several, "spacing"), "s", text=">9g"),
         Column("nodes", np.array(nodes, dtype=np.float64), text=">6.0f"),
-        Column("longest", numbers(several, "longest"), "s", "largest interval", text=">8.4g"),
+        Column("longest", numbers(several, "longest"), "s", "largest interval", text=">8.4g",
+               json="longest_interval_s"),
         Column("rms", numbers(several, "rms"), text=">8.4f"),
         Column("rms_error", np.asarray(choice.rms_errors), label="+-", text=">7.4f"),
         Column("median", numbers(several, "median"), text=">8.4f"),
         Column("median_error", numbers(several, "median_error"), label="+-", text=">7.4f"),
-        Column("worse", np.asarray(choice.worse), text=">9.4f"),
+        Column("worse", np.asarray(choice.worse), text=">9.4f", json="worse_than_best"),
         Column("worse_error", np.asarray(choice.worse_errors), label="+-", text=">8.4f"),
         Column("sigma0", numbers(several, "sigma0"), text=">8.4f"),
         Column("mark", state, label="", text="<", files=False),
@@ -173,6 +169,19 @@ def _closer(densified: Densified) -> list[str]:
     ]
 
 
+def nodes_section(study: NodeStudy) -> Section:
+    """Candidates and what was found."""
+    candidates = candidates_table(study.choice)
+
+    def sheets() -> "Iterable[Sheet]":
+        from mgsgraph.results.figures.spacing import node_sheets  # matplotlib takes its time
+
+        return node_sheets(study)
+
+    csv = [candidates, _course_table(study), *([_spectra_table(study)] if study.strips else [])]
+    return Section("nodes", "", node_statements(study), [candidates], nodes_json(study), csv, sheets=sheets)
+
+
 def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> list[str]:
     """Write a study to a folder that appears whole or not at all; the names of the files.
 
@@ -181,36 +190,14 @@ def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> l
     InputError
         If the folder holds anything but an earlier study of nodes, or can't be written.
     """
-    with fresh_folder(folder, NODES) as aside:
-        write_json(aside / NODES, nodes_json(study))
-        candidates_table(study.choice).write_csv(aside / "spacings.csv")
-        _course_table(study).write_csv(aside / "course.csv")
-        names = [NODES, "spacings.csv", "course.csv"]
-        if study.strips:
-            _spectra_table(study).write_csv(aside / "spectra.csv")
-            names.append("spectra.csv")
-        if figures:
-            from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
-            from mgsgraph.results.figures.spacing import node_sheets
-
-            names += save(node_sheets(study), aside)
-    return names
+    section = nodes_section(study)
+    return write_sections([section], section.numbers, folder, NODES, figures)
 
 
 def nodes_json(study: NodeStudy) -> dict[str, Any]:
     """The record: choice, vibrations, closer nodes; s, Hz, m and rad."""
     choice, densified = study.choice, study.densified
-    candidates = [
-        {
-            "spacing_s": one.spacing, "nodes": one.nodes, "longest_interval_s": one.longest, "rms": one.rms,
-            "rms_error": choice.rms_errors[k], "median": one.median, "median_error": one.median_error,
-            "worse_than_best": choice.worse[k], "worse_error": choice.worse_errors[k], "sigma0": one.sigma0,
-            "refused": one.refused or None,
-        }
-        for k, one in enumerate(choice.candidates)
-    ]  # fmt: skip
-    found = {
-        "program": PROGRAM,
+    return {
         "name": study.name,
         "rays_held_out": choice.candidates[choice.best].squares.size,
         "blunders_held_out": choice.blunders,
@@ -221,7 +208,7 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
             "factor": choice.scatter.factor, "error": choice.scatter.error, "redundancy": choice.scatter.freedom,
             "contradicts_stated": choice.scatter.contradicts,
         },
-        "candidates": candidates,
+        "candidates": candidates_table(choice).drop("standing").records(),
         "best_s": choice.candidates[choice.best].spacing,
         "chosen_s": choice.spacing,
         "peaks": [
@@ -244,44 +231,39 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
             },
         },
     }  # fmt: skip
-    cleaned: dict[str, Any] = plain(found)
-    return cleaned
 
 
 def _course_table(study: NodeStudy) -> Table:
     """Corrections of all strips at the nodes of the spacing chosen."""
     found = study.corrections
-    columns = [
+    values, sigmas = (np.concatenate([getattr(one, name) for one in found]) for name in ("values", "sigmas"))
+    stems = [(axis.replace(" position", "").replace("-", "_"), "m" if k < 3 else "mgon") for k, axis in enumerate(AXES)]
+    return Table("course", "Corrections along the strips", (
         Column("strip", [one.strip for one in found for _ in range(one.times.size)]),
         Column("node", np.concatenate([np.arange(1, one.times.size + 1) for one in found])),
         Column("time_et", np.concatenate([one.epoch + one.times for one in found]), "s", "TDB past J2000"),
-    ]
-    for k, axis in enumerate(AXES):
-        stem, unit = axis.replace(" position", "").replace("-", "_"), "m" if k < 3 else "mgon"
-        columns += [
-            Column(stem, np.concatenate([one.values[:, k] for one in found]), unit),
-            Column(f"{stem}_sigma", np.concatenate([one.sigmas[:, k] for one in found]), unit),
-        ]
-    return Table("course", "Corrections along the strips", tuple(columns))
+        *(
+            Column(f"{stem}{part}", of[:, k], unit)
+            for k, (stem, unit) in enumerate(stems) for part, of in (("", values), ("_sigma", sigmas))
+        ),
+    ))  # fmt: skip
 
 
 def _spectra_table(study: NodeStudy) -> Table:
     """One row per frequency of each axis of each strip; amplitudes in `unit`."""
     every = [spectrum for one in study.strips for spectrum in one.spectra]
-    sizes = [one.frequencies.size for one in every]
-    scale = np.repeat([1.0 if one.unit == "m" else MGON for one in every], sizes)
+    rows = np.repeat(np.arange(len(every)), [one.frequencies.size for one in every])
+    units = ["m" if one.unit == "m" else "mgon" for one in every]
+    scale = np.where(np.isin(units, "m"), 1.0, MGON)[rows]
 
     def of(name: str) -> Array:
         return np.concatenate([getattr(one, name) for one in every])
 
-    def repeated(words: list[str]) -> list[str]:
-        return [word for word, n in zip(words, sizes, strict=True) for _ in range(n)]
-
     return Table("spectra", "Spectra", (
-        Column("strip", repeated([one.strip for one in every])),
-        Column("axis", repeated([one.axis for one in every])),
-        Column("unit", repeated(["m" if one.unit == "m" else "mgon" for one in every])),
-        Column("above_level", np.concatenate([one.amplitudes > one.level for one in every])),
+        Column("strip", picked([one.strip for one in every], rows)),
+        Column("axis", picked([one.axis for one in every], rows)),
+        Column("unit", picked(units, rows)),
+        Column("above_level", of("amplitudes") > of("level")),
         Column("frequency", of("frequencies"), "hz"),
         *(Column(name.removesuffix("s"), of(name) / scale) for name in ("amplitudes", "floor", "level", "wander")),
     ))  # fmt: skip

@@ -1,6 +1,5 @@
 """An adjustment in two steps as a page of text, tables and a figure."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,16 +16,11 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import TERRAIN
 from mgsgraph.results.results import write_into
 from mgsgraph.results.section import Section, write_sections_into
-from mgsgraph.text import many, short, some_of, three
+from mgsgraph.text import many, short, some_of
 from mgsgraph.units import DEG, MGON
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet
-
-_ROWS = 24
-"""Strips that are printed."""
-_HARDLY = 0.05
-"""Share by which a figure changes without being worth a factor."""
 
 
 def write_two_steps(
@@ -69,7 +63,7 @@ def cells_of(statistics: TwoStepStatistics, step: float | None = None) -> Height
 def two_steps_section(statistics: TwoStepStatistics) -> Section:
     """Both steps and their figures of merit at all stages, heights above the terrain, and a map of these."""
     found = cells_of(statistics) if np.any(statistics.used) else None
-    csv = [_statistics_table(statistics)]
+    csv = [_statistics_table([statistics.whole, *statistics.groups])]
     csv += [_heights_table(statistics)] if statistics.points.size else []
     csv += [] if found is None else [_cells_table(found)]
 
@@ -78,10 +72,10 @@ def two_steps_section(statistics: TwoStepStatistics) -> Section:
 
         return [] if found is None else [height_map_sheet(statistics, found)]
 
-    shown = [statistics.whole, *(statistics.groups[:_ROWS] if len(statistics.groups) > 1 else ())]
     return Section(
         "two_steps", short(statistics.steps.fitted.name, 60), two_steps_statements(statistics),
-        [_step_table(statistics), _statistics_table(statistics, shown)], two_steps_json(statistics), csv, sheets=sheets,
+        [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
+        sheets=sheets,
     )  # fmt: skip
 
 
@@ -112,28 +106,10 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
 
 
 def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
-    """Sentences with figures and units."""
-    steps, whole = statistics.steps, statistics.whole
-    found = [_of_blunders(statistics)]
-    if np.all(np.isfinite(whole.mean[:2])):
-        found.append(
-            f"Without the terrain the points' mean sigmas in X (flight), Y (across) and Z (height) go from "
-            f"{three(whole.mean[0])} m, by forward intersection with the a-priori orientation, to "
-            f"{three(whole.mean[1])} m: factors of {three(whole.point_factors[1])}; with it to "
-            f"{three(whole.mean[2])} m: {three(whole.point_factors[2])}."
-        )
-    elif whole.points:
-        found.append(
-            f"The points' mean sigmas in X (flight), Y (across) and Z (height) are {three(whole.mean[1])} m without "
-            f"the terrain and {three(whole.mean[2])} m with it; of some orientation nothing is known beforehand, so "
-            "that there is no a-priori sigma."
-        )
-    attitude = whole.poses[:, 3:] / MGON
-    before = f"from {three(attitude[0])} " if np.all(np.isfinite(attitude[0])) else ""
-    found.append(
-        f"Sigmas of roll, pitch and yaw go {before}to {three(attitude[1])} mgon without the terrain, and to "
-        f"{three(attitude[2])} mgon with it."
-    )
+    """What the tables do not say."""
+    steps, whole, found = statistics.steps, statistics.whole, [_of_blunders(statistics)]
+    if whole.points and not np.all(np.isfinite(whole.mean[:2])):
+        found.append("Nothing is known beforehand of some orientation: there is no a-priori sigma.")
     found += _of_heights(statistics)
     if not steps.converged:
         which = " and ".join(
@@ -168,10 +144,8 @@ def _of_heights(statistics: TwoStepStatistics) -> list[str]:
     heights, found = statistics.whole.heights, list[str]()
     if heights.count:
         found.append(
-            f"Heights above the terrain: rms {three(heights.rms)} m before, after step 1 and after step 2 "
-            f"({many(heights.count, 'point')}): {_change(heights.factors[1])} by the rays alone "
-            f"and {_change(heights.factors[2])} with the terrain. All are of the places where the rays alone put "
-            f"the points; of the adjusted ones, each pulled by its own height row, it is {heights.rms_adjusted:.3g} m."
+            f"Heights above the terrain are of {many(heights.count, 'point')}, where the rays alone put them; the rms "
+            f"of the adjusted ones, each pulled by its own height row, is {heights.rms_adjusted:.3g} m."
         )
         if statistics.steps.network.terrain_moves and TERRAIN not in statistics.steps.network.considered:
             found.append(
@@ -189,15 +163,6 @@ def _of_heights(statistics: TwoStepStatistics) -> list[str]:
             "rejected."
         )
     return found
-
-
-def _change(factor: float) -> str:
-    """What has become of something that is so many times less than before."""
-    if not math.isfinite(factor):
-        return "not comparable"
-    if abs(factor - 1.0) < _HARDLY:
-        return "hardly changed"
-    return f"reduced by a factor of {factor:.2g}" if factor > 1.0 else f"made larger by a factor of {1.0 / factor:.2g}"
 
 
 # --- files
@@ -265,10 +230,9 @@ def _group_json(group: GroupStatistics) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _statistics_table(statistics: TwoStepStatistics, groups: Sequence[GroupStatistics] = ()) -> Table:
+def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
     """One row per strip and quantity: before, after step 1, after step 2, and the factors of either."""
-    shown = groups or (statistics.whole, *statistics.groups)
-    names, quantities, units, values = zip(*((g.name, *row) for g in shown for row in _quantities(g)), strict=True)
+    names, quantities, units, values = zip(*((g.name, *row) for g in groups for row in _quantities(g)), strict=True)
     stages = np.array(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)

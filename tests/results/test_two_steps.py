@@ -24,7 +24,13 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.figures.height_maps import height_map_sheet
 from mgsgraph.results.results import write_results
-from mgsgraph.results.two_steps import cells_of, two_steps_json, two_steps_section, two_steps_statements, write_two_steps
+from mgsgraph.results.two_steps import (
+    cells_of,
+    two_steps_json,
+    two_steps_section,
+    two_steps_statements,
+    write_two_steps,
+)
 from mgsgraph.simulation.hrsc_block import BlockSettings, TerrainErrors, simulate_hrsc_block
 from mgsgraph.units import DEG, MGON
 
