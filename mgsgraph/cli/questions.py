@@ -237,7 +237,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
     from mgsgraph.results.analysis import require_used
     from mgsgraph.results.archive import read_solution
     from mgsgraph.results.comparison import compare as compared
-    from mgsgraph.results.comparison import comparison_text, write_comparison
+    from mgsgraph.results.comparison import write_comparison
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     if out is not None:
@@ -247,7 +247,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
     found = compared(after, before, ("A", "B"))
     click.echo(f"A: {one.folder} ({before.name})\nB: {other.folder} ({after.name})")
     print_sentences([words for words in (one.warning, other.warning) if words])
-    click.echo(comparison_text(found))
+    click.echo(found.section.text(10))
     if out is not None:
         write_comparison(found, out, figures=not no_figures)
         click.echo(f"The comparison is in {out}")
