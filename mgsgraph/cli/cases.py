@@ -280,15 +280,15 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     """
     from mgsgraph.case.reading import read_case
     from mgsgraph.files.output.folders import REGISTRATION, require_replaceable
-    from mgsgraph.registration.case import register_case, registration_statements
+    from mgsgraph.registration.case import register_case
     from mgsgraph.results.archive import read_solution
-    from mgsgraph.results.registration import write_registration
+    from mgsgraph.results.registration import registration_section, write_registration
 
     require_replaceable(out, REGISTRATION)
     adjusted = None if solution is None else read_solution(solution)
     registration = register_case(read_case(case, ties=ties), adjusted)
     write_registration(registration, out, figures=not no_figures)
-    print_sentences(registration_statements(registration))
+    click.echo(registration_section(registration).text())
     click.echo(f"Results are in {out}")
 
 
@@ -389,9 +389,8 @@ def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int
 def _print_registration(registration: "ReliefRegistration", out: Path) -> bool:
     """Print what a registration by relief has found; whether it converged."""
     from mgsgraph.analysis.soundness import is_result
-    from mgsgraph.results.relief import profiles_table, relief_statements
+    from mgsgraph.results.relief import coregistration_section
 
-    click.echo("\n".join(profiles_table(registration).text()))
-    print_sentences(relief_statements(registration))
+    click.echo(coregistration_section(registration).text())
     click.echo(f"Results are in {out}")
     return is_result(registration.solution)

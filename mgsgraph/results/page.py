@@ -19,8 +19,9 @@ from mgsgraph.files.output.table import NONE, Column, Table, cut
 from mgsgraph.files.writing import require_free
 from mgsgraph.geometry.records import Index
 from mgsgraph.network import PointClass
-from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results.comparison import compare
+from mgsgraph.results.registration import registration_section
 from mgsgraph.results.section import Section
 from mgsgraph.results.soundness import state_of
 from mgsgraph.results.summary import sentences_of, solution_sections
@@ -129,16 +130,18 @@ def _content(
 def _registered(solution: Solution, case: Case | None, registration: CaseRegistration | None) -> dict[str, Any]:
     """Laser footprints on the images, or why there are none."""
     if registration is None:
-        return {"scenes": [], "about_scenes": "", "registered": [], "closeups": [],
+        return {"scenes": [], "about_scenes": "", "registered": [], "agreement": None, "closeups": [],
                 "without_scenes": _without_scenes(solution, case)}  # fmt: skip
     from mgsgraph.results.figures.page import registration_figures
     from mgsgraph.results.figures.page_scene import scenes
 
     shown, about = scenes(registration)
+    registered = registration_section(registration)
     return {
         "scenes": shown,
         "about_scenes": about,
-        "registered": registration_statements(registration),
+        "registered": registered.sentences,
+        "agreement": registered.tables[0],
         "closeups": registration_figures(registration),
         "without_scenes": "" if shown else "No footprint falls in an image.",
     }

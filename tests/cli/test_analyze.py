@@ -68,7 +68,8 @@ def test_questions_are_answered_in_their_order(result: Path, tmp_path: Path, cal
         "--poses", images[0], 10.0, images[1], 20.0, "--projection", points[0], images[1], "--correlations",
         "--curve", images[1], "--out", tmp_path / "analysis",
     )  # fmt: skip
-    places = [said.index(part) for part in (f"Point {points[0]}", f"{points[1]} lies", "at line 10:", "Correlations of")]
+    parts = (f"Point {points[0]}", f"{points[1]} lies", "at line 10:", "Correlations of")
+    places = [said.index(part) for part in parts]
     assert places == sorted(places)
     record = json.loads((tmp_path / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     found = {answer["question"]: answer for answer in record["answers"][0]}
