@@ -108,20 +108,19 @@ def passes_section(solution: Solution) -> Section:
     return Section("passes", tables=[table], csv=csv, numbers=table.records())
 
 
-def passes_inventory(network: Network) -> str:
+def passes_inventory(network: Network) -> Section:
     """Passes of a network: images, mountings, nodes, and what is known of their trajectories beforehand."""
-    lines = ["Passes"]
+    said = []
     for one in network.passes:
         start, stop = one.nodes.coverage
         names = [network.images[j].name for j in one.images.tolist()]
-        lines += [
-            f"  {one.name}: {some(names, len(names))}",
-            f"    {len(one.nodes)} orientation images ({one.nodes.basis}), one every {one.nodes.spacing:.4g} s of "
-            f"{stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
-            f"    a-priori sigmas: {_prior_words(one.prior)}",
-            *(f"    {line}" for line in _mounting_words(network, one)),
+        said += [
+            f"{one.name} ({some(names, len(names))}): {len(one.nodes)} orientation images ({one.nodes.basis}), one "
+            f"every {one.nodes.spacing:.4g} s of {stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
+            f"a-priori sigmas: {_prior_words(one.prior)}",
+            *_mounting_words(network, one),
         ]
-    return "\n".join(lines)
+    return Section("", "Passes" if said else "", said)
 
 
 def _mounting_words(network: Network, one: Pass) -> list[str]:
