@@ -31,7 +31,7 @@ def of_networks() -> Iterator[Row]:
     from mgsgraph.files.place_table import read_places
     from mgsgraph.studio.review.verdicts import read_verdicts
 
-    match, gcp, nvm = (of_tests(f"io/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
+    match, gcp, nvm = (of_tests(f"files/networks/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
     pair, written = ("one", "two"), seeds.written_network
     ground = gcp.DOCUMENTED + "\n" + gcp.DOCUMENTED.replace("5 23.7", "6 23.8") + "\n"
     rows = "".join(f"p{k},{10 + k},{20 - k},33900{k}0.5\n" for k in range(6))
@@ -75,7 +75,7 @@ def of_altimetry() -> Iterator[Row]:
     from mgsgraph.files.altimetry.pedr import FRAME
     from mgsgraph.files.altimetry.shots import read_shots
 
-    tests = of_tests("altimetry/test_pedr_text.py")
+    tests = of_tests("files/altimetry/test_pedr_text.py")
     lola = "LOLARDR_092490702.DAT"
     rows = "".join(f"12.{k},-45.{k},339000{k}.25,{100 + k}.5,a\n" for k in range(6))
 

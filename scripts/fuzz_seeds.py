@@ -221,13 +221,13 @@ def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
 
 
 def mla_table() -> str:
-    tests = of_tests("altimetry/test_shots.py")
+    tests = of_tests("files/altimetry/test_shots.py")
     rows = [tests.mla_row(channel, 354699676.684 + k) for k, channel in enumerate((0, 4, 5, 0))]
     return "\n".join((tests.MLA_HEADER, *rows)) + "\n"
 
 
 def ode_table() -> str:
-    tests = of_tests("altimetry/test_pedr_text.py")
+    tests = of_tests("files/altimetry/test_pedr_text.py")
     rows = [tests.ODE_SHOT.replace("-23162931.18358", f"-{23162931.18358 - k}") for k in range(5)]
     return "\n".join((tests.ODE, *rows)) + "\n"
 
@@ -291,7 +291,7 @@ def support_data() -> str:
 
 
 def model_state() -> str:
-    tests = of_tests("io/test_model_state.py")
+    tests = of_tests("files/support_data/test_model_state.py")
     return f"{tests.HEAD}\n{json.dumps(tests.state(), indent=1)}"
 
 

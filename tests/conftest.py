@@ -22,14 +22,13 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 ]  # fmt: skip
 PLAIN = (
-    "simulation/test_site", "io/", "geometry/", "fetch/", "output/", "simulation/test_imagery",
-    "simulation/test_terrain", "simulation/test_hrsc_block", "registration/test_relief", "test_package", "test_network",
-    "test_connectivity", "simulation/test_pair",
+    "simulation/test_site", "files/", "geometry/", "fetch/", "simulation/test_imagery", "simulation/test_terrain",
+    "simulation/test_hrsc_block", "registration/test_relief", "test_package", "network/", "simulation/test_pair",
 )  # fmt: skip
 """Tests that need no large kernel: they begin while the kernels are compiled."""
 LONG = (
-    "adjustment/", "matching/", "test_docs", "cli/", "reports/", "figures/", "scripts/", "dem/", "demo/", "review/",
-    "export/", "simulation/", "project/", "campaign/",
+    "adjustment/", "matching/", "test_docs", "cli/", "results/", "scripts/", "registration/", "export/", "simulation/",
+    "project/", "studio/review/",
 )  # fmt: skip
 """Those that take long, next, so that short files fill up what is left at the end."""
 sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]

@@ -40,7 +40,7 @@ CEILINGS = {
     "factors": (449, 7855, 14),
     "single files": (867, 10298, 13),
     "scripts": (10383, 145517, 80),
-    "tests": (45228, 666927, 359),
+    "tests": (45228, 666940, 359),
     "docs": (294, 3822, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

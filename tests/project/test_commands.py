@@ -76,7 +76,8 @@ def test_looking_at_a_project_loads_no_solver(project: Path, case_file: Path) ->
         assert "mgsgraph.project.store" in there
         assert {name.split(".")[0] for name in there} & HEAVY == needed
         assert not [name for name in there if name.startswith(("mgsgraph.kernel", "mgsgraph.results.figures"))]
-        assert {name for name in there if name.startswith("mgsgraph.adjustment.")} == {"mgsgraph.adjustment.settings"}
+        solver = {name for name in there if name.startswith("mgsgraph.adjustment.")}
+        assert solver == {f"mgsgraph.adjustment.{name}" for name in ("settings", "incremental", "incremental.state")}
 
 
 def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> None:
@@ -90,7 +91,7 @@ def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> No
     assert {name for name in there if name.startswith("mgsgraph.results")} == {
         "mgsgraph.results", "mgsgraph.results.archive_arrays"
     }  # fmt: skip
-    batch = ("adjust", "cluster", "solution", "starts", "held", "linearity")
+    batch = ("adjust", "cluster", "solution", "multistart", "conditional", "linearity")
     assert not there & {f"mgsgraph.adjustment.{name}" for name in batch}
     assert not [name for name in there if name.startswith(("mgsgraph.results.figures", "mgsgraph.analysis"))]
 
