@@ -117,7 +117,7 @@ def passes_inventory(network: Network) -> Section:
         said += [
             f"{one.name} ({some(names, len(names))}): {len(one.nodes)} orientation images ({one.nodes.basis}), one "
             f"every {one.nodes.spacing:.4g} s of {stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
-            f"a-priori sigmas: {_prior_words(one.prior)}",
+            f"{one.name}: a-priori sigmas {_prior_words(one.prior)}",
             *_mounting_words(network, one),
         ]
     return Section("", "Passes" if said else "", said)

@@ -202,10 +202,10 @@ def test_without_strips_nothing_is_said(tmp_path: Path) -> None:
 def test_check(tmp_path: Path) -> None:
     case = read_case(write_block(tmp_path))
     said = inventory(case)
-    assert "orientation images of pass HRSC/01" in said
+    assert "  pass HRSC/01\n" in said
     assert f"{len(case.network.passes[1].nodes)} orientation images (lagrange), one every" in said
     assert (
-        "a-priori sigmas: bias 50 m and 28 mgon, drift 10 m and 5 mgon, departures 1 m and 3 mgon, correlated over 60 s"
+        "a-priori sigmas bias 50 m and 28 mgon, drift 10 m and 5 mgon, departures 1 m and 3 mgon, correlated over 60 s"
         in said
     )
     assert "held" not in said.replace("no held image", "")
