@@ -16,7 +16,6 @@ from mgsgraph.analysis.estimates import (
 )
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import plain
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.section import Section
@@ -113,13 +112,13 @@ def _place(found: PositionEstimate, probability: float, what: str) -> Section:
     if found.misfit is not None:
         said.append(f"The rays miss each other by {found.misfit:.2g} of their sigmas.")
     return Section("answer", sentences=said, numbers={
-        "question": what, "point": found.name, "place_m": found.position.tolist(),
+        "question": what, "point": found.name, "place_m": found.position,
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
-        "covariance_m2": found.covariance.tolist(), "covariance_east_north_up_m2": found.east_north_up.tolist(),
+        "covariance_m2": found.covariance, "covariance_east_north_up_m2": found.east_north_up,
         "misfit_sigmas": found.misfit, "ellipsoid": {
-            "probability": probability, "semi_axes_m": ellipsoid.semi_axes.tolist(),
-            "azimuths_deg": (ellipsoid.azimuths / DEG).tolist(),
-            "elevations_deg": (ellipsoid.elevations / DEG).tolist(),
+            "probability": probability, "semi_axes_m": ellipsoid.semi_axes,
+            "azimuths_deg": ellipsoid.azimuths / DEG,
+            "elevations_deg": ellipsoid.elevations / DEG,
         },
     })  # fmt: skip
 
@@ -133,7 +132,7 @@ def _difference(found: Difference) -> Section:
         "question": "pair", "points": [found.first, found.second], "height_difference_m": found.height,
         "height_sigma_m": found.height_sigma, "height_sigma_if_independent_m": found.height_sigma_if_independent,
         "chance": found.chance, "distance_m": found.distance, "distance_sigma_m": found.distance_sigma,
-        "covariance_m2": found.joint.tolist(),
+        "covariance_m2": found.joint,
     })  # fmt: skip
 
 
@@ -141,9 +140,9 @@ def _pose(found: PoseEstimate) -> Section:
     where = f"Image {found.image} at line {found.line:g}"
     said = f"{where}: {_flight(found.flight)}; body-fixed {_sigmas(found.covariance[:3, :3])}."
     return Section("answer", sentences=[said], numbers={
-        "question": "pose", "image": found.image, "line": found.line, "position_m": found.position.tolist(),
-        "matrix_body_to_camera": found.matrix.tolist(), "covariance_m_rad": found.covariance.tolist(),
-        "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": found.flight.tolist(),
+        "question": "pose", "image": found.image, "line": found.line, "position_m": found.position,
+        "matrix_body_to_camera": found.matrix, "covariance_m_rad": found.covariance,
+        "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": found.flight,
     })  # fmt: skip
 
 
@@ -164,7 +163,7 @@ def _pose_pair(posterior: Posterior, image: str, line: float, other: str, other_
     )
     return Section("answer", sentences=[said], numbers={
         "question": "poses", "images": [image, other], "lines": [line, other_line], "flight_axes": list(FLIGHT_NAMES),
-        "joint_flight_covariance_m_rad": joint.tolist(), "correlation": shared.tolist(),
+        "joint_flight_covariance_m_rad": joint, "correlation": shared,
     })  # fmt: skip
 
 
@@ -177,8 +176,8 @@ def _pixel(found: PixelEstimate) -> Section:
         "first pixel's centre is at 0.5)."
     )
     return Section("answer", sentences=[said], numbers={
-        "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.pixel.tolist(),
-        "covariance_px2": found.covariance.tolist(),
+        "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.pixel,
+        "covariance_px2": found.covariance,
     })  # fmt: skip
 
 
@@ -190,5 +189,5 @@ def _correlations(found: Estimate) -> Section:
     ]
     return Section("answer", sentences=said, numbers={
         "question": "correlations", "names": list(found.names), "units": list(found.units),
-        "values": found.values.tolist(), "sigmas": found.sigmas.tolist(), "correlation": plain(found.correlation),
+        "values": found.values, "sigmas": found.sigmas, "correlation": found.correlation,
     })  # fmt: skip

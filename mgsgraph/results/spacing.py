@@ -1,7 +1,7 @@
 """A study of orientation images in words, and as files: nodes.json, CSV files of all numbers, and figures."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from mgsgraph.analysis.spacing.choice import Choice
 from mgsgraph.analysis.spacing.corrections import AXES
 from mgsgraph.analysis.spacing.densify import Densified
-from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
+from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS
 from mgsgraph.analysis.spacing.study import NodeStudy
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import picked
@@ -82,13 +82,14 @@ def node_statements(study: NodeStudy) -> list[str]:
         found.append(f"That is the {end} candidate that could be adjusted: a {other} one may be better.")
     found += _put_aside(choice)
     found.append(_scatter(choice))
-    for known, spectrum, peak in _vibrations(study):
-        found.append(_vibration(peak, spectrum))
-        if peak.amplitude > _CONTRADICTED * known:
-            found.append(
-                f"Its amplitude is {peak.amplitude / known:.3g} times what the prior expects of departures there "
-                f"({_amount(known, spectrum.unit)}), which holds nodes back from following it: give it a wider sigma."
-            )
+    for one in study.strips:
+        for known, spectrum in zip(one.corrections.known.tolist(), one.spectra, strict=True):
+            most = max((peak.amplitude for peak in spectrum.vibrations), default=0.0)
+            if most > _CONTRADICTED * known:
+                found.append(
+                    f"{spectrum.strip}, {spectrum.axis}: a vibration's amplitude is {most / known:.3g} times what the "
+                    "prior expects of departures, which holds nodes back from following it: give it a wider sigma."
+                )
     quiet = [one.corrections.strip for one in study.strips if not any(spectrum.vibrations for spectrum in one.spectra)]
     if quiet:
         found.append(
@@ -137,27 +138,6 @@ def _scatter(choice: Choice) -> str:
     )
 
 
-def _vibrations(study: NodeStudy) -> Iterator[tuple[float, Spectrum, Peak]]:
-    """Each with the prior's sigma of departures along its axis."""
-    for one in study.strips:
-        for known, spectrum in zip(one.corrections.known.tolist(), one.spectra, strict=True):
-            for peak in spectrum.vibrations:
-                yield known, spectrum, peak
-
-
-def _vibration(peak: Peak, spectrum: Spectrum) -> str:
-    chance = f"probability {peak.probability:.1g}" if peak.probability > 1e-12 else "probability below 1e-12"
-    return (
-        f"{spectrum.strip}, {spectrum.axis}: a vibration of {_amount(peak.amplitude, spectrum.unit)} +- "
-        f"{_amount(peak.sigma, spectrum.unit)} at {peak.frequency:.4g} Hz ({1.0 / peak.frequency:.3g} s); noise shows "
-        f"one like it with {chance}. Nodes tell frequencies up to {spectrum.nyquist:.3g} Hz; faster ones appear folded."
-    )
-
-
-def _amount(value: float, unit: str) -> str:
-    return f"{value:.3g} m" if unit == "m" else f"{value / MGON:.3g} mgon ({value / ARCSEC:.3g} arcsec)"
-
-
 def _closer(densified: Densified) -> list[str]:
     first, last = densified.rounds[0], densified.rounds[-1]
     steps = [np.diff(strip.nodes.times) for strip in densified.network.passes]
@@ -178,8 +158,11 @@ def nodes_section(study: NodeStudy) -> Section:
 
         return node_sheets(study)
 
+    peaks = peaks_table(study)
+    seen = [k for k, row in enumerate(peaks.records()) if row["beyond_prior"] and row["echo_of"] is None]
     csv = [candidates, _course_table(study), *([_spectra_table(study)] if study.strips else [])]
-    return Section("nodes", "", node_statements(study), [candidates], nodes_json(study), csv, sheets=sheets)
+    return Section("nodes", "", node_statements(study),
+                   [candidates, peaks.take(np.array(seen, dtype=np.int64))], nodes_json(study), csv, sheets=sheets)
 
 
 def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> list[str]:
@@ -211,15 +194,7 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
         "candidates": candidates_table(choice).drop("standing").records(),
         "best_s": choice.candidates[choice.best].spacing,
         "chosen_s": choice.spacing,
-        "peaks": [
-            {
-                "strip": spectrum.strip, "axis": spectrum.axis, "frequency_hz": peak.frequency,
-                f"amplitude_{spectrum.unit}": peak.amplitude, f"sigma_{spectrum.unit}": peak.sigma,
-                "chi_square": peak.test, "probability": peak.probability, "beyond_prior": peak.beyond_prior,
-                "echo_of": peak.echo_of or None,
-            }
-            for one in study.strips for spectrum in one.spectra for peak in spectrum.peaks
-        ],
+        "peaks": peaks_table(study).records(),
         "closer": None if densified is None else {
             "message": densified.message,
             "rounds": [
@@ -231,6 +206,28 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
             },
         },
     }  # fmt: skip
+
+
+def peaks_table(study: NodeStudy) -> Table:
+    """One row per peak above noise; vibrations are those that the prior doesn't expect, and no echo of others."""
+    every = [(spectrum, peak) for one in study.strips for spectrum in one.spectra for peak in spectrum.peaks]
+    spectra, peaks = [spectrum for spectrum, _ in every], [peak for _, peak in every]
+    units, shown = [one.unit for one in spectra], [1.0 if one.unit == "m" else ARCSEC for one in spectra]
+    return Table("peaks", "Vibrations (nodes tell frequencies up to the highest; faster ones appear folded)", (
+        Column("strip", [one.strip for one in spectra], text="<16"),
+        Column("axis", [one.axis for one in spectra], text="<16"),
+        Column("frequency", numbers(peaks, "frequency"), "hz", text=">9.4g"),
+        Column("highest", numbers(spectra, "nyquist"), "hz", text=">9.3g", files=False),
+        Column("amplitude", numbers(peaks, "amplitude"), units),
+        Column("sigma", numbers(peaks, "sigma"), units),
+        Column("shown", numbers(peaks, "amplitude") / shown, label="amplitude", text=">9.3g", files=False),
+        Column("shown_sigma", numbers(peaks, "sigma") / shown, label="sigma", text=">8.2g", files=False),
+        Column("unit", ["m" if unit == "m" else "arcsec" for unit in units], text="<6", files=False),
+        Column("chi_square", numbers(peaks, "test")),
+        Column("probability", numbers(peaks, "probability"), label="p (noise)", text=">9.1g"),
+        Column("beyond_prior", np.array([one.beyond_prior for one in peaks], dtype=bool)),
+        Column("echo_of", [one.echo_of for one in peaks]),
+    ))  # fmt: skip
 
 
 def _course_table(study: NodeStudy) -> Table:

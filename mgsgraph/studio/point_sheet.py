@@ -113,7 +113,7 @@ def _answer(posterior: Posterior | None, point: str) -> dict[str, Any]:
         found = []
     if not found:
         return {"answer": None}
-    return {"answer": "\n".join(found[0].sentences), "ellipsoid": found[0].numbers["ellipsoid"]}
+    return {"answer": "\n".join(found[0].sentences), "ellipsoid": plain(found[0].numbers["ellipsoid"])}
 
 
 def tests_of(opened: Opened, point: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from starlette.routing import Route
 from mgsgraph.analysis.posterior import Pixel
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import json_object
+from mgsgraph.files.output.csv_json import plain
 from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.next_measures import next_measures
@@ -117,7 +118,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         if not found:
             raise InputError("questions", "none", "points, pairs, poses, projections or pixels")
         return [
-            {"text": "\n".join(one.sentences), "record": one.numbers}
+            {"text": "\n".join(one.sentences), "record": plain(one.numbers)}
             for one in answered(opened.posterior(), found)
         ]
 
