@@ -65,21 +65,17 @@ def shared_section(solution: Solution) -> Section:
 
 
 def _warnings(one: SharedEstimate) -> list[str]:
-    found = []
-    ground = "" if np.isnan(one.ground) else f" 1 {one.unit} of it is {one.ground:.0f} m on the ground there."
-    figures = f"likeness {one.likeness:.2f}, correlation {one.correlation:.2f}"
-    if one.likeness > _ALIKE:
+    """What the measurements do not tell."""
+    found, several = [], one.likeness <= _ALIKE and abs(one.correlation) <= _CORRELATED
+    if one.likeness > _ALIKE or abs(one.correlation) > _CORRELATED or one.together > _ALIKE:
+        pitch = f"constant pitches of {some(one.mixture, len(one.mixture))} together (most like: {one.image}, "
+        pitch = pitch if several else f"a constant pitch of image {one.image} ("
+        alone = several or one.likeness > _ALIKE
+        hardly = "The priors alone separate it from" if alone else "It is highly correlated with"
+        ground = "" if np.isnan(one.ground) else f" 1 {one.unit} of it is {one.ground:.0f} m on the ground there."
         found.append(
-            f"The measures cannot tell it apart from a constant pitch of image {one.image} ({figures}): only what is "
-            f"known of the two beforehand does.{ground}"
-        )
-    elif abs(one.correlation) > _CORRELATED:
-        found.append(f"It can hardly be told apart from a constant pitch of image {one.image} ({figures}).{ground}")
-    elif one.together > _ALIKE:
-        found.append(
-            f"The measures cannot tell it apart from constant pitches of {some(one.mixture, len(one.mixture))} "
-            f"together: only what is known of them beforehand does (most like: {one.image}, {figures}).{ground}"
+            f"{hardly} {pitch}likeness {one.likeness:.2f}, correlation {one.correlation:.2f}).{ground}"
         )
     if one.sigma > _CORRELATED * one.prior_sigma:
-        found.append("The measures say hardly anything about it.")
+        found.append("The measurements say hardly anything about it.")
     return found

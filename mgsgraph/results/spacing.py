@@ -67,20 +67,21 @@ def node_statements(study: NodeStudy) -> list[str]:
     choice = study.choice
     chosen, best = choice.candidates[choice.chosen], choice.candidates[choice.best]
     found = [
-        f"{many(chosen.squares.size, 'ray')} held out, one of a point each, are predicted best (rms {best.rms:.3f} of "
-        f"their sigmas) by nodes every {best.spacing:g} s"
-        + (
-            "." if choice.chosen == choice.best
-            else f", and no worse, within one standard error, by nodes every {chosen.spacing:g} s (rms "
-            f"{chosen.rms:.3f}), the coarsest of which that can be said."
-        )
-        + f" Chosen: {chosen.spacing:g} s, {many(chosen.nodes, 'node')}."
-    ]  # fmt: skip
+        f"{many(chosen.squares.size, 'ray')} held out, one of a point each, are predicted best by nodes every "
+        f"{best.spacing:g} s. Chosen: {chosen.spacing:g} s, {many(chosen.nodes, 'node')}, the coarsest within one "
+        "standard error of the best."
+    ]
     good = [one for one in choice.candidates if not one.refused]
     if chosen is good[0] or chosen is good[-1]:
         end, other = ("closest", "closer") if chosen is good[0] else ("widest", "wider")
         found.append(f"That is the {end} candidate that could be adjusted: a {other} one may be better.")
-    found += _put_aside(choice)
+    closest = choice.candidates[choice.closest].spacing
+    for count, why in (
+        (choice.rejected, f"rejected as blunders, with nodes every {closest:g} s, took part with no candidate"),
+        (choice.blunders, "held out that no candidate can predict (blunders) don't count"),
+        (choice.unjudged, "held out have no prediction (no other rays place their points) and don't count"),
+    ):
+        found += [f"{many(count, 'ray')} {why}."] if count else []
     found.append(_scatter(choice))
     for one in study.strips:
         for known, spectrum in zip(one.corrections.known.tolist(), one.spectra, strict=True):
@@ -93,30 +94,11 @@ def node_statements(study: NodeStudy) -> list[str]:
     quiet = [one.corrections.strip for one in study.strips if not any(spectrum.vibrations for spectrum in one.spectra)]
     if quiet:
         found.append(
-            f"No vibration stands out in {some(quiet, len(quiet))}: what is above noise there "
-            f"({100.0 * FALSE_ALARMS:g} % false alarms per axis) is no more than the prior expects of that axis, or of "
-            "another one that explains it better."
+            f"No vibration found in {some(quiet, len(quiet))} beyond noise ({100.0 * FALSE_ALARMS:g} % false alarms "
+            "per axis) and what the prior expects."
         )
     if study.densified is not None:
         found += _closer(study.densified)
-    return found
-
-
-def _put_aside(choice: Choice) -> list[str]:
-    """Rays that don't count, and why."""
-    found, closest = [], choice.candidates[choice.closest]
-    if choice.rejected:
-        found.append(
-            f"{many(choice.rejected, 'ray')} rejected as blunders, with nodes every {closest.spacing:g} s, took part "
-            "with no candidate."
-        )
-    if choice.blunders:
-        found.append(f"{many(choice.blunders, 'ray')} held out that no candidate can predict (blunders) don't count.")
-    if choice.unjudged:
-        found.append(
-            f"{many(choice.unjudged, 'ray')} held out could not be judged and don't count: the other rays of their "
-            "points don't place these, or they lie beyond an image."
-        )
     return found
 
 
@@ -124,17 +106,14 @@ def _scatter(choice: Choice) -> str:
     """How much rays scatter."""
     scatter = choice.scatter
     if not math.isfinite(scatter.error):
-        return "There are too few rays to tell how much they scatter: their stated sigmas are taken at their word."
-    said = (
-        f"Rays of one line within a moment, which no orientation tells apart, scatter {scatter.factor:.3f} +- "
-        f"{scatter.error:.3f} times their stated sigmas"
-    )
+        return "There are too few rays to tell how much they scatter: their stated sigmas are used."
+    times = f"{scatter.factor:.3f} +- {scatter.error:.3f} times"
+    said = f"Rays of one line within a moment scatter {times} their stated sigmas"
     if not scatter.contradicts:
         return f"{said}: noise in spectra and residuals is taken as that."
     return (
-        f"{said}, WHICH ARE WRONG, unless blunders are among them. Noise in spectra and residuals, and the rms of rays "
-        "held out that means noise, are taken as that; but rays are weighed against priors as stated: correct the "
-        "sigmas of rays."
+        f"{said}, WHICH ARE WRONG, unless blunders are among them. Noise in spectra and residuals is taken as that, "
+        "but rays are weighed against priors as stated: correct the sigmas of rays."
     )
 
 

@@ -73,8 +73,7 @@ def _ending(solution: Solution) -> list[str]:
         return [f"{solution.message} It took {steps}; {cost}."]
     return [
         f"NOT CONVERGED after {steps}; {cost}. {solution.message}",
-        "Nothing below is a result: the figures describe the state at which it stopped. Look at the largest residuals "
-        "in the table of residuals for blunders, and at the a-priori sigmas; then adjust again.",
+        "Nothing below is a result. Look at the largest residuals for blunders, and at the a-priori sigmas.",
     ]
 
 
@@ -89,9 +88,8 @@ def _implausible(solution: Solution) -> list[str]:
     return [
         *said,
         f"Moved by up to {found[0].most:.2g} of their a-priori sigmas are the orientations of {names}: an input is "
-        "wrong (ranges, images or columns interchanged, a focal length, control), or these sigmas are too small; "
-        "either way none of the quoted sigmas holds. Look at the inputs with `mgsgraph check` before making these "
-        "sigmas larger, which hides what is wrong. `analyze` tests it.",
+        "wrong (ranges, images or columns interchanged, a focal length, control), or these sigmas are too small. None "
+        "of the quoted sigmas holds. Look at the inputs with `mgsgraph check` before making these sigmas larger.",
     ]
 
 

@@ -152,16 +152,11 @@ def _of_heights(statistics: TwoStepStatistics) -> list[str]:
                 "In step 2 the terrain model has moved to where the rays put it; above the model as it was given the "
                 f"rms is {heights.rms_given:.3g} m."
             )
-    if count := statistics.without_row:
-        found.append(
-            f"{many(count, 'tie point')} had no height row, beside the terrain model or over missing posts."
-        )
-    if count := statistics.left_out:
-        found.append(
-            f"{many(count, 'tie point')} with a height row {'are' if count > 1 else 'is'} left out "
-            "of these heights: over missing posts at one of the stages, or without a place, as where their rays were "
-            "rejected."
-        )
+    for count, why in (
+        (statistics.without_row, "had no height row, beside the terrain model or over missing posts"),
+        (statistics.left_out, "with a height row left out of these heights: over missing posts, or without a place"),
+    ):
+        found += [f"{many(count, 'tie point')} {why}."] if count else []
     return found
 
 
