@@ -9,13 +9,12 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json, connectivity_statements
-from mgsgraph.results.control import control_section
+from mgsgraph.results.control import control_section, minima_section
 from mgsgraph.results.drivers import drivers_section
 from mgsgraph.results.group_fits import fits_section
 from mgsgraph.results.images import images_section
 from mgsgraph.results.input_remarks import range_statements, reading_statements
 from mgsgraph.results.likelihood import linearity_section
-from mgsgraph.results.minima import minima_section
 from mgsgraph.results.passes import passes_section
 from mgsgraph.results.points import laser_section, points_section, ranges_section
 from mgsgraph.results.section import Section
