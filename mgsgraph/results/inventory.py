@@ -51,8 +51,6 @@ _MEDIAN_DEVIATION = 0.6745
 """Median of the modulus of a normal error, in its standard deviations."""
 _LISTED = 24
 """Images up to which each is listed with its partners."""
-_ISLANDS = 9
-"""Islands named."""
 _NAMED = 5
 """How many of a kind are named."""
 
@@ -285,27 +283,20 @@ def _partners(connected: Connectivity, image: int) -> str:
 
 def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
-    found = []
-    if len(connected.islands) > 1:
-        named = [", ".join(connected.names[j] for j in island[:_NAMED]) for island in connected.islands[1:_ISLANDS]]
-        more = f"; and {len(connected.islands) - _ISLANDS} more" if len(connected.islands) > _ISLANDS else ""
-        found.append(
-            f"the block falls into {len(connected.islands)} islands without common points; apart from the largest: "
-            f"{'; '.join(named)}{more}"
-        )
-    found += [*cut_image_statement(connected), *connectivity_warnings(connected)]
-    lost = np.flatnonzero(network.undetermined)
-    if lost.size:
-        found.append(
-            f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: "
-            f"{some_of(network.points.ids, lost, _NAMED)}"
-        )
-    flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
-    if flat.size:
-        names = some_of(network.points.ids, flat, _NAMED)
-        found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {names}")
+    points, shots, lost = network.points, network.ranges.point, network.undetermined
+    found = [*cut_image_statement(connected), *connectivity_warnings(connected)]
     found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
-    found += mounting_warnings(network)
+    found += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
+    for mine, what in (
+        (np.flatnonzero(lost), "points have fewer than two rays and no a-priori place, and stay out"),
+        (np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~lost),
+         "points have parallel rays, and stay out"),
+        (shots[wild_ranges(network, prediction.range_residuals)],
+         f"ranges lie more than {_WILD:.0f} robust standard deviations from the others of their image"),
+        (np.setdiff1d(np.flatnonzero(points.classes == PointClass.LASER), shots) if shots.size else shots,
+         "laser points have no range (no simultaneous image)"),
+    ):  # fmt: skip
+        found += [f"{mine.size} {what}: {some_of(points.ids, mine, _NAMED)}"] if mine.size else []
     angle = _convergence(network)
     if np.any(angle < _NARROW):
         found.append(
@@ -313,31 +304,11 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
             f"{_NARROW / DEG:.0f} deg (least {angle.min() / DEG:.2f} deg): "
             "expect their sigma along the line of sight to be large"
         )
-    found += _doubtful_observations(network, prediction)
     controlled = network.surface is not None or network.stereo is not None
-    held_down = controlled or np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
-    if not held_down:
+    if not (controlled or np.any(points.kinds != PointKind.FREE) or np.any(network.held)):
         found.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"
         )
-    return found
-
-
-def _doubtful_observations(network: Network, prediction: Prediction) -> list[str]:
-    """Ranges far from what the nominal orientation says, and laser points without any."""
-    found = range_statements(network, prediction.range_residuals)
-    wild = wild_ranges(network, prediction.range_residuals)
-    if wild.size:
-        names = some_of(network.points.ids, network.ranges.point[wild], _NAMED)
-        found.append(
-            f"{wild.size} ranges lie more than {_WILD:.0f} robust standard deviations from the others of their image: "
-            f"{names}"
-        )
-    laser = np.flatnonzero(network.points.classes == PointClass.LASER)
-    bare = np.setdiff1d(laser, network.ranges.point)
-    if network.ranges.point.size and bare.size:
-        names = some_of(network.points.ids, bare, _NAMED)
-        found.append(f"{bare.size} laser points have no range (no simultaneous image): {names}")
     return found
 
 

@@ -76,7 +76,7 @@ def test_parallel_rays_are_said_in_one_line_without_warnings() -> None:
     """Warnings are errors here; `nan` is no figure."""
     said = inventory(Case("x", Path("x"), parallel(), SolverSettings()))
     assert "nan" not in said
-    assert said.count("points are parallel, and the points stay out") == 1
+    assert said.count("points have parallel rays, and stay out") == 1
 
 
 def lost(solution: Solution, kind: Kind, share: float) -> Solution:
