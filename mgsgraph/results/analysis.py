@@ -171,7 +171,7 @@ def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
 
 def _components_record(found: Components) -> dict[str, Any]:
     return {
-        "exact": found.exact, "groups": components_table(found).records(),
+        "exact": found.exact, "groups": components_table(found).drop("foerstner").records(),
         "correlation_of_squared_factors": found.correlation,
     }  # fmt: skip
 
