@@ -148,7 +148,6 @@ DOOR = {
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
     "mgsgraph.files.cameras.hrsc_lines": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
-    "mgsgraph.files.altimetry.csv_lines": {"np.loadtxt"},  # of lines that were read
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
     "mgsgraph.project.checksum": {"open"},  # POSIX drops locks where any reader closes
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right

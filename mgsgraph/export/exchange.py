@@ -72,7 +72,7 @@ class Selection:
     cells: int | None = None
     """In every image, by which points are thinned; None leaves all."""
     split: bool = False
-    """Whether parts that hang together get files of their own."""
+    """Whether parts that are connected get files of their own."""
 
 
 class Lossy(InputError):
@@ -352,7 +352,7 @@ def _files(
 
 
 def connected_parts(network: ControlNetwork) -> list[ControlNetwork]:
-    """Networks of images that hang together by points, the largest first; ignored points and measures connect nothing,
+    """Networks of images that are connected by points, the largest first; ignored points and measures connect nothing,
     and go with their point's first image. A point without measures goes with the largest.
     """
     names = images_of(network)

@@ -181,7 +181,7 @@ def test_islands_in_words(case: Case) -> None:
     r = network.rays
     parted = replace(network, rays=ImageRays(r.point[first], r.image[first], r.places[first], r.sigmas[first]))
     solved = adjust_network(parted, case.settings)
-    assert said(solved, "falls into 2 parts", "(SIM/A), (SIM/B)")
+    assert said(solved, "split into 2 parts", "(SIM/A), (SIM/B)")
     assert solution_json(solved)["islands"] == [["SIM/A"], ["SIM/B"]]
     assert solution_json(solved)["laser_effect"] is None
     assert summary_table(solved)
