@@ -20,7 +20,7 @@ FOUND = Section("found", "Five rows", ["They are there."], [TABLE], {"rows": TAB
 
 def test_text_has_sentences_and_as_many_rows_as_wanted() -> None:
     assert FOUND.text(2).splitlines() == [
-        "Five rows", "- They are there.", "", "Some rows", "name     length", "              m", "  row 0      0.0",
+        "Five rows", "- They are there.", "", "Some rows", "name      length", "               m", "  row 0      0.0",
         "  row 1      1.0", "  and 3 more rows: see plan.csv",
     ]  # fmt: skip
     assert len(FOUND.text(None).splitlines()) == 11
