@@ -22,6 +22,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.results.comparison_input import input_section, only, settings_section
 from mgsgraph.results.section import Section, write_sections
 from mgsgraph.results.soundness import state_of
+from mgsgraph.results.summary import figures_of_merit
 from mgsgraph.text import many, root_mean_square, some
 
 if TYPE_CHECKING:
@@ -117,19 +118,11 @@ def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]
 
 
 def _fit_figures(solution: Solution, earlier: Solution, labels: tuple[str, str]) -> Table:
-    both = [
-        ("cost with the nominal orientation", earlier.cost_initial, solution.cost_initial),
-        ("cost at the solution", earlier.cost_final, solution.cost_final),
-        ("sigma0", earlier.sigma0, solution.sigma0),
-        ("degrees of freedom", earlier.fit.degrees_of_freedom, solution.fit.degrees_of_freedom),
-        ("observations", earlier.fit.observations, solution.fit.observations),
-        ("unknowns", earlier.fit.unknowns, solution.fit.unknowns),
-        ("images", len(earlier.network.images), len(solution.network.images)),
-        ("ground points", len(earlier.network.points), len(solution.network.points)),
-    ]
+    names = [name for name, _ in figures_of_merit(solution)]
+    before, after = (np.array([value for _, value in figures_of_merit(one)]) for one in (earlier, solution))
     states = [state_of(one) for one in (earlier, solution)]
-    numbers = np.array([(before, after, after - before) for _, before, after in both])
-    texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column] for column in numbers.T]
+    texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column]
+             for column in (before, after, after - before)]  # fmt: skip
     note = "" if earlier.fit.observations == solution.fit.observations else (
         "The numbers of observations differ: costs can't be compared, sigma0 can."
     )
@@ -138,7 +131,7 @@ def _fit_figures(solution: Solution, earlier: Solution, labels: tuple[str, str])
         words = "; now ".join(_loss(*one) for one in losses)
         note = f"The losses differ ({words}): neither costs nor sigma0 can be compared."
     return Table("merit_compared", "Figures of merit", (
-        Column("figure", ["state", *(name for name, _, _ in both)], page="s", text="<34"),
+        Column("figure", ["state", *names], page="s", text="<34"),
         *(Column(name, [first, *text], page="s", text=">14")
           for name, first, text in zip((*labels, "difference"), (*states, ""), texts, strict=True)),
     ), note)  # fmt: skip

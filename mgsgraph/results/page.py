@@ -24,7 +24,7 @@ from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
 from mgsgraph.results.section import Section
 from mgsgraph.results.soundness import state_of
-from mgsgraph.results.summary import sentences_of, solution_sections
+from mgsgraph.results.summary import figure, figures_of_merit, sentences_of, solution_sections
 from mgsgraph.results.tables import points_table, residuals_table
 from mgsgraph.workers import called_in_workers
 
@@ -160,18 +160,11 @@ def _without_scenes(solution: Solution, case: Case | None) -> str:
 
 def _key_figures(solution: Solution) -> list[tuple[str, str]]:
     """What one looks at first."""
-    network, fit, linear = solution.network, solution.fit, solution.linearity
-    sigma0 = f"{fit.sigma0:.3g}" if np.isfinite(fit.sigma0) else "not defined"
+    linear = solution.linearity
     return [
         ("state", state_of(solution)),
-        ("sigma0", sigma0),
         *([] if linear is None else [("linear", f"{'yes' if linear.linear else 'NO'} ({linear.ratio:.3g})")]),
-        ("cost", f"{solution.cost_initial:.4g} → {solution.cost_final:.4g}"),
-        ("degrees of freedom", str(fit.degrees_of_freedom)),
-        ("images", str(len(network.images))),
-        ("ground points", str(len(network.points))),
-        ("image measures", str(network.rays.point.size)),
-        ("laser ranges", str(network.ranges.point.size)),
+        *((name, figure(value)) for name, value in figures_of_merit(solution)),
     ]
 
 

@@ -92,12 +92,25 @@ def _implausible(solution: Solution) -> list[str]:
     ]
 
 
+def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:
+    """What one looks at first: names and numbers."""
+    fit, network = solution.fit, solution.network
+    return [
+        ("cost with the nominal orientation", solution.cost_initial), ("cost at the solution", solution.cost_final),
+        ("sigma0", fit.sigma0), ("degrees of freedom", fit.degrees_of_freedom), ("observations", fit.observations),
+        ("unknowns", fit.unknowns), ("images", len(network.images)), ("ground points", len(network.points)),
+        ("image measurements", network.rays.point.size), ("laser ranges", network.ranges.point.size),
+    ]  # fmt: skip
+
+
+def figure(value: float) -> str:
+    """A figure of merit in words."""
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.6g}" if math.isfinite(value) else "not defined"
+
+
 def _head(solution: Solution) -> str:
-    fit, state = solution.fit, state_of(solution)
-    sigma0 = "not defined" if math.isnan(fit.sigma0) else f"{fit.sigma0:.4g}"
-    return (
-        f"{short(solution.name, 60)}: {state}, {many(solution.iterations, 'iteration')}\n"
-        f"  sigma0 {sigma0}; {fit.observations} observations, {fit.unknowns} unknowns, "
-        f"{fit.degrees_of_freedom} degrees of freedom\n"
-        f"  cost {solution.cost_initial:.6g} -> {solution.cost_final:.6g}"
-    )
+    words = [f"{name} {figure(value)}" for name, value in figures_of_merit(solution)]
+    head = f"{short(solution.name, 60)}: {state_of(solution)}, {many(solution.iterations, 'iteration')}"
+    return "\n".join([head, *(f"  {', '.join(words[first:last])}" for first, last in ((0, 3), (3, 7), (7, 10)))])
