@@ -20,7 +20,7 @@ NO_CODE = {
     tokenize.ENDMARKER,
 }  # fmt: skip
 CEILINGS = {
-    "cli": (1530, 15334, 14),
+    "cli": (1530, 15339, 15),
     "studio": (2340, 34880, 25),
     "fetch": (1516, 18305, 17),
     "project": (2848, 36588, 26),
@@ -31,7 +31,7 @@ CEILINGS = {
     "planning": (1035, 16372, 8),
     "case": (2291, 33944, 21),
     "analysis": (5650, 87858, 51),
-    "adjustment": (8078, 122467, 83),
+    "adjustment": (8078, 122480, 84),
     "matching": (2318, 38415, 24),
     "network": (2827, 44230, 26),
     "files": (9385, 125812, 104),
@@ -39,8 +39,8 @@ CEILINGS = {
     "geometry": (2918, 48246, 35),
     "factors": (449, 7855, 14),
     "single files": (867, 10298, 13),
-    "scripts": (10413, 145991, 81),
-    "tests": (45457, 670913, 361),
+    "scripts": (10505, 147456, 82),
+    "tests": (45659, 673901, 362),
     "docs": (294, 3822, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -15,10 +15,10 @@ from functools import cached_property
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import point_covariances, prior_covariance
 from mgsgraph.adjustment.predicted_lines import settled
 from mgsgraph.adjustment.rounds import Selection, determined_points
 from mgsgraph.adjustment.settings import SolverSettings

@@ -11,6 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.behind_camera import behind_camera
 from mgsgraph.adjustment.blunders import Search
+from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.driver_search import drivers_of
 from mgsgraph.adjustment.driver_words import driver_sentences
 from mgsgraph.adjustment.graph import BundleGraph, Layout
@@ -18,7 +19,6 @@ from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.parallel import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.fit import Fit
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows
 from mgsgraph.analysis.linearised import at_solution, prior_rows

@@ -6,7 +6,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from mgsgraph.adjustment.posterior import ABSURD
+from mgsgraph.adjustment.fit import ABSURD
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.group_fits import ODDS, GroupFit, group_fits

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
+from scipy.stats import chi2
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -95,6 +96,17 @@ def test_groups_that_little_checks_are_not_judged() -> None:
     for one in fits:
         assert one.judged == (one.redundancy >= module.LEAST)
         assert not one.judged or one.low < 1.0 < one.high
+
+
+def test_all_groups_share_one_probability_of_a_false_alarm(behind: Solution) -> None:
+    """What lies beyond all bands together, of chi-square with their redundancies."""
+    judged = [one for one in group_fits(behind) or () if one.judged]
+    beyond = [
+        chi2.cdf(one.redundancy * one.low**2, one.redundancy) + chi2.sf(one.redundancy * one.high**2, one.redundancy)
+        for one in judged
+    ]
+    assert len(judged) > 2
+    np.testing.assert_allclose(beyond, module.ODDS / len(judged), rtol=1e-6)
 
 
 def test_rejection_and_losses_are_allowed_for(behind: Solution) -> None:

@@ -131,6 +131,7 @@ def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) ->
     assert not (tmp_path / "result").exists()
 
 
+@pytest.mark.program("bash")
 def test_a_full_disk(case_file: Path, tmp_path: Path) -> None:
     """/dev/full answers every write with ENOSPC; a file size limit does the same to any file."""
     limited = f"ulimit -f 8; exec {' '.join(COMMAND)} adjust {case_file} --out {tmp_path / 'result'} --no-figures"
@@ -268,6 +269,7 @@ def test_names_that_are_no_text_are_refused(tmp_path: Path) -> None:
     assert "no UTF-8" in done.stderr
 
 
+@pytest.mark.program("bash")
 def test_too_little_memory_for_the_libraries_is_said_before_they_are_loaded(case_file: Path) -> None:
     """With 512 MB, OpenBLAS or numba would spin, and heed no signal."""
     command = ["bash", "-c", 'ulimit -v 512000; exec "$@"', "bash", *COMMAND, "check", str(case_file)]

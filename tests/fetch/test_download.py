@@ -541,6 +541,14 @@ def test_planted_links_lead_nowhere(archive: Flaky, tmp_path: Path, linked: str,
     assert not (folder / "big.img").is_symlink()
 
 
+def test_a_weak_etag_is_no_condition() -> None:
+    """RFC 9110, 13.1.5: bytes of two files with one weak ETag may differ."""
+    date = "Sat, 28 Nov 2026 07:28:00 GMT"
+    assert RemoteSource("u", 3, '"a"', date).validator == '"a"'
+    assert RemoteSource("u", 3, 'W/"a"', date).validator == date
+    assert RemoteSource("u", 3, 'W/"a"', "").validator == ""
+
+
 @pytest.mark.parametrize("said", [
     {"total": "much"}, {"total": -1}, {"total": True}, {"etag": 5}, {"modified": None}, {"url": ["x"]}, {"more": 1},
 ])  # fmt: skip

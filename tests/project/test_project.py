@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 from projects import StopHere, change, digest, images, interrupted
 
+from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
+from mgsgraph.project.adjustment_cache import KeptAdjustment
 from mgsgraph.project.checksum import checksum
 from mgsgraph.project.connection import WRITER
 from mgsgraph.project.project import Project, open_project
@@ -36,6 +38,17 @@ def folder(tmp_path: Path) -> Path:
         change(project.store, 1)
         project.record("init", "by the test", {})
     return path
+
+
+def test_an_adjustment_is_kept_until_another_process_changes_the_project() -> None:
+    settings, store, kept = SolverSettings(), InMemory(), KeptAdjustment()
+    first = kept.resumed("before", settings, store)
+    kept.noted("ours")
+    assert kept.resumed("ours", settings, store) is first
+    assert kept.resumed("ours", settings, store) is not first  # a change that was begun, and never noted
+    second = kept.resumed("ours", settings, store)
+    kept.noted("ours, too")
+    assert kept.resumed("another's", settings, store) is not second
 
 
 def state(folder: Path) -> str:

@@ -62,6 +62,7 @@ def test_files_and_record(folder: Path) -> None:
     assert any("3396.190 km" in sentence for sentence in record["statements"])
 
 
+@pytest.mark.program("gdalinfo")
 def test_bands_in_gdal_s_hands(folder: Path) -> None:
     told = json.loads(subprocess.check_output(["gdalinfo", "-json", "-checksum", str(folder / "dem.tif")]))
     names = [band["description"] for band in told["bands"]]
@@ -325,6 +326,8 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     wide = checked(model, [replace(one, covariance=np.eye(2) * 1e4)])
     assert np.all(wide.sigmas >= found.sigmas)
     assert np.median(wide.sigmas / found.sigmas) > 1.05
+    rough = checked(model, [replace(one, height_sigma=3.0)])  # variances add up
+    np.testing.assert_allclose(rough.independent**2 - found.independent**2, 8.0, rtol=1e-9)
 
 
 def test_the_table_has_every_shot_on_the_model(folder: Path) -> None:

@@ -12,9 +12,9 @@ from increments import by_image, distances, fan, network_of
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.bundle import shared_vector
+from mgsgraph.adjustment.incremental.bayes_tree import Tree
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import ReducedSystem
-from mgsgraph.adjustment.incremental.tree import Tree
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import SolverError
 from mgsgraph.network.parts import Members, Unknown
@@ -124,6 +124,18 @@ def test_replacing_and_removing_is_building_anew(seed: int) -> None:
     assert set(tree.values()) == set(rest)
     if rest:
         assert np.all(from_dense(tree, rest, left, seed) < CLOSE)
+
+
+def test_an_unknown_that_comes_back_counts_as_new() -> None:
+    """Also where its value is what it was: whoever asks what has moved has forgotten it with the unknown."""
+    one, other = Unknown("image", "one"), Unknown("image", "other")
+    tree = Tree()
+    tree.change({one: np.ones(6), other: np.ones(6)})
+    assert set(tree.moved()) == {one, other}
+    assert not tree.moved()
+    tree.change(dropped=[one])
+    tree.change({one: np.ones(6)})
+    assert set(tree.moved()) == {one}
 
 
 def pair_of_poorly_scaled_images(rows: int) -> tuple[Priors, Systems]:

@@ -1,10 +1,9 @@
-"""What the adjustment knows afterwards: sigma0, covariance of the orientation coefficients and of every point.
+"""Covariances of the adjustment: of the orientation coefficients and shared unknowns, and of every point.
 
 Covariances are stated for sigma0 = 1, as the a-priori sigmas imply; multiply by sigma0 squared to scale them.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -22,79 +21,11 @@ from mgsgraph.adjustment.graph.bundle import (
 )
 from mgsgraph.adjustment.graph.bundle import shared_values as gtsam_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
-from mgsgraph.adjustment.residuals import Residuals
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import SquareRoot, begins, in_cliques, is_indeterminate
-from mgsgraph.adjustment.squares import squares_of
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, Model, Rows
-from mgsgraph.record import Record
-
-ABSURD = 10.0
-"""sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
-
-
-@dataclass(frozen=True, slots=True)
-class Fit(Record):
-    """Global figures of merit.
-
-    Examples
-    --------
-    >>> fit = solution.fit
-    >>> fit.observations, fit.unknowns, fit.degrees_of_freedom
-    (180, 120, 60)
-    >>> round(fit.sigma0, 2), fit.absurd
-    (1.22, False)
-    """
-
-    squares: float
-    """Weighted sum of squares of all rows."""
-    observations: int
-    """Number of rows, priors among them."""
-    unknowns: int
-    """Number of unknowns, points among them."""
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Redundancy of the adjustment."""
-        return self.observations - self.unknowns
-
-    @property
-    def sigma0(self) -> float:
-        """A-posteriori standard deviation of unit weight; NaN without redundancy."""
-        return float(np.sqrt(self.squares / self.degrees_of_freedom)) if self.degrees_of_freedom > 0 else float("nan")
-
-    @property
-    def absurd(self) -> bool:
-        """Whether sigma0 can't come from sigmas that are merely too small."""
-        return self.sigma0 > ABSURD
-
-
-def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals) -> Fit:
-    """Weighted squares (robust weights included), observations and unknowns of the rows that take part."""
-    kind = layout.network_order(rows.kind)
-    every = squares_of(layout, rows, orientation, points, found).values()
-    corrections = layout.prior.residuals(orientation)
-    parts = [_weighted(one.values, layout.model) if one.robust else float(one.values.sum()) for one in every]
-    free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
-    return Fit(
-        squares=float(sum(parts) + corrections @ corrections),
-        observations=sum(one.rows * one.values.size for one in every) + layout.prior.rows,
-        unknowns=layout.columns + 3 * free,
-    )
-
-
-def _weighted(squares: Array, model: Model) -> float:
-    """Sum of squares with the loss's weights (see `tile.robust` of the factors)."""
-    if model.loss == NO_LOSS:
-        return float(squares.sum())
-    if model.loss == HUBER:
-        return float((squares * np.minimum(1.0, model.width / np.sqrt(np.maximum(squares, 1e-300)))).sum())
-    ratio = squares / model.width**2
-    if model.loss == CAUCHY:
-        return float((squares / (1.0 + ratio)).sum())
-    return float((squares * np.maximum(1.0 - ratio, 0.0) ** 2).sum())
+from mgsgraph.kernel.rows import Rows
 
 
 def orientation_covariance(graph: BundleGraph, reduction: Reduction, consider: bool = True) -> JointCovariance:
