@@ -143,7 +143,7 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
     "docs/review.md": (nothing, "5 of 20 tie points"),
     "docs/solution_npz.md": (adjusted, "SIM/A"),
     "docs/strips.md": (nothing, "HRSC/01: "),
-    "docs/two_steps.md": (nothing, "reduced by a factor"),
+    "docs/two_steps.md": (nothing, "smaller by"),
 }
 """What a page's blocks, run one after the other, find in the folder and among their names, and a part of what they
 print."""

@@ -95,7 +95,8 @@ def print_form_of_tables(files: Iterable[str], asked: "TableForm | None") -> Non
 
 def print_solution(solution: "Solution") -> None:
     """Print what an adjustment has found: the table and the sentences."""
-    from mgsgraph.results.summary import statements, summary_table
+    from mgsgraph.results.summary import sentences_of, solution_sections, summary_table
 
-    click.echo(summary_table(solution))
-    print_sentences(statements(solution))
+    sections = solution_sections(solution)
+    click.echo(summary_table(solution, sections))
+    print_sentences(sentences_of(sections))

@@ -49,12 +49,12 @@ def connectivity_statements(connected: Connectivity) -> list[str]:
     """Sentences: how many links, the weakest one, islands, overlaps without ties, ties without overlap."""
     if len(connected.names) < 2:
         return []
-    return [*link_statement(connected), *_islands(connected), *connectivity_warnings(connected)]
+    return [*link_statement(connected), *connectivity_warnings(connected)]
 
 
 def connectivity_warnings(connected: Connectivity) -> list[str]:
-    """Sentences about pairs of images whose points and footprints disagree."""
-    return [*_untied(connected), *_apart(connected)]
+    """Sentences about islands, and pairs of images whose points and footprints disagree."""
+    return [*_islands(connected), *_untied(connected), *_apart(connected)]
 
 
 def weakest_joints(connected: Connectivity) -> list[str]:

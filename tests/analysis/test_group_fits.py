@@ -14,7 +14,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import group_fits as module
 from mgsgraph.analysis.group_fits import group_fits
 from mgsgraph.network import ImageRays, Network, PointClass
-from mgsgraph.results.group_fits import fits_json, group_fits_table, weight_unit
+from mgsgraph.results.group_fits import fits_section, group_fits_table, weight_unit
 from mgsgraph.results.results import solution_json
 from mgsgraph.results.summary import statements, summary_table
 
@@ -78,7 +78,7 @@ def test_every_surface_says_it(behind: Solution) -> None:
     assert row["sigma0"] > high > 1.0 > low
     assert row["state"].startswith("WORSE")
     assert TIES in summary_table(behind)
-    assert fits_json(behind) == record["fits"]
+    assert fits_section(behind).numbers == record["fits"]
 
 
 def test_right_sigmas_name_nothing_and_wrong_ones_always() -> None:
@@ -126,7 +126,7 @@ def test_nothing_is_said_where_nobody_looked(monkeypatch: pytest.MonkeyPatch) ->
     solution = adjusted(net)
     assert group_fits(solution) is None
     assert len(group_fits_table(None)) == 0
-    assert fits_json(solution) is None
+    assert fits_section(solution).numbers is None
     assert group_fits(replace(solution, converged=False)) is None
     assert summary_table(solution)
 

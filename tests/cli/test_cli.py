@@ -1,6 +1,7 @@
 """The command line as a person uses it, in processes of its own: exit status, one line on stderr, nothing left over."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -78,8 +79,9 @@ def test_check_tells_what_is_there(case_file: Path, tmp_path: Path) -> None:
     before = sorted(path.name for path in case_file.parent.iterdir())
     done = run("check", case_file, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    for said in ("SIM/A", "SIM/B", "20 tie points", "8 laser points", "8 laser ranges", "Connections", "Weak spots"):
+    for said in ("SIM/A", "SIM/B", "8 laser ranges", "Connections", "Weak spots"):
         assert said in done.stdout
+    assert re.findall(r"^  (tie|laser) +(\d+)", done.stdout, re.MULTILINE) == [("tie", "20"), ("laser", "8")]
     assert sorted(path.name for path in case_file.parent.iterdir()) == before
 
 
@@ -164,7 +166,7 @@ def test_check_tells_the_rest_of_a_weak_network(case_file: Path) -> None:
     case_file.write_text(text, encoding="utf-8")
     done = run("check", case_file, "--no-laser")
     assert done.returncode == 0, done.stderr
-    assert "20 tie points" in done.stdout
+    assert re.search(r"^  tie +20 ", done.stdout, re.MULTILINE)
     assert "too weak to solve" in done.stdout
 
 

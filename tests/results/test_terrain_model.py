@@ -31,7 +31,7 @@ from mgsgraph.registration.dem.checking import check_profiles, checked
 from mgsgraph.registration.dem.model import Dem, DemSettings, dem_of
 from mgsgraph.results import terrain_model
 from mgsgraph.results.stac_item import item
-from mgsgraph.results.terrain_model import BANDS, dem_statements, make_dem, write_dem
+from mgsgraph.results.terrain_model import BANDS, dem_section, make_dem, write_dem
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
 FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png", "dem.svg"}
@@ -56,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_files_and_record(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == FILES
     record = json.loads((folder / DEM).read_text(encoding="utf-8"))
-    assert record["statements"] == dem_statements(made())
+    assert record["statements"] == dem_section(made()).sentences
     assert record["posts_with_heights"] == int(np.isfinite(made().heights).sum())
     assert record["checks"][0]["profile"] == "ap18933l"
     assert any("3396.190 km" in sentence for sentence in record["statements"])
@@ -343,10 +343,10 @@ def test_the_table_has_every_shot_on_the_model(folder: Path) -> None:
 
 
 def test_words_where_there_is_nothing_to_check_by() -> None:
-    assert dem_statements(replace(made(), profiles=()))[-1].startswith("Not checked by laser shots: there are none")
+    assert "by laser shots: there are none" in dem_section(replace(made(), profiles=())).sentences[-1]
     nothing = checked(made().model, [])
     assert len(nothing) == 0
-    assert "none lies on the terrain model" in dem_statements(replace(made(), checks=nothing))[-1]
+    assert "none lies on the terrain model" in dem_section(replace(made(), checks=nothing)).sentences[-1]
 
 
 # ---- whole or not at all
