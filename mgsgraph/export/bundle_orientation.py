@@ -30,10 +30,11 @@ _NOTHING = 1e-9
 
 
 class OrientationPolynomials(NamedTuple):
-    """One image: coefficients of (t - centre)^k for each of PARAMETERS; m and rad, per s^k."""
+    """One image: coefficients of (t - centre)^k for each of PARAMETERS; m and rad, per s^k.
 
-    inertial: bool
-    """Whether axes are inertial (J2000); else body-fixed, where the trajectory doesn't know the body's rotation."""
+    Axes are inertial (J2000), or body-fixed where the trajectory doesn't know the body's rotation.
+    """
+
     before: Array
     """(6, d + 1) of the nominal orientation."""
     correction: Array
@@ -67,7 +68,6 @@ def orientation_polynomials(solution: Solution, image: str | int, degree: int) -
     fit /= half ** np.arange(degree + 1)[:, None]
     turn = correction.axes(before, moments)
     trajectory = picture.trajectory
-    inertial = isinstance(trajectory, Trajectory)
     outward = np.broadcast_to(np.eye(3), (PLACES, 3, 3))
     if isinstance(trajectory, Trajectory):
         outward = np.swapaxes(trajectory.body.at(moments.times)[0], 1, 2)
@@ -78,7 +78,7 @@ def orientation_polynomials(solution: Solution, image: str | int, degree: int) -
     moved = np.hstack([position[1] - position[0], in_turn(angles[1] - angles[0])])
     to_angles = np.linalg.solve(_axes(matrix[1], angles[1]), turn)
     prior, sigma = _sigmas(solution, image, lines, (outward, np.asarray(to_angles, dtype=np.float64)), fit)
-    return OrientationPolynomials(inertial, (fit @ values).T, (fit @ moved).T, prior, sigma)
+    return OrientationPolynomials((fit @ values).T, (fit @ moved).T, prior, sigma)
 
 
 def _axes(matrix: Array, angles: Array) -> Array:

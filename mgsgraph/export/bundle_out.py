@@ -1,16 +1,15 @@
-"""What jigsaw's users look for: bundleout.txt, bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and
-residuals.csv, with jigsaw's names, order and units of columns.
+"""What jigsaw's users look for: bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and residuals.csv, with
+jigsaw's names, order and units of columns.
 
-Latitudes are planetocentric, places km, sigmas and corrections m, angles degrees, pixels counted from 1. Sources:
-DOI-USGS/ISIS3, BundleSolutionInfo.cpp (outputHeader, outputText, outputImagesCSV, outputPointsCSV, outputLidarCSV,
-outputResiduals), BundleControlPoint.cpp (formatBundleOutputSummaryString, ...DetailString), IsisBundleObservation.cpp
-(bundleOutputString, bundleOutputCSV), BundleLidarRangeConstraint.cpp. The CSV files have no room for notes: these stand
-at the head of bundleout.txt.
+Latitudes are planetocentric, coordinates km, sigmas and corrections m, angles degrees, pixels counted from 1. Sources:
+DOI-USGS/ISIS3, BundleSolutionInfo.cpp (outputImagesCSV, outputPointsCSV, outputLidarCSV, outputResiduals),
+IsisBundleObservation.cpp (bundleOutputCSV), BundleLidarRangeConstraint.cpp. The files have no room for notes:
+docs/jigsaw.md has them.
 """
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,17 +22,16 @@ from mgsgraph.export.bundle_orientation import (
     common_degree,
     orientation_polynomials,
 )
-from mgsgraph.export.bundle_text import Tables, bundle_text
 from mgsgraph.files.output.csv_json import picked, quoted
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.files.writing import write_files
 from mgsgraph.geometry.body import in_turn, planetocentric
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.units import DEG, ISIS_OFFSET, KM, MM
 
-TEXT, IMAGES, POINTS, LIDAR, RESIDUALS = (
-    "bundleout.txt", "bundleout_images.csv", "bundleout_points.csv", "bundleout_lidar.csv", "residuals.csv",
+IMAGES, POINTS, LIDAR, RESIDUALS = (
+    "bundleout_images.csv", "bundleout_points.csv", "bundleout_lidar.csv", "residuals.csv",
 )  # fmt: skip
 """Files as jigsaw calls them."""
 _POINTS_HEAD = (
@@ -53,15 +51,6 @@ _RESIDUALS_HEAD = (
     "Label,Filename,Serial Number,(mm),(mm),(pixels),(pixels),(pixels),(pixels),(pixels),Rejected\n"
 )
 _NUMBER = "{:16.8f}"
-
-
-class _Measures(NamedTuple):
-    """Means over measures that took part."""
-
-    accepted: Index
-    total: Index
-    rms: Array
-    """pixels: (n,) of points; (n, 3) of images: samples, lines, both."""
 
 
 def write_bundle_out(solution: Solution, folder: Path, scaled: bool = False) -> list[Path]:
@@ -87,97 +76,78 @@ def write_bundle_out(solution: Solution, folder: Path, scaled: bool = False) -> 
         If a file can't be written, or sigma0 is asked for and there is none.
     """
     factor = covariance_factor(solution, scaled) ** 0.5
-    degree = common_degree(solution)
-    orientation = [orientation_polynomials(solution, j, degree) for j in range(len(solution.network.images))]
-    tables = _tables(solution, orientation, factor)
     texts = {
-        TEXT: bundle_text(solution, tables, scaled),
-        IMAGES: _images_csv(solution, tables),
-        POINTS: _points_csv(solution, tables),
+        IMAGES: _images_csv(solution, factor),
+        POINTS: _points_csv(solution, factor),
         **({LIDAR: _lidar_csv(solution)} if solution.network.ranges.point.size else {}),
         RESIDUALS: _residuals_csv(solution),
     }
     return write_files(folder, texts)
 
 
-def _tables(solution: Solution, orientation: list[OrientationPolynomials], factor: float) -> Tables:
-    """Everything in jigsaw's units."""
-    points = solution.network.points
-    before, after = planetocentric(solution.places_before), planetocentric(solution.places)
-    change = after - before
-    change[:, 0] = in_turn(change[:, 0])
-    radius, latitude = after[:, 2], after[:, 1]
-    metres = np.stack([change[:, 1] * radius, change[:, 0] * radius * np.cos(latitude), change[:, 2]], axis=1)
-    constrained = points.kinds == PointKind.CONSTRAINED
-    prior = np.where(constrained[:, None], _local_sigmas(points.covariances, solution.places_before), np.nan)
-    of_points, of_images = _of_points(solution), _of_images(solution)
-    return Tables(
-        status=picked([kind.name for kind in PointKind], points.kinds).tolist(),
-        accepted=of_points.accepted, total=of_points.total, rms=of_points.rms,
-        places=_reported(after), corrections=change[:, [1, 0, 2]] / [DEG, DEG, KM], corrections_m=metres,
-        prior=prior, sigmas=_local_sigmas(solution.covariances, solution.places) * factor,
-        image_accepted=of_images.accepted, image_total=of_images.total, image_rms=of_images.rms,
-        orientation=orientation, factor=factor,
-    )  # fmt: skip
-
-
-def _reported(places: Array) -> Array:
-    """(n, 3) latitude and longitude in degrees, 0 .. 360, and radius in km."""
-    return np.stack([places[:, 1] / DEG, places[:, 0] / DEG % 360.0, places[:, 2] / KM], axis=1)
-
-
-def _local_sigmas(covariances: Array, places: Array) -> Array:
-    """(n, 3) m, sigmas along latitude, longitude and radius."""
-    return local_sigmas(covariances, places)[:, [1, 0, 2]]
-
-
-def _of_points(solution: Solution) -> _Measures:
-    rays, used, n = solution.network.rays, solution.rays_used, len(solution.network.points)
-    squares = np.bincount(rays.point[used], (solution.residuals[used] ** 2).sum(axis=1), minlength=n)
-    accepted = used_ray_counts(solution)
-    return _Measures(accepted, solution.network.ray_counts, np.sqrt(squares / np.maximum(2 * accepted, 1)))
-
-
-def _of_images(solution: Solution) -> _Measures:
-    rays, used, m = solution.network.rays, solution.rays_used, len(solution.network.images)
-    accepted = np.bincount(rays.image[used], minlength=m)
-    line, sample = (
-        np.bincount(rays.image[used], solution.residuals[used, c] ** 2, minlength=m) / np.maximum(accepted, 1)
-        for c in range(2)
-    )
-    rms = np.sqrt(np.stack([sample, line, 0.5 * (sample + line)], axis=1))
-    return _Measures(accepted, np.bincount(rays.image, minlength=m), rms)
-
-
-def _images_csv(solution: Solution, tables: Tables) -> str:
-    terms = tables.orientation[0].before.shape[1]
-    names = [f"{name}(t{k})" if terms > 1 else name for name in PARAMETERS for k in range(terms)]
+def _images_csv(solution: Solution, factor: float) -> str:
+    """One row for each image: its residuals, and the coefficients of its orientation."""
+    images, degree = solution.network.images, common_degree(solution)
+    names = [f"{name}(t{k})" if degree else name for name in PARAMETERS for k in range(degree + 1)]
     parts = ("Initial", "Correction", "Final", "Apriori Sigma", "Adj Sigma")
     # the comma at the end of both lines is jigsaw's
     rows = [
         ",".join(["Image", "rms", "rms", "rms", *(name for name in names for _ in parts), ""]),
         ",".join(["Filename", "sample res", "line res", "total res", *(part for _ in names for part in parts), ""]),
     ]
-    for j, image in enumerate(solution.network.images):
-        fields = [quoted(image.name), *map(repr, tables.image_rms[j].tolist())]
-        for before, correction, after, prior, sigma, _ in tables.parameters(j, solution):
-            fields += [repr(before), repr(correction), repr(after), prior, sigma]
-        rows.append(",".join(fields))
+    for j, (image, rms) in enumerate(zip(images, _image_rms(solution).tolist(), strict=True)):
+        polynomials = orientation_polynomials(solution, j, degree)
+        coefficients = _coefficients(polynomials, factor, bool(solution.network.held[j]))
+        rows.append(",".join([quoted(image.name), *map(repr, rms), *coefficients]))
     return "\n".join([*rows, ""])
 
 
-def _points_csv(solution: Solution, tables: Tables) -> str:
+def _image_rms(solution: Solution) -> Array:
+    """(m, 3) pixels, root mean square over measures that took part: samples, lines, both."""
+    image, m = solution.network.rays.image[solution.rays_used], len(solution.network.images)
+    accepted = np.maximum(np.bincount(image, minlength=m), 1)
+    squares = solution.residuals[solution.rays_used] ** 2
+    line, sample = (np.bincount(image, squares[:, c], minlength=m) / accepted for c in range(2))
+    return np.sqrt(np.stack([sample, line, 0.5 * (sample + line)], axis=1))
+
+
+def _coefficients(found: OrientationPolynomials, factor: float, held: bool) -> Iterator[str]:
+    """Of each coefficient initial value, correction and final value (km, degrees), a-priori and adjusted sigma (m,
+    degrees).
+    """
+    for c in range(len(PARAMETERS)):
+        size, spread = (KM, 1.0) if c < 3 else (DEG, DEG)
+        for k in range(found.before.shape[1]):
+            before, correction = float(found.before[c, k]) / size, float(found.correction[c, k]) / size
+            prior, sigma = found.prior[c, k] / spread, found.sigma[c, k] / spread * factor
+            yield from map(repr, (before, correction, before + correction))
+            yield "N/A" if np.isnan(prior) else "FREE" if np.isinf(prior) else f"{prior:.8g}"
+            yield "N/A" if held and sigma == 0.0 else f"{sigma:.8f}" if sigma > 1e-4 else f"{sigma:.8g}"
+
+
+def _points_csv(solution: Solution, factor: float) -> str:
     """One row for each point that has a place and was not rejected, laser footprints among them."""
-    kept = np.flatnonzero(~rejected_points(solution)).tolist()
-    ids = [quoted(name) for name in solution.network.points.ids]
-    numbers = np.hstack([tables.places, tables.sigmas, tables.corrections_m, solution.places / KM])
+    points, rays, used, n = solution.network.points, solution.network.rays, solution.rays_used, len(solution.places)
+    accepted = used_ray_counts(solution)
+    squares = np.bincount(rays.point[used], (solution.residuals[used] ** 2).sum(axis=1), minlength=n)
+    before, after = planetocentric(solution.places_before), planetocentric(solution.places)
+    change, radius, latitude = after - before, after[:, 2], after[:, 1]
+    east = in_turn(change[:, 0]) * radius * np.cos(latitude)
+    numbers = np.column_stack([
+        latitude / DEG, after[:, 0] / DEG % 360.0, radius / KM,
+        local_sigmas(solution.covariances, solution.places)[:, [1, 0, 2]] * factor,
+        change[:, 1] * radius, east, change[:, 2], solution.places / KM,
+    ])  # fmt: skip
     form = "{},{},{},{},{:6.2f}," + ",".join([_NUMBER] * numbers.shape[1]) + "\n"
-    rejected = (tables.total - tables.accepted).tolist()
     # as its name says; jigsaw's column holds all measures (BundleControlPoint::numberOfMeasures)
-    columns = (ids, tables.status, tables.accepted.tolist(), rejected, tables.rms.tolist())
+    rejected = (solution.network.ray_counts - accepted).tolist()
+    columns = (
+        [quoted(name) for name in points.ids], picked([kind.name for kind in PointKind], points.kinds).tolist(),
+        accepted.tolist(), rejected, np.sqrt(squares / np.maximum(2 * accepted, 1)),
+    )  # fmt: skip
     every = list(zip(*columns, numbers.tolist(), strict=True))
-    rows = [form.format(*values, *figures) for *values, figures in (every[i] for i in kept)]
-    return "".join([_POINTS_HEAD, *rows])
+    kept = np.flatnonzero(~rejected_points(solution)).tolist()
+    return "".join([_POINTS_HEAD, *(form.format(*values, *figures) for *values, figures in (every[i] for i in kept))])
 
 
 def _lidar_csv(solution: Solution) -> str:
