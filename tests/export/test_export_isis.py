@@ -17,11 +17,11 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_orientation import (
+from mgsgraph.export.bundle_out import (
     common_degree,
     orientation_polynomials,
+    write_bundle_out,
 )
-from mgsgraph.export.bundle_out import write_bundle_out
 from mgsgraph.export.isis import adjusted_network, write_isis
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.networks.network_file import read_network

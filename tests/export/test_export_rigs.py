@@ -17,7 +17,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_orientation import orientation_polynomials
+from mgsgraph.export.bundle_out import orientation_polynomials
 from mgsgraph.export.csm import write_csm
 from mgsgraph.export.isis import write_isis
 from mgsgraph.export.reprojection import reprojection
