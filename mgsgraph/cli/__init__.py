@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import click
 
-from mgsgraph.cli.streams import guard_streams
+from mgsgraph.cli.options import guard_streams
 from mgsgraph.errors import MgsgraphError, one_line
 
 _VERBS = {
@@ -39,7 +39,7 @@ _VERBS = {
     "remove": ("projects", "Take images out of a project, and adjust what they touched."),
     "report": ("questions", "Write a page about an adjustment, one HTML file."),
     "review": ("networks", "Show tie points to a person, and take rejected ones out of a network."),
-    "shots": ("shots", "Find the laser profiles over images, and those taken along with them."),
+    "shots": ("places", "Find the laser profiles over images, and those taken along with them."),
     "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
     "solve": ("projects", "Adjust everything in a project by batch, and compare."),
     "studio": ("studio", "Look at a project, results or a case in the browser, measure and ask."),
