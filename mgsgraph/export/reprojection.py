@@ -34,9 +34,9 @@ def reprojection(solution: Solution) -> Reprojection:
         mine = np.flatnonzero((rays.image == j) & solution.determined[rays.point])
         seen, _ = solution.image(j).ground_to_image(points[mine], solution.correction(j), rays.places[mine, 0])
         places[mine], times[mine] = seen, image.timing.at(seen[:, 0])[0] + image.trajectory.epoch
-    seen = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(points).all(axis=1))
-    names = [images[j].name for j in rays.image[seen].tolist()]
-    return Reprojection(tuple(names), points[seen], places[seen], times[seen])
+    known = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(points).all(axis=1))
+    names = [images[j].name for j in rays.image[known].tolist()]
+    return Reprojection(tuple(names), points[known], places[known], times[known])
 
 
 def images_of(wanted: Reprojection) -> dict[str, Index]:

@@ -17,7 +17,7 @@ from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.project.columns import HEIGHTS, Cells, Run, index_among, rows_of
 from mgsgraph.results.archive_arrays import pack, unpack
 
-_Kind = TypeVar("_Kind", TerrainGrid, StereoSurface)
+_Kind = TypeVar("_Kind", bound=TerrainGrid | StereoSurface)
 
 
 class StoredRecords(Generic[_Kind]):
@@ -25,8 +25,8 @@ class StoredRecords(Generic[_Kind]):
 
     def __init__(self, connection: sqlite3.Connection, where: str, table: str, kind: type[_Kind]) -> None:
         self._connection, self._where, self._table, self._kind = connection, where, table, kind
-        self._records = dict[int, _Kind]()
-        self._numbers = dict[int, tuple[_Kind, int]]()
+        self._records: dict[int, _Kind] = {}
+        self._numbers: dict[int, tuple[_Kind, int]] = {}
 
     def record(self, number: int) -> _Kind:
         """A record by its number; ValueError where there is none."""
