@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
-from mgsgraph.adjustment.incremental.state import StateStore
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.atomic_write import made_beside, resolved
 from mgsgraph.errors import InputError
@@ -29,6 +28,7 @@ from mgsgraph.results.archive_arrays import unpack_parts
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+    from mgsgraph.adjustment.incremental.state import StateStore
     from mgsgraph.adjustment.solution import Solution
 
 
@@ -39,7 +39,7 @@ class KeptAdjustment:
         self._adjustment: IncrementalAdjustment | None = None
         self._after: object = None
 
-    def resumed(self, after: object, settings: SolverSettings, store: StateStore) -> "IncrementalAdjustment":
+    def resumed(self, after: object, settings: SolverSettings, store: "StateStore") -> "IncrementalAdjustment":
         """The adjustment of a project whose last change, as its history has it, is `after`: the one that is kept, if it
         has made that change itself and has the same settings, else one that begins with what the store holds.
         """
