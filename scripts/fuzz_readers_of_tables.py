@@ -103,7 +103,6 @@ def of_altimetry() -> Iterator[Row]:
 
 
 def of_what_is_kept() -> Iterator[Row]:
-    from mgsgraph.export import control_back, csm_back
     from mgsgraph.export.network_content import source_networks
     from mgsgraph.project.campaign.record import open_record
     from mgsgraph.project.project import open_project
@@ -135,10 +134,6 @@ def of_what_is_kept() -> Iterator[Row]:
     yield Row("project", "C", project, partial(of_pair, "project/project.sqlite"), SQLITE)
     yield Row("campaign's record", "C", record, lambda: made("campaign.jsonl", campaign), (*JSON, *TEXT))
     yield Row("kept tile", "C", tile, partial(text, ".out.matching/0123_ties.npz", seeds.small_npz()), NPZ)
-    yield Row("exported state", "B", csm_back._read, partial(seeds.exported, "csm/*_state.json"), JSON)
-    back = partial(seeds.exported, "isis/*.net")
-    unset = ("[][][]",)  # infinite, as the reader says
-    yield Row("exported network", "C", lambda path: list(control_back._measures(path)), back, WIRE, gaps=unset)
 
 
 def of_archives() -> Iterator[Row]:

@@ -95,7 +95,7 @@ def pair_folder() -> Path:
 
 @cache
 def worked_folder() -> Path:
-    """The same with its result, its projects and its exports."""
+    """The same with its result, and its projects."""
     folder = pair_folder()
     case = folder / "case.toml"
     commanded("adjust", case, "--out", folder / "result", "--no-figures")
@@ -103,8 +103,6 @@ def worked_folder() -> Path:
     commanded("solve", folder / "project", "--no-figures")
     commanded("init", folder / "half", "--case", case)
     commanded("remove", folder / "half", "SIM/B")
-    commanded("export", folder / "result", "--to", "isis", "--out", folder / "isis")
-    commanded("export", folder / "result", "--to", "csm", "--out", folder / "csm")
     return folder
 
 
@@ -113,12 +111,6 @@ def of_pair(main: str, *others: str) -> Seed:
     worked = any("/" in name for name in (main, *others))
     folder = worked_folder() if worked else pair_folder()
     return Seed({name: (folder / name).read_bytes() for name in (main, *others)}, main)
-
-
-def exported(main: str) -> Seed:
-    """The first of the exported files of a pattern."""
-    folder = worked_folder()
-    return of_pair(str(sorted(folder.glob(main))[0].relative_to(folder)))
 
 
 def case_seed(main: str = "case.toml") -> Seed:

@@ -154,7 +154,6 @@ DOOR = {
     "mgsgraph.project.project": {"json.loads"},
     # our own files, not a user's
     "mgsgraph.adjustment.graph.memory_map": {"read_text"},  # the system's: how much memory a container may take
-    "mgsgraph.export.spice_back": {"spiceypy.furnsh"},
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},

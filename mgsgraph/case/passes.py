@@ -17,8 +17,7 @@ from mgsgraph.case.motion import (
     processes,
     trend_sigmas,
 )
-from mgsgraph.case.nodes import SPACING, NodesInput
-from mgsgraph.case.strips import StripInput
+from mgsgraph.case.strips import SPACING, NodesInput, StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior

@@ -9,9 +9,8 @@ import numpy as np
 from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.mountings import MountingInput
-from mgsgraph.case.numbers import Factor, Positive, Sigma
 from mgsgraph.case.passes import PassInput
-from mgsgraph.case.strips import StripInput
+from mgsgraph.case.strips import Factor, Positive, Sigma, StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.geometry.image import PushbroomImage

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import click
 
-from mgsgraph.cli.streams import guard_streams
+from mgsgraph.cli.options import guard_streams
 from mgsgraph.cli.verbs import VERBS
 from mgsgraph.errors import MgsgraphError, one_line
 

@@ -25,7 +25,7 @@ VERBS = {
     "remove": ("projects", "Take images out of a project, and adjust what they touched."),
     "report": ("questions", "Write a page about an adjustment, one HTML file."),
     "review": ("networks", "Show tie points to a person, and take rejected ones out of a network."),
-    "shots": ("shots", "Find the laser profiles over images, and those taken along with them."),
+    "shots": ("places", "Find the laser profiles over images, and those taken along with them."),
     "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
     "solve": ("projects", "Adjust everything in a project by batch, and compare."),
     "studio": ("studio", "Look at a project, results or a case in the browser, measure and ask."),

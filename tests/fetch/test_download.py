@@ -33,9 +33,8 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch import part as parts
-from mgsgraph.fetch.download import NotInArchive, Remote, RetryPolicy
+from mgsgraph.fetch.download import NotInArchive, Remote, RetryPolicy, led_to
 from mgsgraph.fetch.part import RemoteSource
-from mgsgraph.fetch.redirects import led_to
 from mgsgraph.fetch.store import limit_of, require_content
 
 CONTENT = np.random.default_rng(1).bytes(200_000)

@@ -345,7 +345,7 @@ def test_a_result_that_nobody_knows_of_is_swept(project: Path) -> None:
 
 def test_bad_input_is_one_line_and_status_2(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", "status", str(tmp_path)],
+        [sys.executable, "-m", "mgsgraph", "status", str(tmp_path)],
         capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "110"},
     )  # fmt: skip
     assert done.returncode == 2

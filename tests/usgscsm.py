@@ -1,21 +1,18 @@
-"""Support data and model states read back as JSON, and points projected as usgscsm does it.
+"""Support data and model states as usgscsm takes them, and points projected as it does.
 
 Nothing here is shared with the writer or with `geometry`: every step is the one that usgscsm publishes, vectorised
 over points. Source files and functions are named beside the steps (repository DOI-USGS/usgscsm and, for support data,
 DOI-USGS/ale).
 """
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
-from mgsgraph.files.opening import json_object, read_text
-
-if TYPE_CHECKING:
-    from mgsgraph.export.round_trip import Reprojection
+from mgsgraph.export.reprojection import Reprojection, images_of
 
 Numbers = NDArray[np.float64]
 State = dict[str, Any]
@@ -25,60 +22,45 @@ _PRECISION = 1e-7
 _STEPS = 15
 _ORDER = 8
 _FEWEST_NODES = 25
-_STATES = "_state.json"
+_STATES = ".adjusted_state.json"
 
 
-def csm_differences(folder: Path, wanted: "Reprojection") -> Numbers:
+def csm_differences(folder: Path, wanted: Reprojection) -> Numbers:
     """Distances (k,) in pixels between where a solution sees its points and where files do, of support data and model
     states the larger ones; of states alone where there are no support data.
-
-    Raises
-    ------
-    InputError
-        If a file is missing, damaged, or holds what usgscsm would not take.
     """
     of_states = state_differences(folder, wanted)
     return np.maximum(of_states, isd_differences(folder, wanted)) if _support_data(folder) else of_states
 
 
-def isd_differences(folder: Path, wanted: "Reprojection") -> Numbers:
+def isd_differences(folder: Path, wanted: Reprojection) -> Numbers:
     """Distances (k,) in pixels by the support data ``*.json`` in a folder; infinite where a projection fails."""
-    return _differences(folder, _support_data(folder), "image_identifier", wanted)
+    contents = map(read_content, _support_data(folder))
+    return _differences({one["image_identifier"]: state_of_support_data(one) for one in contents}, wanted)
 
 
-def state_differences(folder: Path, wanted: "Reprojection") -> Numbers:
-    """Distances (k,) in pixels by the model states ``*_state.json`` in a folder; infinite where a projection fails."""
-    return _differences(folder, list(folder.glob(f"*{_STATES}")), "m_imageIdentifier", wanted)
+def state_differences(folder: Path, wanted: Reprojection) -> Numbers:
+    """Distances (k,) in pixels by the model states in a folder; infinite where a projection fails."""
+    contents = map(read_content, folder.glob(f"*{_STATES}"))
+    return _differences({one["m_imageIdentifier"]: one for one in contents}, wanted)
 
 
 def _support_data(folder: Path) -> list[Path]:
     """Those that lie beside a state of their name: other JSON may be there."""
-    return [path for path in folder.glob("*.json") if path.with_name(f"{path.stem}.adjusted{_STATES}").exists()]
+    return [path for path in folder.glob("*.json") if path.with_name(f"{path.stem}{_STATES}").exists()]
 
 
-def _differences(folder: Path, paths: list[Path], identifier: str, wanted: "Reprojection") -> Numbers:
-    files = {content.get(identifier): (path, content) for path in paths for content in [_read(path)]}
-    names, result = np.array(wanted.image), np.full(len(wanted.image), np.inf)
-    for name in dict.fromkeys(wanted.image):
-        if name not in files:
-            raise InputError(f"{folder}, {identifier}", f"no file of image {name}", "one per image")
-        path, content = files[name]
-        mine = np.flatnonzero(names == name)
-        try:
-            state = content if identifier == "m_imageIdentifier" else state_of_support_data(content)
-            places = ground_to_image(state, wanted.points[mine])
-        except (KeyError, IndexError, TypeError, ValueError) as error:
-            found = f"not readable as usgscsm does ({error!r})"
-            raise InputError(str(path), found, "the file as it was written") from None
-        off = np.hypot(*(places - wanted.places[mine]).T)
-        result[mine] = np.where(np.isfinite(off), off, np.inf)
-    return result
+def _differences(states: dict[str, State], wanted: Reprojection) -> Numbers:
+    off = np.full(len(wanted.image), np.inf)
+    for name, mine in images_of(wanted).items():
+        off[mine] = np.linalg.norm(ground_to_image(states[name], wanted.points[mine]) - wanted.places[mine], axis=1)
+    return np.where(np.isfinite(off), off, np.inf)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_content(path: Path) -> State:
     """What is between the first and the last brace (Utilities.cpp, stateAsJson)."""
-    text = read_text(path)
-    return json_object(text[max(text.find("{"), 0) : text.rfind("}") + 1], str(path))
+    text = path.read_text(encoding="utf-8")
+    return dict(json.loads(text[text.index("{") : text.rindex("}") + 1]))
 
 
 # --- UsgsAstroLsSensorModel.cpp
@@ -107,7 +89,7 @@ def _detector(state: State, lines: Numbers, points: Numbers) -> tuple[Numbers, N
     """How far in lines a point's image is from the detector at the times of lines (n,) (calcDetectorLineErr), and its
     sample.
     """
-    x, y = _distort(state, *_view(state, _image_time(state, lines), points))
+    x, y = distort(state, *_view(state, _image_time(state, lines), points))
     line = _affine(state["m_iTransL"], x, y) + state["m_detectorLineOrigin"] - state["m_startingDetectorLine"]
     sample = _affine(state["m_iTransS"], x, y) + state["m_detectorSampleOrigin"] - state["m_startingDetectorSample"]
     return line / state["m_detectorLineSumming"], sample / state["m_detectorSampleSumming"]
@@ -138,7 +120,7 @@ def _view(state: State, times: Numbers, points: Numbers) -> tuple[Numbers, Numbe
     return look[:, 0] * scale, look[:, 1] * scale
 
 
-def _distort(state: State, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
+def distort(state: State, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
     """Measured focal-plane places of ideal ones (Distortion.cpp, applyDistortion); mm."""
     kind, said = state["m_distortionType"], state["m_opticalDistCoeffs"]
     if kind in _APPLIED:
@@ -305,7 +287,7 @@ def _quaternions(table: dict[str, Any], body: dict[str, Any], centre: float) -> 
     merged = np.union1d(table["ephemeris_times"], body["ephemeris_times"])
     step = (merged[-1] - merged[0]) / (merged.size - 1)
     at_merged = _product(_attitude(body, merged), _inverse(_attitude(table, merged)))
-    even = _arc(merged, at_merged, merged[0] + step * np.arange(merged.size))
+    even = great_arc(merged, at_merged, merged[0] + step * np.arange(merged.size))
     return {
         "m_quaternions": even[:, [1, 2, 3, 0]].ravel(), "m_numQuaternions": even.size,
         "m_t0Quat": merged[0] - centre, "m_dtQuat": step,
@@ -314,12 +296,12 @@ def _quaternions(table: dict[str, Any], body: dict[str, Any], centre: float) -> 
 
 def _attitude(table: dict[str, Any], times: Numbers) -> Numbers:
     """Quaternions (n, 4), scalar first, inertial to the table's whole frame (ALE Orientations.cpp, interpolate)."""
-    turned = _arc(np.array(table["ephemeris_times"]), np.array(table["quaternions"]), times)
+    turned = great_arc(np.array(table["ephemeris_times"]), np.array(table["quaternions"]), times)
     constant = np.array(table.get("constant_rotation", np.eye(3))).reshape(3, 3)
     return _product(_quaternion(constant), turned)
 
 
-def _arc(given: Numbers, quaternions: Numbers, times: Numbers) -> Numbers:
+def great_arc(given: Numbers, quaternions: Numbers, times: Numbers) -> Numbers:
     """On the great arc between two quaternions (ALE Rotation.cpp, interpolate with SLERP)."""
     k = np.clip(np.searchsorted(given, times, side="right") - 1, 0, given.size - 2)
     t = ((times - given[k]) / (given[k + 1] - given[k]))[:, None]
