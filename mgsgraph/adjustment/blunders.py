@@ -166,7 +166,7 @@ class Search:
         worst = over[np.argsort(-severity[over], kind="stable")]
         points, first = np.unique(mine.point[worst], return_index=True)
         found = list[_Candidate]()
-        for rows, table in _pieces(at, mine, points[np.argsort(first)[:most]]):
+        for rows, table in pieces_of(at, mine, points[np.argsort(first)[:most]]):
             found += _worst(at, rows, table, np.where(table >= 0, severity[table], 0.0), units[table])
         return sorted(found, key=lambda one: -one.size / one.limit)
 
@@ -176,7 +176,7 @@ class Search:
         out, back = ~taken & ~self._returned & (mine.place >= 0), np.zeros(taken.size, dtype=bool)
         lost = at.layout.network_order(at.rows.kind) == OUT
         points = np.unique(mine.point[out])
-        for rows, table in _pieces(whole, mine, points[~lost[points]]):
+        for rows, table in pieces_of(whole, mine, points[~lost[points]]):
             shared, used = at.joint.of(rows.variables), np.where(table >= 0, taken[table], True)[:, rows.observation]
             wanted = (table >= 0) & out[table]
             tests = np.full(table.shape, np.inf)
@@ -193,7 +193,7 @@ class Search:
                     second = np.sort(tests[k, some])[1]
                     some = some[tests[k, some] < second - _DECISIVE]
                 back[table[k, some]] = True
-        for rows, table in _pieces(whole, mine, points[lost[points]]):
+        for rows, table in pieces_of(whole, mine, points[lost[points]]):
             there = table >= 0
             returns = self._closing(rows, np.where(there, taken[table] | out[table], True), there, units[table], at)
             back[table[returns & out[table]]] = True
@@ -320,7 +320,7 @@ def _without(at: Linearised, mine: Judged, taken: Mask, found: Sequence[_Candida
     left = taken.copy()
     for one in found:
         left[one.observations] = False
-    for rows, table in _pieces(at, mine, np.unique(mine.point[taken & ~left])):
+    for rows, table in pieces_of(at, mine, np.unique(mine.point[taken & ~left])):
         if rows.known:
             continue
         there = table >= 0
@@ -329,7 +329,7 @@ def _without(at: Linearised, mine: Judged, taken: Mask, found: Sequence[_Candida
     return left
 
 
-def _pieces(at: Linearised, mine: Judged, points: Index) -> Iterator[tuple[PointRows, Index]]:
+def pieces_of(at: Linearised, mine: Judged, points: Index) -> Iterator[tuple[PointRows, Index]]:
     """Rows of some network points, piece by piece, and which of the judged each observation of them is: (m, slots), -1
     for none.
     """

@@ -1,49 +1,48 @@
-"""Data snooping: adjust, take out what has the largest test over its critical value, adjust again (Baarda 1968).
+"""Data snooping: an adjustment without its blunders (`adjustment.blunders`), and what the others say of what is out.
 
-What is taken out is a whole ray, range, a-priori place or height, by the joint test of its rows; what can't be told
-apart from it goes with it: the rays of a tie that only two images see, that is, the whole point. Several go at a time
-where they don't influence each other: different points, whose tests would exceed their critical values whatever the
-larger blunders have done to them. In the end each is judged by what the others predict for it, and taken back where it
-agrees. A-priori values of the orientation, shifts and biases are tested, but stay.
+The search is that of `SolverSettings.reject`, at Baarda's critical value and by plain least squares: rays, ranges and
+heights above stereo surfaces. A-priori positions, heights above terrain models and priors are tested
+(`analysis.reliability`), and stay.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.blunders import independent
+from mgsgraph.adjustment.blunders import Judged, critical_value, judged, pieces_of
+from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.redundancy import INSEPARABLE, direction, residual_covariance
+from mgsgraph.adjustment.predicted_lines import exactly
+from mgsgraph.adjustment.redundancy import closure, prediction
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.measures import Levels, MeasureKind
-from mgsgraph.analysis.rejection import (
-    ObservationIndex,
-    ObservationKey,
-    Removal,
-    Taken,
-    nothing_rejected,
-    readmissible,
-    selection,
-)
-from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.measures import Levels
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Mask
+from mgsgraph.kernel.rows import OUT
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
 from mgsgraph.record import Record
 
-_MOST_CANDIDATES = 2000
-"""Points that are compared at a time."""
-_OF_POINT = {
-    MeasureKind.GROUND: "a-priori place",
-    MeasureKind.HEIGHT: "height above the terrain",
-    MeasureKind.STEREO: "height above the stereo surface",
-}
 
-Progress = Callable[[Removal], None]
+@dataclass(frozen=True, slots=True)
+class Removal(Record):
+    """Observations of a point that are out."""
+
+    point: int
+    """Network point."""
+    names: tuple[str, ...]
+    """Of the observations, for reports."""
+    test: float
+    """How far they are from what the others predict for them, chi-square; of a point that nothing else determines, how
+    badly all that it has meets. NaN where it has no position."""
+    dimensions: int
+    """Degrees of freedom of the test."""
+    critical: float
+    """Critical value of the test."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,186 +50,85 @@ class Snooping(Record):
     """What data snooping took out, and what is left."""
 
     solution: Solution
-    """The last adjustment; its network lacks the a-priori places and heights that were taken out, and marks the rays
-    and ranges, as `rays_rejected` and `ranges_rejected` do."""
-    reliability: Reliability
-    """Reliability of the measures that are left."""
+    """The last adjustment, with `rays_rejected`, `ranges_rejected` and `stereo_rejected`."""
     removals: tuple[Removal, ...]
-    """What stays out, in the order in which it went."""
-    readmitted: tuple[Removal, ...]
-    """What was taken back in the end: the others agree with it, once the rest is out."""
-    taken: Taken
-    """Marks of what stays out; `taken.marked(network)` is the network with its rays and ranges marked as rejected."""
-    adjustments: int
-    """Number of adjustments."""
-    complete: bool
-    """False where more tests exceed their critical value than might be taken out (`most`)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Candidate:
-    """The most suspicious observation of a point, and those that can't be separated from it."""
-
-    removal: Removal
-    variables: tuple[int, ...]
-    pull: Array
-    """(columns,) how the shared unknowns enter its test, before that is divided by its sigma."""
-    size: float
-    """Root of the joint test, for sigma0 = 1: what its best direction's test is, of unit variance."""
-
-    @property
-    def severity(self) -> float:
-        """Test over critical value."""
-        return float(np.sqrt(self.removal.test / self.removal.critical))
+    """What is out, point by point, the largest test over its critical value first."""
 
 
 def snoop(
-    network: Network,
-    settings: SolverSettings | None = None,
-    levels: Levels | None = None,
-    most: int = 1000,
-    name: str = "adjustment",
-    progress: Progress = lambda _: None,
+    network: Network, settings: SolverSettings | None = None, levels: Levels | None = None, name: str = "adjustment"
 ) -> Snooping:
     """Adjust a network without its blunders.
 
     Parameters
     ----------
     settings : SolverSettings, optional
-        Without a robust loss and a limit of its own for blunders: tests presume plain least squares.
+        Its loss and its own limit of blunders are not used: tests presume plain least squares.
     levels : Levels, optional
         Sizes of the tests.
-    most : int
-        Removals after which to stop.
     name : str
         What to call the adjustment in reports.
-    progress : callable
-        Called with every removal.
 
     Examples
     --------
     >>> from mgsgraph.analysis.snooping import snoop
     >>> found = snoop(network)
-    >>> len(found.removals), found.complete
-    (0, True)
+    >>> len(found.removals)
+    0
     """
-    settings, levels = settings or SolverSettings(), levels or Levels()
-    if settings.loss != "none":
-        raise InputError("data snooping", f"loss {settings.loss!r}", "'none'", "tests presume plain least squares")
-    if settings.reject > 0.0:
-        raise InputError("data snooping", f"reject = {settings.reject:g}", "0", "choose one way of seeking blunders")
-    if most < 0:
-        raise InputError("data snooping, most", f"{most}", "0 or more")
-    run = _Search(network, settings, levels, most, name, progress)
-    run.take_out()
-    back = readmissible(network, run.at, run.solution, run.taken, run.removals, run.critical)
-    if back:
-        run.removals = [one for one in run.removals if one not in back]
-        run.taken = run.taken.changed([observation for one in back for observation in one.observations], False)
-        run.adjust()
-        run.take_out()
-        again = {observation for one in run.removals for observation in one.observations}
-        back = [one for one in back if not again.issuperset(one.observations)]
-    return Snooping(
-        run.solution,
-        run.found,
-        tuple(run.removals),
-        tuple(back),
-        run.taken,
-        run.adjustments,
-        run.complete,
-    )
+    limit = (levels or Levels()).critical
+    if limit < 2.0:
+        raise InputError("data snooping, alpha", f"critical value {limit:.3g}", "2 or more", "alpha of 0.045 or less")
+    solution = adjust_network(network, replace(settings or SolverSettings(), loss="none", reject=limit), name)
+    return Snooping(solution, removals(solution, limit))
 
 
-class _Search:
-    """One search for blunders and its state."""
-
-    def __init__(
-        self, network: Network, settings: SolverSettings, levels: Levels, most: int, name: str, progress: Progress
-    ) -> None:
-        self._network, self._settings, self._levels, self._name = network, settings, levels, name
-        self._most, self._progress = most, progress
-        self.taken, self.removals = nothing_rejected(network), list[Removal]()
-        self.adjustments, self.complete = 0, True
-        self.adjust()
-
-    @property
-    def scale(self) -> float:
-        """Sigma0 by which tests are divided, or 1."""
-        return self.found.sigma0 if self._levels.scaled else 1.0
-
-    def critical(self, dimensions: int) -> float:
-        """Critical value of a joint test, before it is divided by sigma0 squared."""
-        return self.scale**2 * self.found.critical_joint(dimensions)
-
-    def take_out(self) -> None:
-        """Until no test exceeds its critical value."""
-        while candidates := _candidates(self.found, self.scale, self.adjustments):
-            allowed = self._most - len(self.removals)
-            if allowed <= 0:
-                self.complete = False
-                return
-            sizes, critical = np.array([(one.size, one.removal.critical) for one in candidates]).T
-            pulls = [(one.variables, one.pull) for one in candidates]
-            for k in independent(pulls, sizes, self.scale * np.sqrt(critical), self.at)[:allowed]:
-                one = candidates[k]
-                self.removals.append(one.removal)
-                self.taken = self.taken.changed(one.removal.observations, True)
-                self._progress(one.removal)
-            self.adjust()
-
-    def adjust(self) -> None:
-        """Adjust the observations that are left."""
-        left = self.taken.marked(self._network)
-        self.solution = adjust_network(left, self._settings, self._name, left_in=selection(left, self.taken))
-        self.at = at_solution(self.solution).of_estimator()
-        self.found = reliability(self.at, self._levels)
-        self.adjustments += 1
+def removals(solution: Solution, limit: float) -> tuple[Removal, ...]:
+    """What an adjustment rejected, judged by what it left in; `limit` in standard deviations of a normal error."""
+    masks = (solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected)
+    out = np.concatenate([mask for mask in masks if mask is not None])
+    if not np.any(out):
+        return ()
+    whole = _with_all_rows(solution)
+    found = _judged(solution, whole, judged(whole.layout), out, limit)
+    return tuple(sorted(found, key=lambda one: -np.nan_to_num(one.test / one.critical, nan=np.inf)))
 
 
-def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidate]:
-    """One for each point that has an observation over its critical value, worst first."""
-    over = (found.severity > 1.0) & (found.measures.kind < MeasureKind.PRIOR)
-    worst = np.flatnonzero(over)[np.argsort(-found.severity[over], kind="stable")]
-    points, first = np.unique(found.measures.point[worst], return_index=True)
-    chosen = points[np.argsort(first)][:_MOST_CANDIDATES]
-    if not chosen.size:
-        return []
-    index = ObservationIndex(found.at)
-    candidates = [_candidate(found, index, int(point), scale, number) for point in chosen]
-    return sorted((one for one in candidates if one.severity > 1.0), key=lambda one: -one.severity)
+def _with_all_rows(solution: Solution) -> Linearised:
+    """The network at a solution, the rows that this rejected with the others."""
+    at = at_solution(solution).of_estimator()
+    layout = lay_out(solution.network, at.settings, solution.places)
+    by_all = BundleGraph(layout, layout.rows).reduction(at.orientation, COSTS).points
+    determined = solution.determined[layout.point_order]
+    points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
+    layout, points = exactly(layout, at.orientation, points)
+    return Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)
 
 
-def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: float, number: int) -> _Candidate:
-    """The worst observation of a point, by its direction of the largest test."""
-    at = found.at
-    rows, observations = at.rows_of(point), index.of(point)
-    (covariance,), (through,) = residual_covariance(at, rows)
-    tests = list[tuple[ObservationKey, Array, float, int]]()
-    for observation, slot in observations.items():
-        (combination,), (test,), (dimensions,) = direction(covariance[None], rows.residuals, rows.observation == slot)
-        if dimensions and test > 0.0:
-            tests.append((observation, combination, float(test), int(dimensions)))
-    worst = max(tests, key=lambda one: one[2] / found.critical_joint(one[3]))
-    _, combination, test, dimensions = worst
-    shadow = covariance @ combination
-    alike = [
-        one[0] for one in tests if abs(one[1] @ shadow) > INSEPARABLE * np.sqrt(one[2] * test) and one is not worst
-    ]
-    together = (worst[0], *alike)
-    names = tuple(_name(at, *observation) for observation in together)
-    critical = found.critical_joint(dimensions)
-    removal = Removal(together, names, point, test / scale**2, dimensions, critical, number)
-    return _Candidate(removal, rows.variables, through.T @ combination, float(np.sqrt(test)))
+def _judged(solution: Solution, whole: Linearised, mine: Judged, out: Mask, limit: float) -> Iterator[Removal]:
+    lost = whole.layout.network_order(whole.rows.kind) == OUT
+    points = np.unique(mine.point[out & (mine.place >= 0)])
+    for point in points[lost[points]].tolist():
+        gone = np.flatnonzero(out & (mine.point == point) & (mine.place >= 0))
+        yield Removal(point, tuple(_name(solution.network, k) for k in gone.tolist()), np.nan, 0, np.inf)
+    for rows, table in pieces_of(whole, mine, points[~lost[points]]):
+        shared = whole.joint.of(rows.variables)
+        for k, numbers in enumerate(table):
+            slots = np.flatnonzero((numbers >= 0) & out[numbers])
+            back, point = np.isin(rows.observation, slots), int(mine.point[numbers[slots[0]]])
+            if solution.determined[point]:
+                test, dimensions = prediction(rows.of(k), back, ~back[None], shared), np.count_nonzero(back)
+            else:
+                test, (dimensions,) = closure(rows.of(k), np.ones((1, back.size), dtype=np.bool_), shared)
+            names = tuple(_name(solution.network, number) for number in numbers[slots].tolist())
+            yield Removal(point, names, float(test[0]), int(dimensions), critical_value(limit, int(dimensions)))
 
 
-def _name(at: Linearised, kind: MeasureKind, row: int) -> str:
-    """Name of a whole observation."""
-    network = at.network
-    if kind is MeasureKind.RAY:
-        of, image = network.points.ids[network.rays.point[row]], network.images[network.rays.image[row]].name
-        return f"ray of point {of} in image {image}"
-    if kind is MeasureKind.RANGE:
-        of, image = network.points.ids[network.ranges.point[row]], network.images[network.ranges.image[row]].name
-        return f"range of point {of} in image {image}"
-    return f"{_OF_POINT[kind]} of point {network.points.ids[row]}"
+def _name(network: Network, number: int) -> str:
+    """Name of an observation, counted as in `Judged`."""
+    for what, measured in (("ray", network.rays), ("range", network.ranges)):
+        if number < measured.point.size:
+            image = network.images[measured.image[number]].name
+            return f"{what} of point {network.points.ids[measured.point[number]]} in image {image}"
+        number -= measured.point.size
+    return f"height above the stereo surface of point {network.points.ids[number]}"

@@ -1,7 +1,7 @@
 """What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -246,7 +246,7 @@ def _reliability(found: Reliability, most: int) -> Section:
 def _snooped(posterior: Posterior, levels: Levels) -> Section:
     """Always by plain least squares, and beginning with all measures: that is what the tests presume."""
     settings = posterior.linearised.settings
-    found = snoop(posterior.network, replace(settings, loss="none", reject=0.0), levels)
+    found = snoop(posterior.network, settings, levels)
     changed = settings.loss != "none" or settings.reject > 0.0
     said = "By plain least squares, without the loss and the blunder limit of this solution:\n" if changed else ""
     return Section("snooping", said + snooping_text(found), snooping_record(found))

@@ -97,12 +97,11 @@ def reliability_table(found: Reliability) -> Table:
 
 
 def snooping_text(found: Snooping) -> str:
-    """Lines for a person: what went, in its order."""
+    """Lines for a person: what is out, the worst first."""
     lines = [
-        f"Data snooping took out {many(len(found.removals), 'group')} of measures in "
-        f"{many(found.adjustments, 'adjustment')}" + ("" if found.complete else ", and stopped before it was through")
-        + f"; {many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now"
-    ]  # fmt: skip
+        f"Data snooping took out measures of {many(len(found.removals), 'point')}, by the search of adjust --reject; "
+        f"sigma0 is {found.solution.sigma0:.4g} now"
+    ]
     lines += [
         f"{np.sqrt(one.test):8.2f} (limit {np.sqrt(one.critical):.2f})  {some(one.names, len(one.names))}"
         for one in found.removals[:_MOST_REMOVED]
@@ -115,10 +114,9 @@ def snooping_text(found: Snooping) -> str:
 def snooping_record(found: Snooping) -> dict[str, Any]:
     """What data snooping has removed, as analysis.json has it."""
     return {
-        "adjustments": found.adjustments, "complete": found.complete, "sigma0": found.solution.sigma0,
+        "sigma0": found.solution.sigma0,
         "removed": [
             {"measures": list(one.names), "test": one.test, "dimensions": one.dimensions, "critical": one.critical}
             for one in found.removals
         ],
-        "readmitted": [list(one.names) for one in found.readmitted],
     }  # fmt: skip
