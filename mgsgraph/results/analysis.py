@@ -12,7 +12,7 @@ from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
-from mgsgraph.analysis.separability import not_told_apart
+from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.snooping import snoop
 from mgsgraph.analysis.suspects import suspects
 from mgsgraph.analysis.weak import weakest
@@ -277,7 +277,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
 def _separability(posterior: Posterior) -> Section:
     """Mountings, attitude and position of passes that are not told apart."""
     linearised = posterior.linearised
-    found = not_told_apart(posterior.network, linearised.joint, linearised.settings.angles)
+    found = inseparable(posterior.network, linearised.joint, linearised.settings.angles)
     lines = [one.sentence[0].upper() + one.sentence[1:] for one in found]
     none = "Position and attitude of passes, and what their images share, are told apart (no correlation above 0.95)."
     record = [
