@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.driver_search import drivers_of
-from mgsgraph.adjustment.driver_words import driver_sentences
-from mgsgraph.adjustment.drivers import Drivers
+from mgsgraph.adjustment.drivers import Drivers, driver_sentences
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import Sweeper
 from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values

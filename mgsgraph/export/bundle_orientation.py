@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.pass_priors import prior_sigmas
+from mgsgraph.analysis.flight import prior_sigmas
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn

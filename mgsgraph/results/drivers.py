@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.driver_words import driver_sentences
-from mgsgraph.adjustment.drivers import Contributions, Kind
+from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.table import Column, Table
 
