@@ -22,10 +22,11 @@ import numpy as np
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.spacing.rays import known_besides_rays, point_covariances, ray_slopes
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
 
@@ -117,9 +118,11 @@ def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
     InputError
         Where no image has as many.
     """
-    network, rays = of.network, of.network.rays
-    places, misfits, able = _of_solution(of) if isinstance(of, Solution) else _of_linearised(of)
-    able = able & np.isfinite(misfits).all(axis=1)
+    at = at_solution(of) if isinstance(of, Solution) else of
+    network, rays, layout = at.network, at.network.rays, at.layout
+    places, misfits = layout.network_order(at.points), residuals(layout, at.orientation, at.points).image
+    taken_part = at.rows.weight[0, layout.observation_rows.rays] > 0.0
+    able = taken_part & (layout.network_order(at.rows.kind) != OUT)[rays.point] & np.isfinite(misfits).all(axis=1)
     if rays.back_projected is not None:
         able &= ~rays.back_projected
     taken = np.flatnonzero(able)
@@ -135,19 +138,6 @@ def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
     if not series:
         raise InputError("residuals over time", f"no image with {fewest} rays that took part", "ties matched densely")
     return Residuals(taken, misfits[taken], point, slopes, spread, weights, tuple(series))
-
-
-def _of_solution(solution: Solution) -> tuple[Array, Array, Mask]:
-    """Places (n, 3) in m, residuals (k, 2) in px, and which rays (k,) took part."""
-    return solution.places, solution.residuals, solution.rays_used
-
-
-def _of_linearised(at: Linearised) -> tuple[Array, Array, Mask]:
-    """The same where there is no record of the solution (projects)."""
-    layout = at.layout
-    found, kind = residuals(layout, at.orientation, at.points), layout.network_order(at.rows.kind)
-    used = (at.rows.weight[0, layout.observation_rows.rays] > 0.0) & (kind[at.network.rays.point] != OUT)
-    return layout.network_order(at.points), found.image, used
 
 
 def _spread(network: Network, places: Array, point: Index, slopes: Array, weights: Array) -> Array:
