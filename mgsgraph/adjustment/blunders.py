@@ -140,9 +140,7 @@ class Search:
         tests, dimensions, units = self._tests(at, mine)
         self._returned = np.zeros(taken.size, dtype=bool) if self._returned is None else self._returned
         if found := self._candidates(at, mine, tests, dimensions, units):
-            sizes, limits = np.array([(one.size, one.limit) for one in found]).T
-            pulls = [(one.variables, one.pull) for one in found]
-            return _without(at, mine, taken, [found[k] for k in independent(pulls, sizes, limits, at)])
+            return _without(at, mine, taken, _independent(found, at))
         back = self._agreeing(at, whole, mine, taken, units)
         self._returned |= back
         return taken | back
@@ -275,41 +273,31 @@ def squared_unit(ratios: Array, count: int) -> float:
     return unit if abs(0.5 * math.log(unit)) > _CONTRADICTED * _SPREAD_ERROR / math.sqrt(count) else 1.0
 
 
-def independent(
-    pulls: Sequence[tuple[tuple[int, ...], Array]], sizes: Array, limits: Array, at: Linearised
-) -> list[int]:
-    """Which of c tests on different points, worst first, to act on at a time: the first, and those after it that exceed
-    their limits whatever the ones before do to them.
-
-    Parameters
-    ----------
-    pulls : sequence
-        Shared unknowns of each, and how they enter it, before it is divided by its sigma: (columns,).
-    sizes, limits : (c,)
-        Roots of the tests, and of what each is to stay below.
+def _independent(found: "Sequence[_Candidate]", at: Linearised) -> "list[_Candidate]":
+    """Which of candidates on different points, worst first, to act on at a time: the first, and those after it that
+    exceed their limits whatever the ones before do to them.
     """
     width, columns = at.layout.variables.width, dict[int, int]()
-    compared, total = list[int](), 0
-    for k, (variables, _) in enumerate(pulls):
-        new = [v for v in variables if v not in columns]
+    compared, total = list[_Candidate](), 0
+    for one in found:
+        new = [v for v in one.variables if v not in columns]
         if compared and total + sum(int(width[v]) for v in new) > _MOST_COLUMNS:
             continue
         for v in new:
             columns[v] = total
             total += int(width[v])
-        compared.append(k)
+        compared.append(one)
     every = np.zeros((len(compared), total))
-    for row, k in zip(every, compared, strict=True):
-        variables, pull = pulls[k]
-        places = [np.arange(columns[v], columns[v] + width[v]) for v in variables]
-        row[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = pull
-    size, limit = sizes[compared], limits[compared]
+    for row, one in zip(every, compared, strict=True):
+        places = [np.arange(columns[v], columns[v] + width[v]) for v in one.variables]
+        row[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = one.pull
+    size, limit = np.array([(one.size, one.limit) for one in compared]).T
     correlation = np.abs(every @ at.joint.of(columns) @ every.T) / size[:, None] / size
-    disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[int]()
-    for j, k in enumerate(compared):
+    disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[_Candidate]()
+    for j, one in enumerate(compared):
         if taken and (nearest[j] > _INDEPENDENT or size[j] - disturbed[j] <= limit[j]):
             continue
-        taken.append(k)
+        taken.append(one)
         disturbed += correlation[j] * size[j]
         nearest = np.maximum(nearest, correlation[j])
     return taken

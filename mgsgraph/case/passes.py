@@ -138,6 +138,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             return OrientationPrior(prior.coefficient_sigmas)
         if isinstance(prior, NodePrior):
             return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
+        assert isinstance(prior, ProcessPrior)
         return OrientationPrior(np.stack([prior.node_sigmas(np.zeros(1))[0], np.maximum(prior.drift, 1e-9)]))
 
 
