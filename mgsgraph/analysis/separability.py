@@ -315,7 +315,7 @@ def separations(solution: Solution) -> tuple[Separation, ...]:
     correlation = covariance / np.outer(sigmas, np.sqrt(mine))
     correlation[own, np.arange(own.size)] = 0.0
     prior = np.concatenate([one.sigmas for one in network.shared])
-    information = information_of(root, own)
+    informations = np.diag(information(root, own))
     others = np.abs(correlation).argmax(axis=0)
     return tuple(
         Separation(
@@ -323,7 +323,7 @@ def separations(solution: Solution) -> tuple[Separation, ...]:
             float(np.sqrt(mine[k]) / prior[k]),
             names[other] if root.columns > 1 else "",
             float(correlation[other, k]),
-            float(np.sqrt(max(0.0, 1.0 - 1.0 / (mine[k] * information[k])))),
+            float(np.sqrt(max(0.0, 1.0 - 1.0 / (mine[k] * informations[k])))),
         )
         for k, other in enumerate(others.tolist())
     )
@@ -383,9 +383,13 @@ def _name(network: Network, variable: int, inside: int) -> str:
     return f"{shared.name} {shared.kind.components[inside]}".strip()
 
 
-def information_of(root: SquareRoot, columns: Index) -> Array:
-    """(d,) information on each of some columns, all others held: the diagonal of the normal matrix."""
-    squares = np.zeros(root.columns)
+def information(root: SquareRoot, columns: Index) -> Array:
+    """(d, d) of the information on some columns, all others held."""
+    information, place = np.zeros((columns.size,) * 2), np.full(root.columns, -1)
+    place[columns] = np.arange(columns.size)
     for clique, members in enumerate(root.columns_of):
-        np.add.at(squares, members, np.einsum("rc,rc->c", root.rows_of(clique), root.rows_of(clique)))
-    return np.asarray(squares[columns])
+        wanted = place[members]
+        there = wanted >= 0
+        rows = root.rows_of(clique)[:, there]
+        information[np.ix_(wanted[there], wanted[there])] += rows.T @ rows
+    return information
