@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
-from mgsgraph.adjustment.gpu.devices import remarks_of, require_usable, sweeper_of
+from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import Sweeper
 from mgsgraph.adjustment.multistart import best_of_starts, starts_wanted

@@ -16,9 +16,10 @@ from networks import network, pair, with_shift_and_surface
 from sharing import with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.gpu import devices
+from mgsgraph.adjustment.gpu import choice, devices
+from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
 from mgsgraph.adjustment.gpu.dense_cholesky import DenseCholesky, DenseLibraries
-from mgsgraph.adjustment.gpu.devices import Gpu, remarks_of, sweeper_of
+from mgsgraph.adjustment.gpu.devices import Gpu
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, sparse_factor
 from mgsgraph.adjustment.settings import SolverSettings
@@ -38,25 +39,25 @@ def test_the_cpu_unless_it_is_said() -> None:
 
 def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.MonkeyPatch) -> None:
     auto, found = SolverSettings(device="auto"), Gpu("a device", math.inf, 2)
-    monkeypatch.setattr(devices, "find_gpu", lambda: found)
+    monkeypatch.setattr(choice, "find_gpu", lambda: found)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
-    monkeypatch.setattr(devices, "_WORTHWHILE", 10)
+    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
     assert sweeper_of(replace(auto, form="explicit"), LAYOUT) is IN_PROCESS
-    monkeypatch.setattr(devices, "find_gpu", lambda: SMALL)
+    monkeypatch.setattr(choice, "find_gpu", lambda: SMALL)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
     assert SMALL.remark
     assert not found.remark
 
 
 def test_auto_goes_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(devices, "_WORTHWHILE", 10)
+    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
     monkeypatch.setattr(devices, "find_spec", lambda name: None)
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
 
 
 def test_auto_goes_without_a_gpu_of_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(devices, "_WORTHWHILE", 10)
-    monkeypatch.setattr(devices, "find_gpu", lambda: Gpu("a device", 1e3, 2))
+    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
+    monkeypatch.setattr(choice, "find_gpu", lambda: Gpu("a device", 1e3, 2))
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
     with pytest.raises(InputError, match="GB to use"):
         sweeper_of(SolverSettings(device="cuda"), LAYOUT)

@@ -1,0 +1,60 @@
+"""Who goes over the points of an adjustment that has no cluster: this process, or a GPU."""
+
+from collections.abc import Iterator
+
+from mgsgraph.adjustment.gpu.devices import WHERE, Gpu, find_gpu
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import InputError
+
+_WAYS = (("form", "bundle"), ("method", "levenberg-marquardt"))
+"""Ways to solve in which sweeps are what takes the time."""
+_WORTHWHILE = 100_000
+"""Observations below which a GPU saves less time than its start takes."""
+
+
+def require_usable(settings: SolverSettings) -> None:
+    """Raise InputError where settings ask for a GPU that isn't there (`find_gpu`), or for what none carries out."""
+    if settings.device != "cuda":
+        return
+    for name, expected in _WAYS:
+        if (value := getattr(settings, name)) != expected:
+            remedy = "take that, or device = 'cpu'"
+            raise InputError(WHERE, f"'cuda' for {name} {value!r}", f"{name} {expected!r} on a GPU", remedy)
+    find_gpu()
+
+
+def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
+    """Who goes over a layout's points without a cluster: this process, or a GPU; of "auto" a GPU where there is one
+    with a float64 rate worth using, and enough to do.
+
+    Raises
+    ------
+    InputError
+        A GPU that is asked for and can't be used, or has too little memory.
+    """
+    require_usable(settings)
+    if settings.device == "cuda":
+        return _by_gpu(find_gpu(), settings, layout)
+    usual = all(getattr(settings, name) == value for name, value in _WAYS)
+    if settings.device == "cpu" or not usual or layout.rows.weight.shape[1] < _WORTHWHILE:
+        return IN_PROCESS
+    try:
+        gpu = find_gpu()
+        return IN_PROCESS if gpu.remark else _by_gpu(gpu, settings, layout)
+    except InputError:  # there is none, or it has too little memory
+        return IN_PROCESS
+
+
+def _by_gpu(gpu: Gpu, settings: SolverSettings, layout: Layout) -> Sweeper:
+    from mgsgraph.adjustment.gpu.sweeper import GpuSweeper  # numba-cuda
+
+    return GpuSweeper(gpu, layout, settings.deterministic)
+
+
+def remarks_of(sweeper: Sweeper) -> Iterator[str]:
+    """What a user should know of who went over the points; nothing where this process, or a cluster, did."""
+    remark = getattr(sweeper, "remark", "")
+    if remark:
+        yield remark
