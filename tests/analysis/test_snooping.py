@@ -14,9 +14,12 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import components_of, iterated_components
 from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.measures import Levels, MeasureKind
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.snooping import Snooping, removals, snoop
+from mgsgraph.errors import InputError
 from mgsgraph.network import Network
+from mgsgraph.results.analysis import Wanted, analysed
 from mgsgraph.simulation.observations import NoiseSettings
 
 TIE, SHOT, RANGE = 3, 45, 8
@@ -65,6 +68,19 @@ def test_it_is_the_search_of_adjust_at_the_critical_value() -> None:
     same = adjust_network(planted(), SolverSettings(reject=Levels().critical))
     assert np.array_equal(snooped().solution.rays_rejected, same.rays_rejected)
     assert np.allclose(snooped().solution.places, same.places, equal_nan=True)
+
+
+def test_the_report_lists_what_is_out_the_worst_first() -> None:
+    posterior = Posterior.of(adjust_network(planted(), SolverSettings(loss="huber")))
+    (section,) = analysed(posterior, Wanted(snooped=True), "planted")
+    lines = section.text.splitlines()
+    assert lines[0] == "By plain least squares, without the loss and the blunder limit of this solution:"
+    assert "3 points, by the search of adjust --reject" in lines[1]
+    assert lines[2].endswith("(limit 3.29)  range of point SHOT00009 in image SIM/A")
+    tests = [one["test"] / one["critical"] for one in section.record["removed"]]
+    assert tests == sorted(tests, reverse=True)
+    with pytest.raises(InputError, match=r"data snooping, alpha: critical value 1\.96; expected 2 or more"):
+        snoop(planted(), levels=Levels(alpha=0.05))
 
 
 def test_a_tie_with_two_rays_goes_as_a_point() -> None:
