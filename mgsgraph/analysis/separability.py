@@ -154,7 +154,7 @@ def _described(mine: list[Quantity], correlation: Array) -> Inseparable:
 
 
 def _groups(correlation: Array, limit: float) -> list[Index]:
-    """Groups that hang together by pairs; then each quantity of none of them whose multiple correlation with all others
+    """Groups that are connected by pairs; then each quantity of none of them whose multiple correlation with all others
     exceeds the limit, with those of the others that it depends on.
     """
     from scipy.sparse import csr_array
