@@ -134,7 +134,7 @@ def watched(command: Sequence[str]) -> tuple[float, float, float]:
 
 
 def _mgsgraph(*arguments: str | Path) -> list[str]:
-    return [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)]
+    return [sys.executable, "-m", "mgsgraph", *map(str, arguments)]
 
 
 def archive_of(job: Job, work: Path) -> Path:

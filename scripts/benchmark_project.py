@@ -112,7 +112,7 @@ def step(strip: SimulatedStrip, k: int, folder: Path) -> list[str]:
 
 def run(project: Path, verb: str, *arguments: str) -> Took:
     """Run a command of this interpreter, and time it."""
-    command = [sys.executable, "-m", "mgsgraph.cli", verb, str(project), *arguments]
+    command = [sys.executable, "-m", "mgsgraph", verb, str(project), *arguments]
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)

@@ -48,7 +48,7 @@ from mgsgraph.results.results import RECORD, case_of
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
-MGSGRAPH = [sys.executable, "-m", "mgsgraph.cli"]
+MGSGRAPH = [sys.executable, "-m", "mgsgraph"]
 ENDS = ("refused", "done again", "the same", "OTHER", "CRASH")
 _HEAD = 100
 """bytes at the beginning of a file, and at its end, of which one flip in four is: there its structure stands."""

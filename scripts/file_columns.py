@@ -37,8 +37,7 @@ from mgsgraph.results.relief import costs_table, profiles_table, relief_shots_ta
 from mgsgraph.results.shared import shared_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.results.terrain_model import shots_table
-from mgsgraph.results.unexplained import unexplained_table
-from mgsgraph.results.vibrations import vibrations_table
+from mgsgraph.results.unexplained import unexplained_table, vibrations_table
 from mgsgraph.simulation.demo.disagreement import disagreement_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.mars import MARS
@@ -112,7 +111,7 @@ def _without_rows() -> Iterator[tuple[str, Table]]:
     )
     checks = HeightChecks((), index, (), np.zeros((0, 3)), pairs, none, none, none, none)
     dem: Any = SimpleNamespace(checks=checks, model=SimpleNamespace(map=SimpleNamespace(radius=0.0)))
-    yield "plan.csv", judged_table(())
+    yield "plan.csv", judged_table({})
     yield "matches.csv", matches_table(matches)
     yield "shots.csv", shots_table(dem)
     relief = _relief_without_shots()

@@ -29,7 +29,6 @@ from fuzz_judging_images import (
     picture,
     raw_cube,
     result,
-    same_json,
     support_data,
 )
 from fuzz_trials import Judge
@@ -297,7 +296,6 @@ JUDGES: dict[str, Judge] = {
     "real network of MOC": network_pvl, "real network of LROC": network_pvl, "real lidar JSON": lidar,
     "real support data": support_data, "real shots of ODE": shots,
     "LOLA's records": lola, "altimetry cloud, LOLA": lola, "PEDR": pedr, "kept tile": archive, "result": result,
-    "exported state": same_json,
     "campaign's record": campaign, "mirrors": mirrors, "lock of fetch": lock, "part of fetch": part,
 }  # fmt: skip
 """By the readers' names."""

@@ -145,11 +145,6 @@ def raw_cube(data: bytes, read: Any) -> Pairs:
 # --- what is kept and fetched
 
 
-def same_json(data: bytes, read: Any) -> Pairs:
-    text = data.decode("utf-8")
-    yield "content", read, json.loads(text[max(text.find("{"), 0) : text.rfind("}") + 1])
-
-
 def archive(data: bytes, read: Any) -> Pairs:
     if read is None:  # a tile that is matched again
         yield "tile", None, None

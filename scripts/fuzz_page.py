@@ -88,7 +88,6 @@ _WHY = (
     ("index", "other ids, or none"),
     ("instrument kernel", "another focal length"),
     ("result's networks", "no network, which is said"),
-    ("exported", "other numbers, which the comparison then finds"),
     ("", "what the independent reading doesn't understand: two of a key, other quotation marks, comments"),
 )
 """What damage comes to that is accepted and not judged, by the beginnings of readers' names."""

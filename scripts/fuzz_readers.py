@@ -121,7 +121,7 @@ def _pictures() -> Iterator[Row]:
     from mgsgraph.files.rasters.moc_pixels import pixel_area
     from mgsgraph.files.rasters.pictures import is_moc, read_moc_pixels, read_picture
 
-    tests = of_tests("io/test_pictures.py")
+    tests = of_tests("files/rasters/test_pictures.py")
     grey = np.arange(300).reshape(15, 20)
 
     def moc(path: Path) -> object:

@@ -31,7 +31,7 @@ def of_networks() -> Iterator[Row]:
     from mgsgraph.files.place_table import read_places
     from mgsgraph.studio.review.verdicts import read_verdicts
 
-    match, gcp, nvm = (of_tests(f"io/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
+    match, gcp, nvm = (of_tests(f"files/networks/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
     pair, written = ("one", "two"), seeds.written_network
     ground = gcp.DOCUMENTED + "\n" + gcp.DOCUMENTED.replace("5 23.7", "6 23.8") + "\n"
     rows = "".join(f"p{k},{10 + k},{20 - k},33900{k}0.5\n" for k in range(6))
@@ -75,7 +75,7 @@ def of_altimetry() -> Iterator[Row]:
     from mgsgraph.files.altimetry.pedr import FRAME
     from mgsgraph.files.altimetry.shots import read_shots
 
-    tests = of_tests("altimetry/test_pedr_text.py")
+    tests = of_tests("files/altimetry/test_pedr_text.py")
     lola = "LOLARDR_092490702.DAT"
     rows = "".join(f"12.{k},-45.{k},339000{k}.25,{100 + k}.5,a\n" for k in range(6))
 
@@ -103,7 +103,6 @@ def of_altimetry() -> Iterator[Row]:
 
 
 def of_what_is_kept() -> Iterator[Row]:
-    from mgsgraph.export import control_back, csm_back
     from mgsgraph.export.network_content import source_networks
     from mgsgraph.project.campaign.record import open_record
     from mgsgraph.project.project import open_project
@@ -135,10 +134,6 @@ def of_what_is_kept() -> Iterator[Row]:
     yield Row("project", "C", project, partial(of_pair, "project/project.sqlite"), SQLITE)
     yield Row("campaign's record", "C", record, lambda: made("campaign.jsonl", campaign), (*JSON, *TEXT))
     yield Row("kept tile", "C", tile, partial(text, ".out.matching/0123_ties.npz", seeds.small_npz()), NPZ)
-    yield Row("exported state", "B", csm_back._read, partial(seeds.exported, "csm/*_state.json"), JSON)
-    back = partial(seeds.exported, "isis/*.net")
-    unset = ("[][][]",)  # infinite, as the reader says
-    yield Row("exported network", "C", lambda path: list(control_back._measures(path)), back, WIRE, gaps=unset)
 
 
 def of_archives() -> Iterator[Row]:

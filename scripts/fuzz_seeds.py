@@ -95,7 +95,7 @@ def pair_folder() -> Path:
 
 @cache
 def worked_folder() -> Path:
-    """The same with its result, its projects and its exports."""
+    """The same with its result, and its projects."""
     folder = pair_folder()
     case = folder / "case.toml"
     commanded("adjust", case, "--out", folder / "result", "--no-figures")
@@ -103,8 +103,6 @@ def worked_folder() -> Path:
     commanded("solve", folder / "project", "--no-figures")
     commanded("init", folder / "half", "--case", case)
     commanded("remove", folder / "half", "SIM/B")
-    commanded("export", folder / "result", "--to", "isis", "--out", folder / "isis")
-    commanded("export", folder / "result", "--to", "csm", "--out", folder / "csm")
     return folder
 
 
@@ -113,12 +111,6 @@ def of_pair(main: str, *others: str) -> Seed:
     worked = any("/" in name for name in (main, *others))
     folder = worked_folder() if worked else pair_folder()
     return Seed({name: (folder / name).read_bytes() for name in (main, *others)}, main)
-
-
-def exported(main: str) -> Seed:
-    """The first of the exported files of a pattern."""
-    folder = worked_folder()
-    return of_pair(str(sorted(folder.glob(main))[0].relative_to(folder)))
 
 
 def case_seed(main: str = "case.toml") -> Seed:
@@ -221,13 +213,13 @@ def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
 
 
 def mla_table() -> str:
-    tests = of_tests("altimetry/test_shots.py")
+    tests = of_tests("files/altimetry/test_shots.py")
     rows = [tests.mla_row(channel, 354699676.684 + k) for k, channel in enumerate((0, 4, 5, 0))]
     return "\n".join((tests.MLA_HEADER, *rows)) + "\n"
 
 
 def ode_table() -> str:
-    tests = of_tests("altimetry/test_pedr_text.py")
+    tests = of_tests("files/altimetry/test_pedr_text.py")
     rows = [tests.ODE_SHOT.replace("-23162931.18358", f"-{23162931.18358 - k}") for k in range(5)]
     return "\n".join((tests.ODE, *rows)) + "\n"
 
@@ -291,7 +283,7 @@ def support_data() -> str:
 
 
 def model_state() -> str:
-    tests = of_tests("io/test_model_state.py")
+    tests = of_tests("files/support_data/test_model_state.py")
     return f"{tests.HEAD}\n{json.dumps(tests.state(), indent=1)}"
 
 

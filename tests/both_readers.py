@@ -20,9 +20,7 @@ from mgsgraph.geometry.body import Ellipsoid
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 _BY_COLUMNS = (
-    "mgsgraph.files.altimetry.csv_table.plain_text", "mgsgraph.files.altimetry.pedr_columns.plain_text",
     "mgsgraph.files.networks.table_ties.plain_text", "mgsgraph.files.networks.table.tie_points_of",
-    "mgsgraph.files.altimetry.lidar.lidar_columns",
     "mgsgraph.geometry.time_scales._in_columns",
 )  # fmt: skip
 """What reads by columns, or prepares it; where it gives None, the reader line by line takes over."""
@@ -197,10 +195,6 @@ def by_columns_alone() -> Iterator[None]:
         raise AssertionError("read line by line")
 
     with ExitStack() as patches:
-        for name in (
-            "mgsgraph.files.altimetry.csv_table.CsvLines", "mgsgraph.files.altimetry.pedr_text._by_lines",
-            "mgsgraph.files.networks.table.read_table", "mgsgraph.files.altimetry.lidar._one_by_one",
-            "mgsgraph.geometry.time_scales._one_by_one",
-        ):  # fmt: skip
+        for name in ("mgsgraph.files.networks.table.read_table", "mgsgraph.geometry.time_scales._one_by_one"):
             patches.enter_context(patch(name, refuse))
         yield

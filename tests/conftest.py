@@ -13,26 +13,30 @@ import kernels
 import once
 import pytest
 from hypothesis import HealthCheck, settings
-from outside import require
+from outside import require, require_program
 
 ROOT = Path(__file__).resolve().parents[1]
-CHROMIUM = Path("/usr/bin/chromium")
 FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 ]  # fmt: skip
 PLAIN = (
-    "simulation/test_site", "io/", "geometry/", "fetch/", "output/", "simulation/test_imagery",
-    "simulation/test_terrain", "simulation/test_hrsc_block", "registration/test_relief", "test_package", "test_network",
-    "test_connectivity", "simulation/test_pair",
+    "simulation/test_site", "files/", "geometry/", "fetch/", "simulation/test_imagery", "simulation/test_terrain",
+    "simulation/test_hrsc_block", "registration/test_relief", "test_package", "network/", "simulation/test_pair",
 )  # fmt: skip
 """Tests that need no large kernel: they begin while the kernels are compiled."""
 LONG = (
-    "adjustment/", "matching/", "test_docs", "cli/", "reports/", "figures/", "scripts/", "dem/", "demo/", "review/",
-    "export/", "simulation/", "project/", "campaign/",
+    "adjustment/", "matching/", "test_docs", "cli/", "results/", "scripts/", "registration/", "export/", "simulation/",
+    "project/", "studio/review/",
 )  # fmt: skip
 """Those that take long, next, so that short files fill up what is left at the end."""
-sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
+if ROOT not in [Path(one).resolve() for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]:
+    sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]  # the installed package is tested
+if (PACKAGE := find_spec("mgsgraph")) is None or PACKAGE.origin is None:
+    pytest.exit(f"mgsgraph is not installed: pip install -e {ROOT}", 2)
+CHECKOUT = Path(PACKAGE.origin).resolve().parents[1]
+if CHECKOUT != ROOT and (CHECKOUT / "pyproject.toml").exists():
+    pytest.exit(f"mgsgraph is that of {CHECKOUT}, not of {ROOT}: pip install -e . here, or PYTHONPATH={ROOT}", 2)
 
 gc.set_threshold(20_000, 20, 100)  # a twentieth of the run, else
 # no clock, for machines are shared; the same examples each time (600 random ones passed)
@@ -58,7 +62,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests in a browser are slow; `PLAIN` ones come first, then `LONG` ones, the rest as it is."""
+    """Tests in a browser are slow, and need it; `PLAIN` ones come first, then `LONG` ones, the rest as it is."""
     order = [f"tests/{start}" for start in (*PLAIN, *LONG)]
 
     def rank(item: pytest.Item) -> int:
@@ -67,12 +71,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.slow)
+            item.add_marker(pytest.mark.program("chromium"))
     items.sort(key=rank)
     gc.freeze()  # items and libraries stay: no collection need look at them again
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """All but the `PLAIN` tests wait for the kernels."""
+    """The programs are there that a test is marked with; all but the `PLAIN` tests wait for the kernels."""
+    for marker in item.iter_markers("program"):
+        require_program(*marker.args, **marker.kwargs)
     if not item.nodeid.startswith(tuple(f"tests/{start}" for start in PLAIN)):
         kernels.wait()
 
@@ -116,12 +123,12 @@ def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
     """Debian's Chromium, driven by Playwright; the tests are skipped where either is missing."""
-    require(CHROMIUM, "Debian's chromium (apt-get install chromium)")
+    program = require_program("chromium")
     found = find_spec("playwright")
     require(Path((found and found.origin) or "playwright"), "the package playwright")
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as started:
-        running = started.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+        running = started.chromium.launch(executable_path=str(program), args=FLAGS)
         yield running
         running.close()

@@ -1,16 +1,41 @@
-"""Data and programs from outside, which the project does not ship."""
+"""Data and programs from outside, which the project does not ship.
+
+Where one is absent its tests are skipped, or fail if MGSGRAPH_NO_SKIPS says so: 1, or `data` or `programs` for these
+alone.
+"""
 
 import os
+import shutil
+import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 
 def require(path: Path, what: str) -> Path:
-    """The path if something is there; else the test is skipped, or fails where MGSGRAPH_NO_SKIPS is set (in CI)."""
+    """The path if something is there."""
     if not path.exists():
-        message = f"{what} is not here ({path})"
-        if os.environ.get("MGSGRAPH_NO_SKIPS"):
-            pytest.fail(message)
-        pytest.skip(message)
+        _absent(f"{what} is not here ({path})", "data")
     return path
+
+
+def require_program(name: str, *arguments: str, by_ci: bool = True) -> Path:
+    """Path of a program on the PATH which, with the arguments if there are any, ends well. Never fails unless `.ci/run`
+    installs the program.
+    """
+    found = shutil.which(name)
+    if found is None or (arguments and not _ends_well(found, *arguments)):
+        _absent(f"the program `{' '.join((name, *arguments))}` is not here", "programs" if by_ci else "")
+    return Path(str(found))
+
+
+@cache
+def _ends_well(*words: str) -> bool:
+    return subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+
+def _absent(message: str, kind: str) -> None:
+    if kind and os.environ.get("MGSGRAPH_NO_SKIPS") in ("1", kind):
+        pytest.fail(message)
+    pytest.skip(message)

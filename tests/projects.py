@@ -134,33 +134,6 @@ def differences(one: StateStore, other: StateStore) -> list[str]:
     return [name for name in want | got if want.get(name, "nothing") != got.get(name, "nothing")]
 
 
-def apart(one: StateStore, other: StateStore, share: float) -> list[str]:
-    """Where two stores say something else by more than that share of an array's largest number: what one machine has
-    simulated another one repeats but for rounding.
-    """
-    want, got = dict(contents(one)), dict(contents(other))
-    for store, found in ((one, want), (other, got)):
-        for name in store.image_names():
-            del found[f"image {name}"]  # as bytes
-            found |= dict(_leaves(f"image {name}", store.image(name)))
-    return [name for name in want | got if not _near(want.get(name), got.get(name), share)]
-
-
-def _near(one: Any, other: Any, share: float) -> bool:
-    if not (isinstance(one, tuple) and isinstance(other, tuple) and len(one) == 3 and isinstance(one[2], bytes)):
-        return bool(one == other) or (_is_hex(one) and _is_hex(other)
-                                      and np.isclose(float.fromhex(one), float.fromhex(other), rtol=share, atol=0.0))
-    if one[:2] != other[:2] or np.dtype(one[0]).kind != "f":
-        return bool(one == other)
-    a, b = (np.frombuffer(data, kind) for kind, _, data in (one, other))
-    scale = float(np.abs(a[np.isfinite(a)]).max(initial=0.0))
-    return np.allclose(a, b, rtol=0.0, atol=share * scale, equal_nan=True)
-
-
-def _is_hex(value: Any) -> bool:
-    return isinstance(value, str) and value.lstrip("-").startswith("0x")
-
-
 def digest(store: StateStore) -> str:
     """Of everything in it."""
     return hashlib.sha256(repr(list(contents(store))).encode()).hexdigest()

@@ -49,13 +49,14 @@ class Browser:
     def ask(
         self, path: str, body: Any = None, headers: dict[str, str] | None = None
     ) -> tuple[int, dict[str, str], bytes]:
-        """Status, headers and body of an answer."""
+        """Status, headers and body of an answer; headers that are empty are not sent."""
         sent = {"X-Browser": self.name} if self.name else {}
         data = None
         if body is not None:
             data = body if isinstance(body, bytes) else json.dumps(body).encode()
             sent |= {"Content-Type": "application/json", "Origin": self.root}
-        request = urllib.request.Request(self.root + path, data, sent | (headers or {}))
+        sent = {name: value for name, value in (sent | (headers or {})).items() if value}
+        request = urllib.request.Request(self.root + path, data, sent)
         try:
             with self._opener.open(request, timeout=60) as answer:
                 return answer.status, dict(answer.headers), answer.read()

@@ -148,14 +148,12 @@ DOOR = {
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
     "mgsgraph.files.cameras.hrsc_lines": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
-    "mgsgraph.files.altimetry.csv_lines": {"np.loadtxt"},  # of lines that were read
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
     "mgsgraph.project.checksum": {"open"},  # POSIX drops locks where any reader closes
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
     "mgsgraph.project.project": {"json.loads"},
     # our own files, not a user's
     "mgsgraph.adjustment.graph.memory_map": {"read_text"},  # the system's: how much memory a container may take
-    "mgsgraph.export.spice_back": {"spiceypy.furnsh"},
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},

@@ -24,11 +24,10 @@ print(solution)
 # %%
 # What may be a blunder: w-tests and minimal detectable errors of every measure, the most suspicious first.
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.suspects import suspects
-from mgsgraph.results.reliability import reliability_text
+from mgsgraph.results.reliability import reliability_section
 
 found = reliability(linearised)
-print(reliability_text(found, suspects(found, 3)))
+print(reliability_section(found, 3).text())
 
 # %%
 # Are the sigmas of each group honest?

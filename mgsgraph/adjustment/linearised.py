@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import orientation_covariance, point_covariances
+from mgsgraph.adjustment.fit import Fit, fit
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, point_covariances
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError

@@ -10,6 +10,7 @@ import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.blunders import Search
+from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.driver_search import drivers_of
 from mgsgraph.adjustment.drivers import driver_sentences
 from mgsgraph.adjustment.graph import BundleGraph, Layout
@@ -17,7 +18,6 @@ from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.parallel import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings

@@ -9,11 +9,11 @@ import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.drivers import Drivers
+from mgsgraph.adjustment.fit import Fit
 from mgsgraph.adjustment.implausible import Strained, strained_orientations
 from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import Minima
-from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn

@@ -17,10 +17,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
 from mgsgraph.adjustment.cluster import Connection
+from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import point_covariances, prior_covariance
 from mgsgraph.adjustment.predicted_lines import settled
 from mgsgraph.adjustment.rounds import Progress, Selection, determined_points, everything
 from mgsgraph.adjustment.settings import SolverSettings

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.fit import Fit
 from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows
 from mgsgraph.analysis.linearised import at_solution, prior_rows
@@ -194,22 +194,6 @@ class ResidualStatistics(Record):
         # an order statistic of `worth` independent uniform numbers
         low, high = (beta.ppf(side, worth * share + 0.5, worth * (1.0 - share) + 0.5) for side in (0.025, 0.975))
         return QuantilePlot(ndtri(share), self.values[ranks], ndtri(low), ndtri(high))
-
-    @property
-    def sentence(self) -> str:
-        """The result in one sentence."""
-        if not self.values.size:
-            return f"{self.name}: no residual that anything controls"
-        pairs = zip(self.beyond, PROMISED, strict=True)
-        shares = ", ".join(f"{100 * one:.2g}% ({100 * law:.2g}%)" for one, law in pairs)
-        n, worth = self.values.size, f"{self.effective:.3g}" if self.effective < 1e3 else f"{self.effective:.0f}"
-        test = f"p = {self.p_value:.2g}" if math.isfinite(self.p_value) else "too few for a test"
-        test += "" if self.as_promised is not False else ": NOT as promised"
-        return (
-            f"{self.name}: {n} residuals worth {worth} independent ones, mean {self.mean:.2f}, rms "
-            f"{self.rms:.2f}, skewness {self.skewness:.2f}, excess kurtosis {self.kurtosis:.2f}; beyond 1, 2, 3 sigmas "
-            f"{shares}; {test}"
-        )
 
     def _moment(self, order: int) -> float:
         if self.values.size < 2:

@@ -17,8 +17,7 @@ from mgsgraph.case.motion import (
     processes,
     trend_sigmas,
 )
-from mgsgraph.case.node_prior import NodePriorInput
-from mgsgraph.case.nodes import SPACING, NodesInput
+from mgsgraph.case.nodes import SPACING, NodePriorInput, NodesInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior

@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.mountings import MountingInput
-from mgsgraph.case.numbers import Factor, Positive, Sigma
+from mgsgraph.case.nodes import Factor, Positive, Sigma
 from mgsgraph.case.passes import PassInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.labels.aberration import Observer

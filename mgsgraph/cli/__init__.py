@@ -11,42 +11,10 @@ from typing import NoReturn
 
 import click
 
-from mgsgraph.cli.streams import guard_streams
+from mgsgraph.cli.options import guard_streams
+from mgsgraph.cli.verbs import VERBS
 from mgsgraph.errors import MgsgraphError, one_line
 
-_VERBS = {
-    "add": ("projects", "Add images to a project, and adjust what they touch."),
-    "adjust": ("cases", "Adjust a case: orientation, ground points and their sigmas."),
-    "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak."),
-    "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
-    "compare": ("questions", "Say how two solutions differ: settings, input, what moved by how many sigmas."),
-    "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),
-    "coregister": ("cases", "Move laser, terrain models and images onto each other by relief, in the adjustment."),
-    "campaign": ("cases", "Adjust many cases, here or on a cluster, with a record of what is done."),
-    "dem": ("sources", "Make a terrain model with sigmas and an ortho image from adjusted images."),
-    "demo": ("sources", "Simulate a study site, adjust it, and say what was wrong and what is right now."),
-    "export": ("networks", "Write a solution for other programs: SPICE, CSM, ISIS, Ames Stereo Pipeline, GIS."),
-    "fetch": ("sources", "Fetch images, kernels, laser profiles and terrain from the archives."),
-    "help": ("beginning", "Say what a verb takes, or every key of a case file: mgsgraph help case [TABLE]."),
-    "init": ("projects", "Make a project, to which images are added as they come."),
-    "match": ("sources", "Find tie points in the images themselves."),
-    "measure": ("projects", "Measure a point of a project, reject or accept a measure, and adjust."),
-    "new": ("beginning", "Write a case file for the files that one has: images, networks, shots, terrain, kernels."),
-    "nodes": ("cases", "Choose how close orientation images stand from the data, and look for vibrations."),
-    "plan": ("questions", "Rank what might be observed next by what it would do to the sigmas."),
-    "project": ("places", "Project ground places into an image, or image places onto ellipsoid or terrain."),
-    "register": ("cases", "Project laser footprints into the images, and say by how much the images contradict."),
-    "remove": ("projects", "Take images out of a project, and adjust what they touched."),
-    "report": ("questions", "Write a page about an adjustment, one HTML file."),
-    "review": ("networks", "Show tie points to a person, and take rejected ones out of a network."),
-    "shots": ("shots", "Find the laser profiles over images, and those taken along with them."),
-    "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
-    "solve": ("projects", "Adjust everything in a project by batch, and compare."),
-    "studio": ("studio", "Look at a project, results or a case in the browser, measure and ask."),
-    "status": ("projects", "Say what is in a project and what its last solution was."),
-    "undo": ("projects", "Take back the last edit of a point of a project."),
-}
-"""Module of each verb, and its line of help: known before that module is imported."""
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
 """Those that end the program: what it writes is then there as before, or whole."""
 _LATER = 0.01
@@ -67,25 +35,25 @@ class _Verbs(click.Group):
     """Verbs by name, with their one-line help known before their modules are imported."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_VERBS)
+        return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _VERBS:
+        if cmd_name not in VERBS:
             return None
-        module, _ = _VERBS[cmd_name]
+        module, _ = VERBS[cmd_name]
         command = getattr(import_module(f"mgsgraph.cli.{module}"), cmd_name)
         return command if isinstance(command, click.Command) else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(verb, help) for verb, (_, help) in _VERBS.items()])
+            formatter.write_dl([(verb, help) for verb, (_, help) in VERBS.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and not args[0].startswith("-") and args[0] not in _VERBS:
-            near = get_close_matches(args[0], _VERBS, n=1)
-            others = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(_VERBS)}"
+        if args and not args[0].startswith("-") and args[0] not in VERBS:
+            near = get_close_matches(args[0], VERBS, n=1)
+            others = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(VERBS)}"
             raise click.UsageError(f"no command {args[0]!r}; {others}", ctx)
         return super().resolve_command(ctx, args)
 

@@ -148,7 +148,7 @@ def _in_two_steps(
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.results.results import write_results
-    from mgsgraph.results.two_steps import two_steps_page, write_two_steps
+    from mgsgraph.results.two_steps import two_steps_section, write_two_steps
 
     require_terrain(read.network, str(read.path))
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
@@ -160,7 +160,7 @@ def _in_two_steps(
             statistics = two_step_statistics(steps)
         with stages.stage("tables and figures"):
             write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
-    click.echo(two_steps_page(statistics))
+    click.echo(two_steps_section(statistics).text(None))
     click.echo(f"Results are in {out}")
     return steps.converged and is_result(steps.fitted)
 
@@ -248,7 +248,7 @@ def nodes(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.files.output.folders import NODES, require_replaceable
     from mgsgraph.results.analysis import require_used
-    from mgsgraph.results.spacing import node_statements, seconds_of, spacing_table, write_nodes
+    from mgsgraph.results.spacing import nodes_section, seconds_of, write_nodes
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     wanted = seconds_of(spacings)
@@ -259,8 +259,7 @@ def nodes(
         study = study_nodes(read.network, read.settings, read.name, wanted, hold_out, seed, densify, progress=bar)
     if out is not None:
         write_nodes(study, out, figures=not no_figures)
-    click.echo(spacing_table(study.choice))
-    print_sentences(node_statements(study))
+    click.echo(nodes_section(study).text())
     if out is not None:
         click.echo(f"The study is in {out}")
 
@@ -281,15 +280,15 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     """
     from mgsgraph.case.reading import read_case
     from mgsgraph.files.output.folders import REGISTRATION, require_replaceable
-    from mgsgraph.registration.case import register_case, registration_statements
+    from mgsgraph.registration.case import register_case
     from mgsgraph.results.archive import read_solution
-    from mgsgraph.results.registration import write_registration
+    from mgsgraph.results.registration import registration_section, write_registration
 
     require_replaceable(out, REGISTRATION)
     adjusted = None if solution is None else read_solution(solution)
     registration = register_case(read_case(case, ties=ties), adjusted)
     write_registration(registration, out, figures=not no_figures)
-    print_sentences(registration_statements(registration))
+    click.echo(registration_section(registration).text())
     click.echo(f"Results are in {out}")
 
 
@@ -390,9 +389,8 @@ def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int
 def _print_registration(registration: "ReliefRegistration", out: Path) -> bool:
     """Print what a registration by relief has found; whether it converged."""
     from mgsgraph.analysis.soundness import is_result
-    from mgsgraph.results.relief import profiles_table, relief_statements
+    from mgsgraph.results.relief import coregistration_section
 
-    click.echo("\n".join(profiles_table(registration).text()))
-    print_sentences(relief_statements(registration))
+    click.echo(coregistration_section(registration).text())
     click.echo(f"Results are in {out}")
     return is_result(registration.solution)

@@ -109,10 +109,12 @@ def _print_lost(lost: tuple[str, ...]) -> None:
     help="Network that the points were read from, where it isn't where it was (isis); may be repeated."
 )  # fmt: skip
 @click.option("--raster", is_flag=True, help="Sigmas of new points over the overlap as well, a GeoTIFF (gis).")
+@click.option("--verify", is_flag=True, help="Read kernels back by SPICE alone, say how far they are off (spice).")
 def export(
-    solution: Path, target: str, out: Path, scaled: bool, case: Path | None, networks: tuple[Path, ...], raster: bool
-) -> None:
-    """Write SOLUTION (results, or a project) for another program, read the files back and say how far they are off.
+    solution: Path, target: str, out: Path, scaled: bool, case: Path | None, networks: tuple[Path, ...], raster: bool,
+    verify: bool,
+) -> None:  # fmt: skip
+    """Write SOLUTION (results, or a project) for another program.
 
     spice: SPK, CK, their frames, clock and camera, and a meta-kernel. csm: image support data and model states of
     usgscsm. isis: control network with adjusted points, lidar data, jigsaw's tables. asp: matches, control points,
@@ -129,7 +131,8 @@ def export(
         support = {image.name: case.parent / image.isd for image in images if image.isd is not None}
         files = {image.name: Path(image.pixels or image_file(image)).name for image in images}
     results = results_of(solution)
-    done = export_solution(results.folder, target, out, ExportSettings(scaled, support, files, networks, raster))
+    settings = ExportSettings(scaled, support, files, networks, raster, verify)
+    done = export_solution(results.folder, target, out, settings)
     print_sentences(filter(None, (results.warning, done.sentence, *done.notes)))
     click.echo(f"The files are in {out}")
 

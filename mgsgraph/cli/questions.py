@@ -127,12 +127,12 @@ def analyze(
         click.echo(f"- {warning}")
     if out is None:
         for section in analysed(posterior, wanted, name):
-            click.echo(section.text)
+            click.echo(section.text(None))
         return
     sections = list(analysed(posterior, wanted, name))
     write_analysis(name, sections, out, figures=not no_figures)  # before anything is said: a reader may go away
     for section in sections:
-        click.echo(section.text)
+        click.echo(section.text(None))
     click.echo(f"The analysis is in {out}")
 
 
@@ -163,7 +163,7 @@ def plan(
     from mgsgraph.planning.candidates_file import read_candidates
     from mgsgraph.planning.plan import plan as make
     from mgsgraph.project.reading import read_state
-    from mgsgraph.results.plan import plan_table, statements, write_plan
+    from mgsgraph.results.plan import plan_section, write_plan
 
     if out is not None:
         require_replaceable(out, PLAN)
@@ -176,8 +176,7 @@ def plan(
         made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
     if out is not None:
         write_plan(made, out)
-    click.echo(plan_table(made))
-    print_sentences(statements(made))
+    click.echo(plan_section(made).text())
     if out is not None:
         click.echo(f"The plan is in {out}")
 
@@ -238,7 +237,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
     from mgsgraph.results.analysis import require_used
     from mgsgraph.results.archive import read_solution
     from mgsgraph.results.comparison import compare as compared
-    from mgsgraph.results.comparison import comparison_text, write_comparison
+    from mgsgraph.results.comparison import write_comparison
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     if out is not None:
@@ -248,7 +247,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
     found = compared(after, before, ("A", "B"))
     click.echo(f"A: {one.folder} ({before.name})\nB: {other.folder} ({after.name})")
     print_sentences([words for words in (one.warning, other.warning) if words])
-    click.echo(comparison_text(found))
+    click.echo(found.section.text(10))
     if out is not None:
         write_comparison(found, out, figures=not no_figures)
         click.echo(f"The comparison is in {out}")

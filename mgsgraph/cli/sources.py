@@ -353,7 +353,7 @@ def dem(
     from mgsgraph.cli.progress import counting_bars
     from mgsgraph.project.reading import read_posterior, results_of
     from mgsgraph.registration.dem.model import DemSettings, Heights
-    from mgsgraph.results.terrain_model import dem_statements, make_dem
+    from mgsgraph.results.terrain_model import dem_section, make_dem
 
     settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, image_pair(pair), mola)
     _, posterior, warning = read_posterior(solution)
@@ -362,5 +362,6 @@ def dem(
         raise click.UsageError("the pixels are the case's: give it by --case")
     with counting_bars() as show:
         made = make_dem(posterior, case, out, settings, workers, not no_figures, show)
-    print_sentences([*([warning] if warning else []), *dem_statements(made)])
+    print_sentences([warning] if warning else [])
+    click.echo(dem_section(made).text())
     click.echo(f"The terrain model is {out / 'dem.tif'}")

@@ -1,4 +1,4 @@
-"""Solutions as other programs take them: SPICE kernels, CSM support data, ISIS, ASP, GIS; and read back to be sure."""
+"""Solutions as other programs take them: SPICE kernels, CSM support data, ISIS, ASP, GIS."""
 
 from enum import StrEnum
 

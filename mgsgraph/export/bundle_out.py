@@ -1,39 +1,149 @@
-"""What jigsaw's users look for: bundleout.txt, bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and
-residuals.csv, with jigsaw's names, order and units of columns.
+"""What jigsaw's users look for: bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and residuals.csv, with
+jigsaw's names, order and units of columns.
 
-Latitudes are planetocentric, places km, sigmas and corrections m, angles degrees, pixels counted from 1. Sources:
-DOI-USGS/ISIS3, BundleSolutionInfo.cpp (outputHeader, outputText, outputImagesCSV, outputPointsCSV, outputLidarCSV,
-outputResiduals), BundleControlPoint.cpp (formatBundleOutputSummaryString, ...DetailString), IsisBundleObservation.cpp
-(bundleOutputString, bundleOutputCSV), BundleLidarRangeConstraint.cpp. The CSV files have no room for notes: these stand
-at the head of bundleout.txt.
+Latitudes are planetocentric, coordinates km, sigmas and corrections m, angles degrees, pixels counted from 1. Sources:
+DOI-USGS/ISIS3, BundleSolutionInfo.cpp (outputImagesCSV, outputPointsCSV, outputLidarCSV, outputResiduals),
+IsisBundleObservation.cpp (bundleOutputCSV), BundleLidarRangeConstraint.cpp. The files have no room for notes:
+docs/jigsaw.md has them.
+
+jigsaw solves for polynomials of time of X, Y, Z and of the angles RA, DEC, TWIST; here they are fitted to the
+orientation before and after at the papers' 31 lines, and the sigmas of the coefficients follow from the joint
+covariance by error propagation (names: IsisBundleObservation.cpp, parameterList, bundleOutputString).
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import local_sigmas, rejected_points, used_ray_counts
+from mgsgraph.analysis.flight import prior_sigmas
+from mgsgraph.analysis.statistics import PLACES, local_sigmas, rejected_points, used_ray_counts
 from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_orientation import (
-    PARAMETERS,
-    OrientationPolynomials,
-    common_degree,
-    orientation_polynomials,
-)
-from mgsgraph.export.bundle_text import Tables, bundle_text
 from mgsgraph.files.output.csv_json import picked, quoted
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.files.writing import write_files
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn, planetocentric
-from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import PointClass
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.network import Network, PointClass, PolynomialPrior
+from mgsgraph.network.corrections import designs
 from mgsgraph.units import DEG, ISIS_OFFSET, KM, MM
 
-TEXT, IMAGES, POINTS, LIDAR, RESIDUALS = (
-    "bundleout.txt", "bundleout_images.csv", "bundleout_points.csv", "bundleout_lidar.csv", "residuals.csv",
+PARAMETERS = ("X", "Y", "Z", "RA", "DEC", "TWIST")
+"""jigsaw's names: position, and angles about the axes 3, 1, 3 (`rotation.angles_313`). Its RA is 90 deg more than the
+right ascension of the optical axis, its DEC what the declination lacks to 90 deg (docs/real_networks.md)."""
+_USUAL_DEGREE = 2
+"""jigsaw's CKDEGREE and SPKDEGREE, for images without polynomials of their own."""
+_NOTHING = 1e-9
+"""Of the largest: what counts less in a coefficient is rounding."""
+
+
+class OrientationPolynomials(NamedTuple):
+    """One image: coefficients of (t - centre)^k for each of PARAMETERS; m and rad, per s^k.
+
+    Axes are inertial (J2000), or body-fixed where the trajectory doesn't know the body's rotation.
+    """
+
+    before: Array
+    """(6, d + 1) of the nominal orientation."""
+    correction: Array
+    """(6, d + 1) adjusted minus nominal."""
+    prior: Array
+    """(6, d + 1) a-priori sigmas by the prior of the image, or of its pass: infinite where nothing is known, NaN where
+    it has none."""
+    sigma: Array
+    """(6, d + 1) of the adjusted ones, for sigma0 = 1; zero of a held image that shares nothing."""
+
+
+def common_degree(solution: Solution) -> int:
+    """Highest degree of the polynomials of images and passes; jigsaw's usual 2 where none has any."""
+    network = solution.network
+    degrees = [network.priors[j].degree for j in np.flatnonzero(network.with_polynomial).tolist()]
+    for one in network.passes:
+        if isinstance(one.prior, PolynomialPrior):
+            degrees.append(max(len(one.prior.attitude_sigmas), len(one.prior.position_sigmas)) - 1)
+    return max(degrees, default=_USUAL_DEGREE)
+
+
+def orientation_polynomials(solution: Solution, image: str | int, degree: int) -> OrientationPolynomials:
+    """Polynomials of one image's orientation about its centre, the middle between its first and its last line."""
+    image = solution.network.image_number(image)
+    picture, correction = solution.network.images[image], solution.correction(image)
+    lines = np.linspace(0.0, float(picture.lines), PLACES)
+    moments = picture.moments(lines)
+    before, after = picture.pose(lines), picture.pose(lines, correction)
+    centre, half = 0.5 * (moments.times[0] + moments.times[-1]), 0.5 * (moments.times[-1] - moments.times[0])
+    fit = np.linalg.pinv(np.vander((moments.times - centre) / half, degree + 1, increasing=True))
+    fit /= half ** np.arange(degree + 1)[:, None]
+    turn = correction.axes(before, moments)
+    trajectory = picture.trajectory
+    outward = np.broadcast_to(np.eye(3), (PLACES, 3, 3))
+    if isinstance(trajectory, Trajectory):
+        outward = np.swapaxes(trajectory.body.at(moments.times)[0], 1, 2)
+    position = [np.einsum("nij,nj->ni", outward, pose.position) for pose in (before, after)]
+    matrix = [pose.matrix @ np.swapaxes(outward, 1, 2) for pose in (before, after)]
+    angles = [rotation.angles_313(one) for one in matrix]
+    values = np.hstack([position[0], np.unwrap(angles[0], axis=0)])
+    moved = np.hstack([position[1] - position[0], in_turn(angles[1] - angles[0])])
+    to_angles = np.linalg.solve(_axes(matrix[1], angles[1]), turn)
+    prior, sigma = _sigmas(solution, image, lines, (outward, np.asarray(to_angles, dtype=np.float64)), fit)
+    return OrientationPolynomials((fit @ values).T, (fit @ moved).T, prior, sigma)
+
+
+def _axes(matrix: Array, angles: Array) -> Array:
+    """(n, 3, 3) about which axes of its own the camera turns per rad of each of the three angles, in columns."""
+    sine, cosine, zero = np.sin(angles[:, 2]), np.cos(angles[:, 2]), np.zeros(angles.shape[0])
+    node = np.stack([cosine, -sine, zero], axis=1)
+    return np.stack([matrix[:, :, 2], node, np.broadcast_to([0.0, 0.0, 1.0], node.shape)], axis=2)
+
+
+def _sigmas(
+    solution: Solution, image: int, lines: Array, turned: Sequence[Array], fit: Array
+) -> tuple[Array, Array]:
+    """A-priori and adjusted sigmas (6, d + 1) of the coefficients."""
+    network, width = solution.network, solution.joint_covariance.square_root.width
+    effects = designs(network, image, solution.correction(image).angles, lines)
+    variables = sorted({variable for part in effects for variable in part})
+    first = dict(zip(variables, np.cumsum([0, *(int(width[v]) for v in variables)]).tolist(), strict=False))
+    design = np.zeros((lines.size, 6, sum(int(width[v]) for v in variables)))
+    for part, row in zip(effects, design, strict=True):
+        for variable, matrix in part.items():
+            row[:, first[variable] : first[variable] + matrix.shape[1]] = matrix
+    halves = [np.einsum("nij,njw->niw", turned[k], design[:, 3 * k : 3 * k + 3]) for k in range(2)]
+    rows = np.einsum("kn,ncw->ckw", fit, np.concatenate(halves, axis=1))
+    shape, rows = rows.shape[:2], rows.reshape(-1, design.shape[2])
+    variance = np.einsum("rw,rw->r", rows @ solution.joint_covariance.of(variables), rows)
+    prior = np.full(rows.shape[0], np.nan)
+    if network.with_polynomial[image]:
+        own = rows[:, first[image] : first[image] + int(width[image])]
+        own = np.where(np.abs(own) > _NOTHING * np.abs(own).max(axis=1, keepdims=True), own, 0.0)
+        counts, sigmas = own != 0.0, np.broadcast_to(network.priors[image].sigmas.ravel(), own.shape)
+        prior = np.sqrt(np.sum(np.where(counts, own, 0.0) ** 2 * np.where(counts, sigmas, 0.0) ** 2, axis=1))
+    elif network.pass_of[image] >= 0:
+        owner, turn = int(network.pass_of[image]), network.axes_of(image)
+        prior = _pass_sigmas(network, owner, lines, image, turned, fit, np.eye(3) if turn is None else turn)
+    return prior.reshape(shape), np.sqrt(np.maximum(variance, 0.0)).reshape(shape)
+
+
+def _pass_sigmas(
+    network: Network, owner: int, lines: Array, image: int, turned: Sequence[Array], fit: Array, axes: Array
+) -> Array:
+    """(6 (d + 1),) a-priori sigmas of an image's coefficients by what is known of its pass's nodes and trend."""
+    one, moments = network.passes[owner], network.images[image].moments(lines)
+    basis, _ = one.nodes.dense(moments.times, moments.epoch)
+    halves = [np.einsum("nij,nk->nikj", part, basis) for part in (turned[0], turned[1] @ axes)]
+    design = np.zeros((lines.size, 6, basis.shape[1], 6))
+    design[:, :3, :, :3], design[:, 3:, :, 3:] = halves
+    rows = np.einsum("kn,nc...->ck...", fit, design).reshape(6 * fit.shape[0], -1)
+    return prior_sigmas(one, rows)
+
+
+IMAGES, POINTS, LIDAR, RESIDUALS = (
+    "bundleout_images.csv", "bundleout_points.csv", "bundleout_lidar.csv", "residuals.csv",
 )  # fmt: skip
 """Files as jigsaw calls them."""
 _POINTS_HEAD = (
@@ -53,15 +163,6 @@ _RESIDUALS_HEAD = (
     "Label,Filename,Serial Number,(mm),(mm),(pixels),(pixels),(pixels),(pixels),(pixels),Rejected\n"
 )
 _NUMBER = "{:16.8f}"
-
-
-class _Measures(NamedTuple):
-    """Means over measures that took part."""
-
-    accepted: Index
-    total: Index
-    rms: Array
-    """pixels: (n,) of points; (n, 3) of images: samples, lines, both."""
 
 
 def write_bundle_out(solution: Solution, folder: Path, scaled: bool = False) -> list[Path]:
@@ -87,97 +188,78 @@ def write_bundle_out(solution: Solution, folder: Path, scaled: bool = False) -> 
         If a file can't be written, or sigma0 is asked for and there is none.
     """
     factor = covariance_factor(solution, scaled) ** 0.5
-    degree = common_degree(solution)
-    orientation = [orientation_polynomials(solution, j, degree) for j in range(len(solution.network.images))]
-    tables = _tables(solution, orientation, factor)
     texts = {
-        TEXT: bundle_text(solution, tables, scaled),
-        IMAGES: _images_csv(solution, tables),
-        POINTS: _points_csv(solution, tables),
+        IMAGES: _images_csv(solution, factor),
+        POINTS: _points_csv(solution, factor),
         **({LIDAR: _lidar_csv(solution)} if solution.network.ranges.point.size else {}),
         RESIDUALS: _residuals_csv(solution),
     }
     return write_files(folder, texts)
 
 
-def _tables(solution: Solution, orientation: list[OrientationPolynomials], factor: float) -> Tables:
-    """Everything in jigsaw's units."""
-    points = solution.network.points
-    before, after = planetocentric(solution.places_before), planetocentric(solution.places)
-    change = after - before
-    change[:, 0] = in_turn(change[:, 0])
-    radius, latitude = after[:, 2], after[:, 1]
-    metres = np.stack([change[:, 1] * radius, change[:, 0] * radius * np.cos(latitude), change[:, 2]], axis=1)
-    constrained = points.kinds == PointKind.CONSTRAINED
-    prior = np.where(constrained[:, None], _local_sigmas(points.covariances, solution.places_before), np.nan)
-    of_points, of_images = _of_points(solution), _of_images(solution)
-    return Tables(
-        status=picked([kind.name for kind in PointKind], points.kinds).tolist(),
-        accepted=of_points.accepted, total=of_points.total, rms=of_points.rms,
-        places=_reported(after), corrections=change[:, [1, 0, 2]] / [DEG, DEG, KM], corrections_m=metres,
-        prior=prior, sigmas=_local_sigmas(solution.covariances, solution.places) * factor,
-        image_accepted=of_images.accepted, image_total=of_images.total, image_rms=of_images.rms,
-        orientation=orientation, factor=factor,
-    )  # fmt: skip
-
-
-def _reported(places: Array) -> Array:
-    """(n, 3) latitude and longitude in degrees, 0 .. 360, and radius in km."""
-    return np.stack([places[:, 1] / DEG, places[:, 0] / DEG % 360.0, places[:, 2] / KM], axis=1)
-
-
-def _local_sigmas(covariances: Array, places: Array) -> Array:
-    """(n, 3) m, sigmas along latitude, longitude and radius."""
-    return local_sigmas(covariances, places)[:, [1, 0, 2]]
-
-
-def _of_points(solution: Solution) -> _Measures:
-    rays, used, n = solution.network.rays, solution.rays_used, len(solution.network.points)
-    squares = np.bincount(rays.point[used], (solution.residuals[used] ** 2).sum(axis=1), minlength=n)
-    accepted = used_ray_counts(solution)
-    return _Measures(accepted, solution.network.ray_counts, np.sqrt(squares / np.maximum(2 * accepted, 1)))
-
-
-def _of_images(solution: Solution) -> _Measures:
-    rays, used, m = solution.network.rays, solution.rays_used, len(solution.network.images)
-    accepted = np.bincount(rays.image[used], minlength=m)
-    line, sample = (
-        np.bincount(rays.image[used], solution.residuals[used, c] ** 2, minlength=m) / np.maximum(accepted, 1)
-        for c in range(2)
-    )
-    rms = np.sqrt(np.stack([sample, line, 0.5 * (sample + line)], axis=1))
-    return _Measures(accepted, np.bincount(rays.image, minlength=m), rms)
-
-
-def _images_csv(solution: Solution, tables: Tables) -> str:
-    terms = tables.orientation[0].before.shape[1]
-    names = [f"{name}(t{k})" if terms > 1 else name for name in PARAMETERS for k in range(terms)]
+def _images_csv(solution: Solution, factor: float) -> str:
+    """One row for each image: its residuals, and the coefficients of its orientation."""
+    images, degree = solution.network.images, common_degree(solution)
+    names = [f"{name}(t{k})" if degree else name for name in PARAMETERS for k in range(degree + 1)]
     parts = ("Initial", "Correction", "Final", "Apriori Sigma", "Adj Sigma")
     # the comma at the end of both lines is jigsaw's
     rows = [
         ",".join(["Image", "rms", "rms", "rms", *(name for name in names for _ in parts), ""]),
         ",".join(["Filename", "sample res", "line res", "total res", *(part for _ in names for part in parts), ""]),
     ]
-    for j, image in enumerate(solution.network.images):
-        fields = [quoted(image.name), *map(repr, tables.image_rms[j].tolist())]
-        for before, correction, after, prior, sigma, _ in tables.parameters(j, solution):
-            fields += [repr(before), repr(correction), repr(after), prior, sigma]
-        rows.append(",".join(fields))
+    for j, (image, rms) in enumerate(zip(images, _image_rms(solution).tolist(), strict=True)):
+        polynomials = orientation_polynomials(solution, j, degree)
+        coefficients = _coefficients(polynomials, factor, bool(solution.network.held[j]))
+        rows.append(",".join([quoted(image.name), *map(repr, rms), *coefficients]))
     return "\n".join([*rows, ""])
 
 
-def _points_csv(solution: Solution, tables: Tables) -> str:
+def _image_rms(solution: Solution) -> Array:
+    """(m, 3) pixels, root mean square over measures that took part: samples, lines, both."""
+    image, m = solution.network.rays.image[solution.rays_used], len(solution.network.images)
+    accepted = np.maximum(np.bincount(image, minlength=m), 1)
+    squares = solution.residuals[solution.rays_used] ** 2
+    line, sample = (np.bincount(image, squares[:, c], minlength=m) / accepted for c in range(2))
+    return np.sqrt(np.stack([sample, line, 0.5 * (sample + line)], axis=1))
+
+
+def _coefficients(found: OrientationPolynomials, factor: float, held: bool) -> Iterator[str]:
+    """Of each coefficient initial value, correction and final value (km, degrees), a-priori and adjusted sigma (m,
+    degrees).
+    """
+    for c in range(len(PARAMETERS)):
+        size, spread = (KM, 1.0) if c < 3 else (DEG, DEG)
+        for k in range(found.before.shape[1]):
+            before, correction = float(found.before[c, k]) / size, float(found.correction[c, k]) / size
+            prior, sigma = found.prior[c, k] / spread, found.sigma[c, k] / spread * factor
+            yield from map(repr, (before, correction, before + correction))
+            yield "N/A" if np.isnan(prior) else "FREE" if np.isinf(prior) else f"{prior:.8g}"
+            yield "N/A" if held and sigma == 0.0 else f"{sigma:.8f}" if sigma > 1e-4 else f"{sigma:.8g}"
+
+
+def _points_csv(solution: Solution, factor: float) -> str:
     """One row for each point that has a place and was not rejected, laser footprints among them."""
-    kept = np.flatnonzero(~rejected_points(solution)).tolist()
-    ids = [quoted(name) for name in solution.network.points.ids]
-    numbers = np.hstack([tables.places, tables.sigmas, tables.corrections_m, solution.places / KM])
+    points, rays, used, n = solution.network.points, solution.network.rays, solution.rays_used, len(solution.places)
+    accepted = used_ray_counts(solution)
+    squares = np.bincount(rays.point[used], (solution.residuals[used] ** 2).sum(axis=1), minlength=n)
+    before, after = planetocentric(solution.places_before), planetocentric(solution.places)
+    change, radius, latitude = after - before, after[:, 2], after[:, 1]
+    east = in_turn(change[:, 0]) * radius * np.cos(latitude)
+    numbers = np.column_stack([
+        latitude / DEG, after[:, 0] / DEG % 360.0, radius / KM,
+        local_sigmas(solution.covariances, solution.places)[:, [1, 0, 2]] * factor,
+        change[:, 1] * radius, east, change[:, 2], solution.places / KM,
+    ])  # fmt: skip
     form = "{},{},{},{},{:6.2f}," + ",".join([_NUMBER] * numbers.shape[1]) + "\n"
-    rejected = (tables.total - tables.accepted).tolist()
     # as its name says; jigsaw's column holds all measures (BundleControlPoint::numberOfMeasures)
-    columns = (ids, tables.status, tables.accepted.tolist(), rejected, tables.rms.tolist())
+    rejected = (solution.network.ray_counts - accepted).tolist()
+    columns = (
+        [quoted(name) for name in points.ids], picked([kind.name for kind in PointKind], points.kinds).tolist(),
+        accepted.tolist(), rejected, np.sqrt(squares / np.maximum(2 * accepted, 1)),
+    )  # fmt: skip
     every = list(zip(*columns, numbers.tolist(), strict=True))
-    rows = [form.format(*values, *figures) for *values, figures in (every[i] for i in kept)]
-    return "".join([_POINTS_HEAD, *rows])
+    kept = np.flatnonzero(~rejected_points(solution)).tolist()
+    return "".join([_POINTS_HEAD, *(form.format(*values, *figures) for *values, figures in (every[i] for i in kept))])
 
 
 def _lidar_csv(solution: Solution) -> str:

@@ -15,8 +15,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.export.csm_state import model_state
-from mgsgraph.export.csm_tables import RefinedTables, Turning, body_table, refined_tables
+from mgsgraph.export.csm_state import RefinedTables, Turning, body_table, model_state, refined_tables
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.opening import read_json
 from mgsgraph.files.support_data.isd import read_isd

@@ -1,9 +1,9 @@
 """Networks from one program to another: read in any format, united, split and thinned, written in any, and what gets
-lost on the way said.
+lost on the way said. Of files of a network's name those alone are replaced that are networks by their content.
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,12 +17,12 @@ from mgsgraph.errors import InputError
 from mgsgraph.export import Format
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
-from mgsgraph.export.replaceable import earlier_network
+from mgsgraph.files.kinds import Kind, kind_of
 from mgsgraph.files.networks.asp_gcp import ground_control_text, read_ground_control_network
 from mgsgraph.files.networks.asp_match import MatchFile, joined, match_files, read_match, read_match_text
 from mgsgraph.files.networks.asp_match_names import images_of as named_images
 from mgsgraph.files.networks.asp_match_names import prefix_of
-from mgsgraph.files.networks.asp_nvm import half_sizes, nvm_files, read_nvm
+from mgsgraph.files.networks.asp_nvm import half_sizes, nvm_files, offsets_path, read_nvm, read_offsets
 from mgsgraph.files.networks.binary import binary_network
 from mgsgraph.files.networks.choosing import images_of, in_images, used_images
 from mgsgraph.files.networks.network_file import read_network
@@ -32,7 +32,7 @@ from mgsgraph.files.networks.table import read_table
 from mgsgraph.files.networks.table_writing import table_parquet, table_text
 from mgsgraph.files.networks.thinning import thinned
 from mgsgraph.files.networks.uniting import united
-from mgsgraph.files.writing import fresh_file, require_free
+from mgsgraph.files.writing import Output, begins, fresh_file, require_free
 from mgsgraph.network.links import groups
 from mgsgraph.record import Record
 from mgsgraph.text import many, some
@@ -72,7 +72,7 @@ class Selection:
     cells: int | None = None
     """In every image, by which points are thinned; None leaves all."""
     split: bool = False
-    """Whether parts that hang together get files of their own."""
+    """Whether parts that are connected get files of their own."""
 
 
 class Lossy(InputError):
@@ -352,7 +352,7 @@ def _files(
 
 
 def connected_parts(network: ControlNetwork) -> list[ControlNetwork]:
-    """Networks of images that hang together by points, the largest first; ignored points and measures connect nothing,
+    """Networks of images that are connected by points, the largest first; ignored points and measures connect nothing,
     and go with their point's first image. A point without measures goes with the largest.
     """
     names = images_of(network)
@@ -384,3 +384,42 @@ def _write(files: Mapping[Path, bytes]) -> None:
         asides = [stack.enter_context(fresh_file(path, "a file that may be written")) for path in files]
         for aside, content in zip(asides, files.values(), strict=True):
             aside.write_bytes(content)
+
+
+_NVM = "a network of VisualSFM"
+_OFFSETS = offsets_path(Path(".nvm")).name.removeprefix(".nvm")
+_PAIR = ("first", "second")
+
+
+def earlier_network(form: Format, path: Path) -> Output:
+    """What a file has to be by its content to be replaced by a network of a format, or by a part of one."""
+    match form:
+        case Format.PVL:
+            return begins("an ISIS control network as PVL", r"\s*Object\s*=\s*ControlNetwork\b")
+        case Format.NET:
+            return begins("an ISIS control network (binary)", r"\s*Object\s*=\s*ProtoBuffer\b")
+        case Format.CSV | Format.PARQUET:
+            return Output("a table of tie points", lambda path: kind_of(path) is Kind.TIE_TABLE)
+        case Format.GCP:
+            return begins("ground control points of mgsgraph convert", "# id latitude longitude height sigma_x")
+        case Format.NVM if path.name.endswith(_OFFSETS):
+            return Output(f"optical centres of {_NVM}", _read_by(read_offsets))
+        case Format.NVM:
+            return begins(_NVM, "NVM_V3")
+        case Format.MATCH:
+            return Output("a match file of the Ames Stereo Pipeline", _read_by(lambda path: read_match(path, _PAIR)))
+        case Format.MATCH_TEXT:
+            return Output("a match file in text", _read_by(lambda path: read_match_text(path, _PAIR)))
+
+
+def _read_by(read: Callable[[Path], object]) -> Callable[[Path], bool]:
+    """Whether a reader takes a file, of a kind whose beginning doesn't tell."""
+
+    def known(path: Path) -> bool:
+        try:
+            read(path)
+        except InputError:
+            return False
+        return True
+
+    return known

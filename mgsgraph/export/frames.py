@@ -76,6 +76,12 @@ def to_pandas(solution: Solution, what: str = "points") -> "DataFrame":
     ------
     InputError
         If there is no such table, or pandas is not installed.
+
+    Examples
+    --------
+    >>> frame = mgsgraph.to_pandas(solution, "points")
+    >>> list(frame.columns[:3]), len(frame)
+    (['id', 'class', 'kind'], 28)
     """
     found = _table(solution, what, _PLAIN | _PLACED)
     library("pandas", _EXTRA, f"table of {what}")
@@ -95,6 +101,12 @@ def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
     ------
     InputError
         If there is no such table, or GeoPandas is not installed.
+
+    Examples
+    --------
+    >>> frame = mgsgraph.to_geopandas(solution, "footprints")
+    >>> list(frame.columns[:3]), frame.geometry.geom_type[0]
+    (['image', 'pass', 'held'], 'Polygon')
     """
     geopandas = library("geopandas", _EXTRA, f"table of {what}")
     frame = _table(solution, what, _PLACED).arrow.to_pandas()
@@ -127,6 +139,12 @@ def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
     ------
     InputError
         If xarray is not installed.
+
+    Examples
+    --------
+    >>> dataset = mgsgraph.to_xarray(solution, places=3)
+    >>> dict(dataset.sizes), list(dataset)[:3]
+    ({'image': 2, 'place': 3, 'axis': 3, 'angle': 3, 'camera_axis': 3}, ['lines', 'times', 'position_before'])
     """
     xarray = library("xarray", _EXTRA, "orientation profiles")
     profiles, images = orientation_profiles(solution, places=places), [one.name for one in solution.network.images]

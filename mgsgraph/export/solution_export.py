@@ -1,4 +1,4 @@
-"""A solution for another program: written, read back by code that shares nothing with the writer, and compared."""
+"""A solution for another program: written to a folder that appears whole or not at all, and noted in its record."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,12 +11,10 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target
-from mgsgraph.export.round_trip import reprojection
 from mgsgraph.files.output.csv_json import write_json
 from mgsgraph.files.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.files.records import read_record, record_text
 from mgsgraph.files.writing import write_file
-from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.results.archive import read_solution
 
@@ -24,8 +22,6 @@ FORMAT = 1
 """Version of export.json's layout."""
 _FINE = 0.01
 """px, above which it is said that files are farther off than they should be."""
-_SAME = 1e-6
-"""m, by which adjusted points that come back may differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +38,21 @@ class ExportSettings:
     """Networks that the points were read from, in place of those that the solution remembers."""
     raster: bool = False
     """Sigmas of new points over the images' overlap, too, as a GeoTIFF."""
+    verify: bool = False
+    """Read kernels back by SPICE alone, and compare them with the solution."""
 
 
 class Exported(NamedTuple):
-    """What was written and how it came back."""
+    """What was written, and what kernels say when they are read back."""
 
     target: Target
     folder: Path
     files: tuple[str, ...]
     """Names in the folder."""
-    measures: int
-    """That were projected again through the files."""
-    largest: float
-    """px, largest difference of their places from the solution's; NaN where nothing was read back."""
+    measures: int = 0
+    """That were projected again through the files; 0 where nothing was read back."""
+    largest: float = np.nan
+    """px, largest difference of their image coordinates from the solution's; NaN where nothing was read back."""
     converged: bool = True
     """Whether the solution is."""
     noted: bool = True
@@ -70,27 +68,21 @@ class Exported(NamedTuple):
             "The solution did NOT converge.": not self.converged,
             "This could not be noted in the solution's own record.": not self.noted,
         }
-        said = f"{len(self.files)} files for {self.target.value}; {self._read_back}"
-        return " ".join([said, *(words for words, holds in beware.items() if holds)])
-
-    @property
-    def _read_back(self) -> str:
-        if self.target == Target.GIS:
-            return "they hold no geometry of images to be read back."
-        if not self.measures:
-            return "no measure of a determined point is there to be read back."
-        return (
-            f"read back by code of its own, {self.measures} measures fall within {self.largest:.2g} px of where the "
-            "solution has them."
-        )
+        written = f"{len(self.files)} files for {self.target.value}"
+        if self.measures:
+            written += (
+                f"; read back by SPICE alone, {self.measures} measures fall within {self.largest:.2g} px of where the "
+                "solution has them"
+            )
+        return " ".join([f"{written}.", *(words for words, holds in beware.items() if holds)])
 
 
 def export_solution(
     path: str | Path, target: Target | str, out: str | Path, settings: ExportSettings | None = None
 ) -> Exported:
-    """Write a solution for another program, to a folder that appears whole or not at all, and read it back.
+    """Write a solution for another program, to a folder that appears whole or not at all.
 
-    The largest difference stands in the folder's export.json, and in the solution's own solution.json.
+    What was exported stands in the folder's export.json, and in the solution's own solution.json.
 
     Parameters
     ----------
@@ -106,34 +98,41 @@ def export_solution(
     ------
     InputError
         No solution there, or one of another version; settings that the target has no use for; what the product can't
-        hold, which is named; a folder that can't be written; a file that doesn't come back.
+        hold, which is named; a folder that can't be written; kernels that don't show a point, when they are verified.
 
     Examples
     --------
     >>> done = mgsgraph.export_solution("RESULT", "csm", "csm")
     >>> print(*done.files)
     SIM_A.adjusted_state.json SIM_A.json SIM_B.adjusted_state.json SIM_B.json
-    >>> done.largest < 1e-6  # pixels: read back and compared
-    True
     """
     path, out, settings = Path(path), Path(out), settings or ExportSettings()
     target = target_of(target)
-    _require_heeded(target, settings)
+    _require_supported(target, settings)
     _require_same_target(out, target)
     solution = read_solution(path)
     with fresh_folder(out, EXPORT) as aside, _called_as_asked(aside, out):
-        written, compare, notes = _WRITERS[target](solution, aside, settings, path)
-        differences = compare(solution, aside)
+        written, notes = _WRITERS[target](solution, aside, settings, path)
         names = tuple(sorted(file.relative_to(aside).as_posix() for file in written))
-        largest = float(differences.max()) if differences.size else np.nan
-        done = Exported(target, out, names, differences.size, largest, solution.converged, notes=notes)
-        if lost := np.count_nonzero(~np.isfinite(differences)):
-            raise InputError(
-                f"export to {target.value}", f"{lost} measures don't come back",
-                "all of them", "this is a fault of mgsgraph: report it",
-            )
+        done = Exported(target, out, names, converged=solution.converged, notes=notes)
+        if settings.verify:
+            done = _verified(done, solution, aside)
         write_json(aside / EXPORT, _record(done, solution, settings))
     return done._replace(noted=_note(path, done))
+
+
+def _verified(done: Exported, solution: Solution, folder: Path) -> Exported:
+    """With what kernels say when SPICE alone reads them; InputError where they don't show a point."""
+    from mgsgraph.export.reprojection import reprojection
+    from mgsgraph.export.spice_back import spice_differences
+
+    differences = spice_differences(folder, reprojection(solution))
+    if lost := np.count_nonzero(~np.isfinite(differences)):
+        raise InputError(
+            f"export to {done.target.value}", f"{lost} measures don't come back",
+            "all of them", "this is a fault of mgsgraph: report it",
+        )
+    return done._replace(measures=differences.size, largest=float(differences.max()) if differences.size else np.nan)
 
 
 def _require_same_target(out: Path, target: Target) -> None:
@@ -167,63 +166,54 @@ def target_of(name: Target | str) -> Target:
     raise InputError("export, target", repr(name), ", ".join(target.value for target in Target))
 
 
-def _require_heeded(target: Target, settings: ExportSettings) -> None:
+def _require_supported(target: Target, settings: ExportSettings) -> None:
     """Raise InputError for a setting that would do nothing."""
-    for name, given, heeding in (
+    for name, given, targets in (
         ("scaled", settings.scaled, (Target.ISIS, Target.ASP)),
         ("raster", settings.raster, (Target.GIS,)),
         ("network", bool(settings.networks), (Target.ISIS,)),
+        ("verify", settings.verify, (Target.SPICE,)),
         ("case", settings.support is not None or bool(settings.files), (Target.CSM, Target.ASP)),
     ):
-        if given and target not in heeding:
-            expected = f"it with {' or '.join(one.value for one in heeding)} alone"
-            raise InputError(f"export to {target.value}, {name}", "nothing that heeds it", expected, "leave it out")
+        if given and target not in targets:
+            expected = f"it with {' or '.join(one.value for one in targets)} alone"
+            raise InputError(f"export to {target.value}, {name}", "an option that it ignores", expected, "leave it out")
 
 
-_Compare = Callable[[Solution, Path], Array]
-_Written = tuple[Sequence[Path], _Compare, tuple[str, ...]]
-"""Files, how to compare them, and what is to be said of them."""
+_Written = tuple[Sequence[Path], tuple[str, ...]]
+"""Files, and what is to be said of them."""
 
 
 def _spice(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.spice import write_spice
-    from mgsgraph.export.spice_back import spice_differences
 
-    return write_spice(solution, folder), lambda solution, folder: spice_differences(folder, reprojection(solution)), ()
+    return write_spice(solution, folder), ()
 
 
-def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path, support: bool = True) -> _Written:
+def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.csm import write_csm
-    from mgsgraph.export.csm_back import csm_differences
 
-    written = write_csm(solution, folder, settings.support, support, settings.files)
-    return written, lambda solution, folder: csm_differences(folder, reprojection(solution)), ()
+    return write_csm(solution, folder, settings.support, True, settings.files), ()
 
 
 def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
-    from mgsgraph.export.control_back import control_differences
     from mgsgraph.export.isis import write_isis
     from mgsgraph.export.network_content import Sources, source_networks
-    from mgsgraph.export.round_trip import measured_places
-
-    def compare(solution: Solution, folder: Path) -> Array:
-        found = control_differences(folder, measured_places(solution))
-        # that points are seen where they should be says nothing of the places that are written
-        return np.where(found.points <= _SAME, np.fmax(found.measured, found.predicted), np.inf)
 
     sources = Sources(None)
     if settings.networks or np.any(solution.network.points.classes == PointClass.TIE):
         sources = source_networks(path, settings.networks, solution.network.images[0].body)
     made = write_isis(solution, folder, settings.scaled, source=sources.network)
-    return made.paths, compare, (*made.notes, *sources.notes)
+    return made.paths, (*made.notes, *sources.notes)
 
 
 def _asp(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     """Matches and control points, and the cameras that go with them."""
     from mgsgraph.export.asp import write_asp
+    from mgsgraph.export.csm import write_csm
 
-    cameras, compare, _ = _csm(solution, folder, settings, path, support=False)
-    return [*cameras, *write_asp(solution, folder, settings.files, scaled=settings.scaled)], compare, ()
+    cameras = write_csm(solution, folder, settings.support, False, settings.files)
+    return [*cameras, *write_asp(solution, folder, settings.files, scaled=settings.scaled)], ()
 
 
 def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
@@ -231,8 +221,7 @@ def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
     from mgsgraph.analysis.posterior import Posterior
     from mgsgraph.export.gis import write_gis
 
-    grid = sigma_grid(Posterior.of(solution)) if settings.raster else None
-    return write_gis(solution, folder, grid), lambda solution, folder: np.zeros(0), ()
+    return write_gis(solution, folder, sigma_grid(Posterior.of(solution)) if settings.raster else None), ()
 
 
 _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written]] = {
@@ -252,13 +241,13 @@ def _record(done: Exported, solution: Solution, settings: ExportSettings) -> dic
 
 
 def _figures(done: Exported) -> dict[str, Any]:
-    largest = None if np.isnan(done.largest) else done.largest
-    return {"target": done.target.value, "measures": done.measures, "largest_difference_px": largest}
+    verified = {"measures": done.measures, "largest_difference_px": done.largest} if done.measures else {}
+    return {"target": done.target.value, **verified}
 
 
 def _note(path: Path, done: Exported) -> bool:
-    """Say in the solution's record what was exported last for each target, and how it came back; False where that is
-    damaged, absent (then the export alone says it) or not to be written.
+    """Say in the solution's record what was exported last for each target; False where that is damaged, absent (then
+    the export alone says it) or not to be written.
     """
     file = (path if path.is_dir() else path.parent) / RECORD
     try:

@@ -22,9 +22,8 @@ from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.export.round_trip import Reprojection, images_of, reprojection
-from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, adjusted_nodes
-from mgsgraph.export.spice_paths import Paths, united_paths
+from mgsgraph.export.reprojection import Reprojection, images_of, reprojection
+from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, Paths, adjusted_nodes, united_paths
 from mgsgraph.export.spice_texts import (
     CLOCK,
     META_KERNEL,

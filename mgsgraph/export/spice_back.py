@@ -4,17 +4,16 @@ Nothing is taken from the writer or from our geometry. The line is found by the 
 kernel says of detector, optics and line times (its comments have the formulas).
 """
 
-from collections.abc import Iterator
-from contextlib import chdir, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import spiceypy
-from spiceypy.utils.exceptions import NotFoundError, SpiceyError
+from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.errors import InputError
-from mgsgraph.export.round_trip import Reprojection, images_of
+from mgsgraph.export.reprojection import Reprojection, images_of
+from mgsgraph.files.spice.kernels import loaded, spice_words
 
 Numbers = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -26,7 +25,6 @@ _REST = 1e-5
 """lines, at which the secant method ends: attitudes are looked up to 3e-6 of LROC-NAC's, as exact as a time is."""
 _SEEN = 1e-3
 """px: nearer than this to the detector a point is seen there, not lost at an end of the lines covered."""
-_PAGE = 1000
 
 
 def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
@@ -50,54 +48,15 @@ def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
         When there is no meta-kernel, SPICE refuses a file, or an image has no camera constants.
     """
     meta, differences = folder / _META_KERNEL, np.full(len(wanted.image), np.inf)
-    if not meta.is_file():
-        raise InputError(str(meta), "no such file", "the meta-kernel of an export to SPICE")
-    try:
-        with _own_pool(), chdir(folder):
-            spiceypy.furnsh(_META_KERNEL)
-            cameras = _cameras()
-            for name, mine in images_of(wanted).items():
-                if name not in cameras:
-                    raise InputError(str(meta), f"no camera constants of the image {name}", "those of every image")
-                with np.errstate(all="ignore"):  # far outside the image the polynomials of the optics overflow
-                    place = _seen(cameras[name], wanted.points[mine])
-                differences[mine] = np.linalg.norm(place - wanted.places[mine], axis=1)
-    except SpiceyError as error:
-        raise InputError(str(meta), f"SPICE says: {' '.join(str(error).split())[:300]}") from None
+    with loaded([meta], folder), spice_words(str(meta)):
+        cameras = _cameras()
+        for name, mine in images_of(wanted).items():
+            if name not in cameras:
+                raise InputError(str(meta), f"no camera constants of the image {name}", "those of every image")
+            with np.errstate(all="ignore"):  # far outside the image the polynomials of the optics overflow
+                place = _seen(cameras[name], wanted.points[mine])
+            differences[mine] = np.linalg.norm(place - wanted.places[mine], axis=1)
     return np.where(np.isnan(differences), np.inf, differences)
-
-
-@contextmanager
-def _own_pool() -> Iterator[None]:
-    """An empty kernel pool, and afterwards again the files and variables that were there."""
-    files = [spiceypy.kdata(k, "ALL", 1024, 32, 1024) for k in range(spiceypy.ktotal("ALL"))]
-    own = [name for name, _, source, *_ in files if not source]
-    before = _variables()
-    spiceypy.kclear()
-    try:
-        yield
-    finally:
-        spiceypy.kclear()
-        for name in own:
-            spiceypy.furnsh(name)
-        now = _variables()
-        for name in now.keys() - before.keys():
-            spiceypy.dvpool(name)
-        for name, values in before.items():
-            if now.get(name) != values:
-                (spiceypy.pcpool if isinstance(values[0], str) else spiceypy.pdpool)(name, values)
-
-
-def _variables() -> dict[str, list[Any]]:
-    names: list[str] = []
-    try:
-        while len(page := spiceypy.gnpool("*", len(names), _PAGE, 33)):
-            names += page
-            if len(page) < _PAGE:
-                break
-    except NotFoundError:
-        pass
-    return {name: _variable(name) for name in names}
 
 
 def _variable(name: str) -> list[Any]:

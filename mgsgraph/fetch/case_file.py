@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.grids import Grid, topography
-from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, ImageNeeds, kernel_path, kernels_of
+from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, Grid, ImageNeeds, kernel_path, kernels_of, topography
 from mgsgraph.files.opening import number_of, read_text
 from mgsgraph.text import some
 

@@ -3,9 +3,12 @@
 What is done of a fault: a cut connection, a stalled one, too few bytes, 429 and 5xx are tried again with growing waits,
 from the byte where it broke off; any byte more begins the count of tries anew. Content that has changed meanwhile, or a
 server that ignores Range, means to begin anew. All else (404, an endless redirect, a certificate) is an error at once.
+Redirects lead to http and https, not from https to http, nor from the world into a private network.
 """
 
+import ipaddress
 import re
+import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -15,10 +18,11 @@ from email.utils import parsedate_to_datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
+from urllib.parse import urljoin, urlsplit
 
 from mgsgraph.errors import InputError, printable
+from mgsgraph.fetch.archives import require_address
 from mgsgraph.fetch.part import PartialFile, RemoteSource
-from mgsgraph.fetch.redirects import REDIRECTS, led_to
 from mgsgraph.files.opening import ANY_SIZE
 
 if TYPE_CHECKING:
@@ -396,3 +400,37 @@ def _words(error: Exception) -> str:
         reason = deeper
     text = getattr(reason, "strerror", None) or str(reason)
     return " ".join(str(text).rpartition(": ")[2].split())[:120]
+
+
+REDIRECTS = 10
+"""Followed at the most."""
+
+
+def led_to(url: str, address: str, location: str) -> str:
+    """The address that a redirect of another one leads to; `url` is what was asked for.
+
+    Raises
+    ------
+    InputError
+        None of http or https; from https to http; from the world into this machine or its private network.
+    """
+    try:
+        to = urljoin(address, location)
+        parts, before = urlsplit(to), urlsplit(address)
+    except ValueError:
+        raise InputError(url, f"redirected to {location!r}", "an address", _ELSEWHERE) from None
+    require_address(to.partition("?")[0].partition("#")[0], f"{url}, redirected")
+    if before.scheme == "https" and parts.scheme != "https":
+        raise InputError(url, f"redirected to {to}, which is not encrypted", "https", _ELSEWHERE)
+    if parts.hostname != before.hostname and _is_inner(parts.hostname) and not _is_inner(before.hostname):
+        raise InputError(url, f"redirected into a private network, to {parts.hostname}", "a public host", _ELSEWHERE)
+    return to
+
+
+def _is_inner(host: str | None) -> bool:
+    """Whether any of a host's addresses is one of this machine or of a private network, as far as it is known."""
+    try:
+        found = socket.getaddrinfo(host, None)
+    except (OSError, ValueError):  # unknown, or known to a proxy alone
+        return False
+    return any(not ipaddress.ip_address(str(one[4][0]).partition("%")[0]).is_global for one in found)

@@ -21,9 +21,18 @@ from mgsgraph.fetch.case_file import (
     meta_kernel_path,
 )
 from mgsgraph.fetch.download import Remote, RetryPolicy
-from mgsgraph.fetch.grids import grid_of, terrain_of, wanted_grids
 from mgsgraph.fetch.lock import FOLDERS, LOCK, Lock
-from mgsgraph.fetch.needs import ImageNeeds, Product, WantedFile, products_of, require_one_mission, wanted_files
+from mgsgraph.fetch.needs import (
+    ImageNeeds,
+    Product,
+    WantedFile,
+    grid_of,
+    products_of,
+    require_one_mission,
+    terrain_of,
+    wanted_files,
+    wanted_grids,
+)
 from mgsgraph.fetch.search import Search
 from mgsgraph.fetch.store import DownloadFolder, Progress
 from mgsgraph.fetch.volumes import volumes_of

@@ -1,16 +1,97 @@
-"""Ids of MOC images; what an image needs, by paths in the archives' layout; where each file goes in a folder."""
+"""Ids of images; what an image needs, by paths in the archives' layout; where each file goes in a folder; MOLA's grids.
+
+Cameras other than MOC: volumes and file names of the PDS archives as ISIS, Ames Stereo Pipeline and USGS list them
+(mrox_NNNN, LROLRC_NNNN, mexhrs_NNNN); product types of the Orbital Data Explorer (ODE) REST service as its query `iipt`
+names them (MRO CTX EDR; LRO LROC EDRNAC4, by the id nac.PRODUCT); NAIF's PDS archives, whose meta-kernels for a year
+(mro_2009_v14.tm, lro_2024_v02.tm) list all kernels below data/.
+"""
 
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast, get_args
 
+from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
-from mgsgraph.fetch.cameras import CAMERAS, ArchivedCamera, CameraProduct
 from mgsgraph.record import Record
+
+
+@dataclass(frozen=True, slots=True)
+class ArchivedCamera:
+    """One camera's archive."""
+
+    name: str
+    """In messages."""
+    pattern: re.Pattern[str]
+    """Ids, whole and in capitals."""
+    example: str
+    """An id."""
+    instrument: str
+    """INSTRUMENT_ID of its labels."""
+    images: str
+    """Field of `Archives` below which its files are."""
+    file: str
+    """Regular expression of a file's path there; `{}` stands for the id."""
+    query: str
+    """Of ODE, for one product, after the address; `{}` stands for the id. Empty: volumes are looked through."""
+    kernels: str
+    """Field of `Archives` with its kernels."""
+    meta_kernel: str
+    """Regular expression of the names of meta-kernels; `{}` stands for the year."""
+    attitude: re.Pattern[str]
+    """Names of the CKs that its pointing needs, among those of antennas, arrays and other instruments."""
+    altimetry: str
+    """Query of ODE for shots over a box: that altimeter's data set on the body."""
+    addendum: str = ""
+    """ISIS's addendum to the instrument kernel, below its data, where that kernel lacks what the camera needs."""
+    moon: bool = False
+    """Whether it flies about the Moon, of which no terrain is fetched."""
+
+
+CTX = ArchivedCamera(
+    "CTX", re.compile(r"[A-Z]\d{2}_\d{6}_\d{4}_X[A-Z]_\d{2}[NS]\d{3}W"), "B10_013341_1010_XN_79S172W", "CTX", "ctx",
+    r"mrox_\d{{4}}/data/{}\.IMG",
+    "live2/?query=product&results=m&output=JSON&target=mars&ihid=MRO&iid=CTX&pt=EDR&pdsid={}",
+    "mro_kernels", r"mro_{}_v\d\d\.tm", re.compile(r"mro_sc_"), "molapedr",
+    "mro/kernels/iak/mroctxAddendum005.ti",
+)  # fmt: skip
+LROC_NAC = ArchivedCamera(
+    "LROC NAC", re.compile(r"M\d{9,10}[LR]E"), "M103595705LE", "LROC", "lroc",
+    r"LROLRC_\d{{4}}[A-Z]?/DATA/\w+/\d{{7}}/NAC/{}\.IMG",
+    "live2/?query=product&results=m&output=JSON&target=moon&ihid=LRO&iid=LROC&pt=EDRNAC4&pdsid=nac.{}",
+    "lro_kernels", r"lro_{}_v\d\d\.tm", re.compile(r"(lrosc|lrolc|moc42)"), "lolardr",
+    "lro/kernels/iak/lro_instrumentAddendum_v04.ti", True,
+)  # fmt: skip
+HRSC = ArchivedCamera(
+    "HRSC", re.compile(r"H[0-9A-Z]\d{3}_\d{4}_([A-Z]{2}\d?|[A-Z]\d\d)"), "h5270_0000_ir2", "HRSC", "hrsc",
+    r"mexhrs_\d{{4}}/data/\w+/{}\.img", "", "mex_kernels", r"mex_(?:{}_)?v\d\d\.tm",
+    re.compile(r"atnm_measured", re.IGNORECASE), "molapedr", "mex/kernels/iak/hrscAddendum004.ti",
+)  # fmt: skip
+CAMERAS = (CTX, LROC_NAC, HRSC)
+"""All of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraProduct:
+    """One image's id, and whose it is."""
+
+    camera: ArchivedCamera
+    """Its camera."""
+    name: str
+    """In capitals; also what cases call the image."""
+
+    def __str__(self) -> str:
+        return self.name
+
+    @classmethod
+    def read(cls, text: str) -> "CameraProduct | None":
+        """From an id in capitals or not, with or without ending; None where it is none of these cameras'."""
+        name = re.sub(r"\.(img|imq|lbl|xml|cub)$", "", text.strip(), flags=re.IGNORECASE).upper()
+        return next((cls(camera, name) for camera in CAMERAS if camera.pattern.fullmatch(name)), None)
+
 
 _ID = re.compile(r"([a-z][a-z0-9]{2})[/_-]?(\d{5})(\.(imq|img|cub|lbl))?", re.IGNORECASE)
 _MAPPING = re.compile(r"M[01]\d|M2[0-3]|[ERS](0[1-9]|1\d|2[0-3])")
@@ -201,3 +282,72 @@ def wanted_files(needs: Iterable[ImageNeeds], archives: Archives) -> tuple[Wante
     found += [WantedFile(archives.pedr + image.pedr, image.pedr_path) for image in needs if image.pedr]
     found += [WantedFile(archives.ode + image.shots, image.shots_path) for image in needs if image.shots]
     return tuple(dict.fromkeys(found))
+
+
+class Grid(NamedTuple):
+    """How a grid lies in the archive, and how well it knows the ground between its posts."""
+
+    stems: tuple[str, ...]
+    """Paths below the archive of the radii, without ending; the topography has a t in place of the r."""
+    sigma: float
+    """m, of its heights as a surface."""
+
+
+_WHOLE = {"4": "meg004/megr90n000cb", "16": "meg016/megr90n000eb"}
+_TILE = 44, 90
+"""deg of latitude and longitude of a tile of 128 pixels per degree; none reach beyond 88 deg."""
+_EDGE = 0.1
+"""deg around an image's ground that has to be on the tiles, too."""
+
+
+def terrain_of(text: str) -> MegdrResolution:
+    """A choice by its name; InputError for any other."""
+    for known in get_args(MegdrResolution):
+        if text == known:
+            return cast(MegdrResolution, known)
+    raise InputError("terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
+
+
+def grid_of(terrain: MegdrResolution, places: Iterable[tuple[float, float]] = ()) -> Grid:
+    """The grid of a resolution.
+
+    Parameters
+    ----------
+    terrain : str
+        Not "none".
+    places : iterable of (float, float)
+        deg, longitude east and planetocentric latitude of the images' ground, for tiles.
+
+    Raises
+    ------
+    InputError
+        Ground beyond 88 deg of latitude, which no tile has.
+    """
+    if terrain in _WHOLE:
+        return Grid((_WHOLE[terrain],), MEGDR_SIGMAS[terrain])
+    around = [(lon + a, lat + b) for lon, lat in places for a in (-_EDGE, _EDGE) for b in (-_EDGE, _EDGE)]
+    return Grid(tuple(sorted({_tile(*place) for place in around})), MEGDR_SIGMAS[terrain])
+
+
+def _tile(longitude: float, latitude: float) -> str:
+    """Radii of the tile that a place (deg) is on."""
+    rows, columns = _TILE
+    if abs(latitude) >= 2 * rows:
+        raise InputError("terrain", f"ground at latitude {latitude:.1f} deg", "tiles end at 88 deg", "--terrain 16")
+    top = rows * int(latitude // rows + 1)
+    return f"meg128/megr{abs(top):02d}{'n' if top >= 0 else 's'}{int(longitude % 360.0 // columns) * columns:03d}hb"
+
+
+def topography(stem: str) -> str:
+    """Heights above the areoid that belong to a file of radii."""
+    return stem.replace("megr", "megt")
+
+
+def wanted_grids(grid: Grid, archives: Archives) -> tuple[WantedFile, ...]:
+    """Files of a grid with their labels."""
+    return tuple(
+        WantedFile(f"{archives.megdr}{name}{suffix}", f"megdr/{name.partition('/')[2]}{suffix}")
+        for stem in grid.stems
+        for name in (stem, topography(stem))
+        for suffix in (".lbl", ".img")
+    )

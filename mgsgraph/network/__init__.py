@@ -1,4 +1,4 @@
-"""The network of an adjustment, its parts, and how its images hang together."""
+"""The network of an adjustment, its parts, and how its images are connected."""
 
 from mgsgraph.network.network import Network as Network
 from mgsgraph.network.node_priors import JointNodePrior as JointNodePrior

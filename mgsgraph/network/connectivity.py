@@ -1,4 +1,4 @@
-"""How the images of a network hang together: by common points, by overlapping footprints, and where that is weak."""
+"""How the images of a network are connected: by common points, by overlapping footprints, and where that is weak."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Connectivity:
     gaps: Array
     """(p,) m between footprints that don't meet; zero where they do, NaN for an image that sees nothing of it."""
     islands: tuple[tuple[int, ...], ...]
-    """Images that hang together by common points, largest island first."""
+    """Images that are connected by common points, largest island first."""
     bridges: Mask
     """(p,) True for a pair whose common points alone join two parts of the block."""
     cut_images: Index
@@ -93,7 +93,7 @@ class Connectivity:
 
 
 def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask | None = None) -> Connectivity:
-    """How the images of a network hang together.
+    """How the images of a network are connected.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def common_points(network: Network, used: Mask | None = None) -> Index:
 
 
 def islands(network: Network, used: Mask | None = None) -> list[list[int]]:
-    """Groups of images that hang together by common points, largest first; more than one means a broken block."""
+    """Groups of images that are connected by common points, largest first; more than one means a broken block."""
     pairs = _common_by_class(network, used)[0]
     return [list(group) for group in groups(len(network.images), pairs[pairs[:, 0] < pairs[:, 1]])]
 

@@ -1,4 +1,4 @@
-"""How the images hang together, in words and as plain values: links, weakest ones, islands, overlaps without ties."""
+"""How the images are connected, in words and as plain values: links, weakest ones, islands, overlaps without ties."""
 
 from typing import Any
 
@@ -49,16 +49,16 @@ def connectivity_statements(connected: Connectivity) -> list[str]:
     """Sentences: how many links, the weakest one, islands, overlaps without ties, ties without overlap."""
     if len(connected.names) < 2:
         return []
-    return [*link_statement(connected), *_islands(connected), *connectivity_warnings(connected)]
+    return [*link_statement(connected), *connectivity_warnings(connected)]
 
 
 def connectivity_warnings(connected: Connectivity) -> list[str]:
-    """Sentences about pairs of images whose points and footprints disagree."""
-    return [*_untied(connected), *_apart(connected)]
+    """Sentences about islands, and pairs of images whose points and footprints disagree."""
+    return [*_islands(connected), *_untied(connected), *_apart(connected)]
 
 
 def weakest_joints(connected: Connectivity) -> list[str]:
-    """The weakest joints: two parts of the block that have no stronger link, one phrase each."""
+    """The weakest links: two parts of the block that have no stronger one, one phrase each."""
     return [_weak(connected, row) for row in connected.spine[:WEAKEST].tolist()]
 
 
@@ -70,21 +70,21 @@ def link_statement(connected: Connectivity) -> list[str]:
     if links.size == 1:
         row = int(links[0])
         return [f"{_both(connected, row)} have {many(int(points[row]), 'point')} in common{_overlap(connected, row)}."]
-    whole, part = ("All", "they are") if len(connected.islands) == 1 else ("The", "an island is")
+    whole = "the block" if len(connected.islands) == 1 else "an island"
     row = int(connected.spine[0])
     return [
-        f"{whole} {len(connected.names)} images hang together by {links.size} links of {points[links].min()} to "
-        f"{points[links].max()} common points (median {np.median(points[links]):.0f}). However {part} parted in two, a "
-        f"link of {points[row]} points or more joins the parts; the weakest such joint is {_weak(connected, row)}."
+        f"{len(connected.names)} images are connected by {links.size} links of {points[links].min()} to "
+        f"{points[links].max()} common points (median {np.median(points[links]):.0f}). Every split of {whole} is "
+        f"bridged by at least {many(int(points[row]), 'point')}; weakest link: {_weak(connected, row)}."
     ]
 
 
 def _weak(connected: Connectivity, row: int) -> str:
-    text = f"{_both(connected, row)} by {many(int(connected.points[row]), 'point')}"
+    text = f"{_both(connected, row)}, {many(int(connected.points[row]), 'point')}"
     lost = connected.cut_off(row)
     if not lost or len(connected.names) == 2:
         return text
-    return f"{text}, which alone join {_those(connected, lost)} to the rest"
+    return f"{text}, the only link of {_those(connected, lost)} to the rest"
 
 
 def _those(connected: Connectivity, images: tuple[int, ...]) -> str:
@@ -105,8 +105,8 @@ def _islands(connected: Connectivity) -> list[str]:
         return []
     parts = [some([connected.names[j] for j in island[:NAMED]], len(island)) for island in connected.islands[:NAMED]]
     return [
-        f"The block falls into {len(connected.islands)} parts without common points, each on the ground by itself: "
-        f"{some([f'({part})' for part in parts], len(connected.islands))}. Tie points between them would join them."
+        f"The block is split into {len(connected.islands)} parts without common points: "
+        f"{some([f'({part})' for part in parts], len(connected.islands))}. Measure tie points between them."
     ]
 
 
@@ -118,7 +118,7 @@ def _untied(connected: Connectivity) -> list[str]:
     verb = "overlaps" if rows.size == 1 else "overlap"
     return [
         f"{many(rows.size, 'pair')} of images {verb} without any common point: {_more('; '.join(named), rows.size)}. "
-        "Ties could be measured there."
+        "Measure ties there."
     ]
 
 
@@ -133,8 +133,8 @@ def _apart(connected: Connectivity) -> list[str]:
     ]
     verb = "has" if rows.size == 1 else "have"
     return [
-        f"{many(rows.size, 'pair')} of images {verb} common points though the footprints don't meet: "
-        f"{_more('; '.join(named), rows.size)}. Look for blunders in these points, or in the orientation."
+        f"{many(rows.size, 'pair')} of images {verb} common points, but separate footprints: "
+        f"{_more('; '.join(named), rows.size)}. Check these points and the orientation."
     ]
 
 

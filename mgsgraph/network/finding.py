@@ -20,7 +20,7 @@ def found_passes(images: Sequence[PushbroomImage]) -> list[list[int]]:
 
     Two images are of one pass if they show the same body, and either have a time in common at which they are at the
     same place, mounted against each other without change (`mountings`), or are of one camera, at most `LONGEST_PAUSE`
-    apart and flown in the same plane. All that hang together so are a pass; one that hangs with no other is its own.
+    apart and flown in the same plane. All that are connected so are a pass; one that hangs with no other is its own.
     """
     order = sorted(range(len(images)), key=lambda j: seconds(images[j]))
     passes = list[list[int]]()
@@ -34,7 +34,7 @@ def found_passes(images: Sequence[PushbroomImage]) -> list[list[int]]:
 
 
 def _together(one: PushbroomImage, other: PushbroomImage) -> bool:
-    """Whether two images hang together, as `found_passes` has it."""
+    """Whether two images are connected, as `found_passes` has it."""
     if one.body != other.body:
         return False
     (start, stop), (its_start, its_stop) = seconds(one), seconds(other)

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.incremental.shared import shared_of
 from mgsgraph.adjustment.incremental.trajectories import with_expected
 from mgsgraph.adjustment.marginals import carried
-from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.rounds import Selection, determined_points, everything, without_weak
 from mgsgraph.adjustment.settings import SolverSettings

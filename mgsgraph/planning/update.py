@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER
 from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expected
-from mgsgraph.adjustment.incremental.tree import TOGETHER
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network

@@ -2,8 +2,7 @@
 
 It is the CRC-32 of all bytes of the file but those by which a commit counts itself and what is on free pages (which
 nobody reads, and no journal restores). It stands in the field of the header that SQLite leaves to its users
-(`PRAGMA user_version`). 0 is no checksum: the file is of an older format, or whoever wrote it was killed after its
-change and before the checksum.
+(`PRAGMA user_version`). 0 is no checksum: whoever wrote the file was killed after its change and before the checksum.
 """
 
 import os

@@ -18,8 +18,7 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import read_json, understood
 from mgsgraph.files.writing import write_file
 from mgsgraph.project.checksum import checksum, held_open, note, noted, sign
-from mgsgraph.project.migration import LAST_WITH_ROWS, pack_rows
-from mgsgraph.project.schema import APPLICATION, FORMAT, MIGRATIONS, TABLES
+from mgsgraph.project.schema import APPLICATION, FORMAT, TABLES
 
 FILE = "project.sqlite"
 """Name of the file in a project's folder."""
@@ -29,6 +28,7 @@ _READ_TIMEOUT, _COMMIT_TIMEOUT = 5_000, 60_000
 """ms that a reader waits for a commit, and a commit for readers."""
 A_PROJECT = "a project as mgsgraph writes it"
 ELSEWHERE = "take a copy of the project's folder back; the results in its folder solutions are files of their own"
+OLDER = "read it with mgsgraph 0.2.0, or build it anew from its case: mgsgraph init"
 _Kind = TypeVar("_Kind")
 _FORMAT_NUMBER = re.compile(r"[1-9][0-9]{0,5}")
 
@@ -44,31 +44,29 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
     folder : Path
         The project.
     write : bool
-        Lock it for changes, at once or not at all; an older format becomes this one. Readers go on meanwhile, and see
-        what was there before.
+        Lock it for changes, at once or not at all. Readers go on meanwhile, and see what was there before.
     thorough : bool
         Look through all pages of the file for damage first.
 
     Raises
     ------
     InputError
-        No project there, a damaged one, one of a newer format; one that another process is changing; a disk that is
+        No project there, a damaged one, one of another format; one that another process is changing; a disk that is
         full or can't be written.
     """
     path = _existing(folder)
     with _refused(folder, sqlite3.Error), _readable(path, folder) as file:
         with _refused(folder, UnicodeError):  # from the names in a damaged schema, which SQLite quotes
             if not write:
-                _bring_up_to_date(path, folder)
+                _recover(path, folder)
             connection = _opened(path, write, folder)
         try:
             with _refused(folder, UnicodeError):
-                version = _format(connection, folder)
+                _require_format(connection, folder)
                 _require_sound(connection, file, folder, thorough)
                 if write:
                     # a read-only file lets even a transaction for writing begin, and complains at its first change
                     note(connection, 0)
-                    _migrate(connection, version)
             if write:
                 _say_who(folder)
             yield connection
@@ -221,8 +219,8 @@ def _set_up(connection: sqlite3.Connection, write: bool) -> None:
         connection.execute("PRAGMA cache_spill = OFF")  # pages written before the commit would lock readers out
 
 
-def _bring_up_to_date(path: Path, folder: Path) -> None:
-    """What a reader can't do itself: play back the journal of a process that was killed, and migrate."""
+def _recover(path: Path, folder: Path) -> None:
+    """What a reader can't do itself: play back the journal of a process that was killed, and write its checksum."""
     try:
         reader = _opened(path, False, folder)
     except sqlite3.Error as error:
@@ -232,45 +230,33 @@ def _bring_up_to_date(path: Path, folder: Path) -> None:
             player.execute("SELECT 1 FROM sqlite_master")
         return
     try:
-        older, unsigned = _format(reader, folder) < FORMAT, not noted(reader)
+        _require_format(reader, folder)
+        unsigned = not noted(reader)
     finally:
         reader.close()
-    if older:
-        with connected(folder, write=True):
-            pass
-    elif unsigned:
+    if unsigned:
         with suppress(InputError), connected(folder, write=True):  # it can be read all the same
             pass
 
 
-def _format(connection: sqlite3.Connection, folder: Path) -> int:
-    """Number of the file's format, which is this one or an older one that can be migrated."""
+def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
+    """Raise InputError unless the file is a project of this format."""
     where = str(folder / FILE)
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
         raise InputError(where, "is an SQLite file of another program", remedy="give the folder of a project")
     found = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
     text = str(found[0]) if found else ""
-    version = int(text) if _FORMAT_NUMBER.fullmatch(text) else 0
-    if version < min(MIGRATIONS):
-        raise InputError(where, f"no known format ({text})", f"1 to {FORMAT}", ELSEWHERE)
-    if version > FORMAT:
+    if not _FORMAT_NUMBER.fullmatch(text):
+        raise InputError(where, f"no known format ({text})", f"format {FORMAT}", ELSEWHERE)
+    if int(text) < FORMAT:
+        raise InputError(where, f"a project of format {text}", f"format {FORMAT}", OLDER)
+    if int(text) > FORMAT:
         made_by = connection.execute("SELECT value FROM meta WHERE key = 'version'").fetchone()
         by = f"mgsgraph {made_by[0]}" if made_by else "mgsgraph"
         raise InputError(
-            where, f"written by a newer version of the program ({by}, format {version})", f"format {FORMAT} or older",
+            where, f"written by a newer version of the program ({by}, format {text})", f"format {FORMAT}",
             "install that version, or a newer one",
         )  # fmt: skip
-    return version
-
-
-def _migrate(connection: sqlite3.Connection, version: int) -> None:
-    for step in range(version, FORMAT):
-        for statement in MIGRATIONS[step]:
-            connection.execute(statement)
-        if step == LAST_WITH_ROWS:
-            pack_rows(connection)
-    if version < FORMAT:
-        connection.execute("UPDATE meta SET value = ? WHERE key = 'format'", (str(FORMAT),))
 
 
 def _require_sound(connection: sqlite3.Connection, file: BinaryIO, folder: Path, thorough: bool) -> None:

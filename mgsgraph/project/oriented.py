@@ -9,9 +9,12 @@ from mgsgraph.analysis.places import View
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.passes import members
-from mgsgraph.case.schema import CaseInput
+from mgsgraph.case.reading import terrain_shots
+from mgsgraph.case.schema import CaseInput, TerrainInput
+from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.footprints import Corrections
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.reading import results_of
@@ -81,3 +84,37 @@ def _number(names: Sequence[str], image: str, path: Path) -> int:
     near = [names[k] for k in found] or get_close_matches(image, names, n=3, cutoff=0.3) or names
     what = f"{len(found)} images that {image!r} may be" if found else f"no image {image!r}"
     raise InputError(str(path), what, f"one of its images: {', '.join(near[:4])}")
+
+
+def open_view(
+    path: Path, image: str, terrain: Path | bool = True, reference_radius: float | None = None
+) -> tuple[View, TerrainGrid | None, str]:
+    """An image by its name, or by a part of its name that no other has, the ground that it is to be projected onto
+    (None for the ellipsoid), and what is to be said of it.
+
+    Parameters
+    ----------
+    path : Path
+        Case file, folder of results (or their archive), or project.
+    image : str
+        Its name.
+    terrain : Path or bool
+        A terrain model's file; True: that of the case or the results, if they have one; False: none.
+    reference_radius : float, optional
+        m, above which the heights of that file are.
+
+    Raises
+    ------
+    InputError
+        An image that isn't there; what `read_case` and `read_solution` refuse.
+    """
+    seen = oriented_images(path, (image,))
+    (view,) = seen.views
+    entries = seen.case.terrain_models[:1] if terrain is True and seen.case is not None else ()
+    if isinstance(terrain, Path):
+        entries = (TerrainInput(radius=str(Path.cwd() / terrain), reference_radius_m=reference_radius),)
+        path = terrain
+    for entry in entries:
+        return view, as_grid(read_terrain_model(entry, path, seen.images, terrain_shots(entry))[0]), seen.warning
+    surface = view.solution.network.surface if terrain is True and view.solution is not None else None
+    return view, None if surface is None else surface.grid, seen.warning

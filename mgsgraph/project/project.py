@@ -14,20 +14,53 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.atomic_write import made_beside, resolved
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import sha256_of, understood
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.duplicate_images import ImageTimes
 from mgsgraph.geometry.image import LineTiming
-from mgsgraph.project.adjustment_cache import KeptAdjustment
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.results.archive_arrays import unpack_parts
 
 if TYPE_CHECKING:
+    from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+    from mgsgraph.adjustment.incremental.state import StateStore
     from mgsgraph.adjustment.solution import Solution
+
+
+class KeptAdjustment:
+    """An adjustment with its tree, for as long as no other process changes the project."""
+
+    def __init__(self) -> None:
+        self._adjustment: IncrementalAdjustment | None = None
+        self._after: object = None
+
+    def resumed(self, after: object, settings: SolverSettings, store: "StateStore") -> "IncrementalAdjustment":
+        """The adjustment of a project whose last change, as its history has it, is `after`: the one that is kept, if it
+        has made that change itself and has the same settings, else one that begins with what the store holds.
+        """
+        from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+
+        kept = self._adjustment
+        if kept is not None and after is not None and after == self._after and kept.settings == settings:
+            kept.resume(store)
+        else:
+            kept = self._adjustment = IncrementalAdjustment(settings, store)
+        self._after = None  # until the change that comes is noted
+        return kept
+
+    def noted(self, change: object) -> None:
+        """What the adjustment holds is what the project is after a change, as its history has it."""
+        self._after = change
+
+    def forget(self) -> None:
+        """Begin anew the next time: a change was not carried out."""
+        self._adjustment = self._after = None
+
 
 SOLUTIONS = "solutions"
 """Folder of the results, one folder each, in a project's folder."""

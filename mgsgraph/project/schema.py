@@ -1,4 +1,4 @@
-"""Tables of a project's SQLite file, and how the tables of older formats become those of this one.
+"""Tables of a project's SQLite file.
 
 SQLite keeps the comments: `sqlite3 project.sqlite .schema` explains the file. SI units, body-fixed metres, times in
 seconds TDB past J2000. The user version is a checksum (`checksum.py`): whoever changes the file otherwise damages it.
@@ -11,109 +11,10 @@ all; NULL means zeros.
 """
 
 FORMAT = 8
-"""Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
+"""Number of the layout; raised with every change of a table."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
 
-_STEREO = (
-    """CREATE TABLE stereo_surface ( -- surfaces that two images show, averaged over a footprint
-    id INTEGER PRIMARY KEY,
-    sha256 TEXT NOT NULL UNIQUE, -- of the record and the images
-    first INTEGER NOT NULL REFERENCES image,
-    second INTEGER NOT NULL REFERENCES image,
-    record BLOB NOT NULL -- .npz: places in the second image of nodes in the first
-)""",
-)
-PACKED = (
-    """CREATE TABLE point_names ( -- names of the points of a bundle
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    text BLOB NOT NULL, -- UTF-8, one after another
-    ends BLOB NOT NULL -- int32 (n), byte of the text where each ends
-)""",
-    """CREATE TABLE point_columns ( -- points of a bundle, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    class BLOB, -- int8 (n), 0 tie, 1 laser, 2 control
-    kind BLOB, -- int8 (n), 0 free, 1 constrained, 2 fixed
-    profile BLOB, -- int32 (n), laser profile whose shift it shares; 0 for none
-    surface_sigma BLOB, -- float64 (n), m, of its height above the terrain model; Inf for none
-    place BLOB, -- float64 (n, 3), m, body-fixed, a-priori; NaN where unknown
-    covariance BLOB -- float64 (n, 3, 3), m^2, a-priori
-)""",
-    """CREATE TABLE adjusted_columns ( -- where they are after the adjustment
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL,
-    place BLOB, -- float64 (n, 3), m, body-fixed; NaN where undetermined or not adjusted yet
-    covariance BLOB -- float64 (n, 3, 3), m^2, for sigma0 = 1; NaN where the place is
-)""",
-    """CREATE TABLE ray_columns ( -- image coordinates of them, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    point BLOB, -- int32 (k), of the bundle, from 0 on
-    image BLOB, -- int32 (k), position in the bundle (bundle_image)
-    place BLOB, -- float64 (k, 2), line and sample in pixels, the first pixel's centre at (0.5, 0.5)
-    sigma BLOB, -- float64 (k, 2), pixels
-    back_projected BLOB, -- int8 (k), 1: a projection with the nominal orientation
-    rejected BLOB -- int8 (k), 1: a blunder to the last batch adjustment
-)""",
-    """CREATE TABLE range_columns ( -- laser ranges to them, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    point BLOB, -- int32 (r), of the bundle, from 0 on
-    image BLOB, -- int32 (r), position in the bundle of the image whose orientation carries it
-    time BLOB, -- float64 (r), s TDB past J2000
-    value BLOB, -- float64 (r), m, one-way
-    sigma BLOB, -- float64 (r), m
-    rejected BLOB -- int8 (r), 1: a blunder to the last batch adjustment
-)""",
-    """CREATE TABLE height_columns ( -- heights of them above stereo surfaces, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    point BLOB, -- int32 (h), of the bundle, from 0 on
-    surface BLOB, -- int32 (h), number of the stereo surface
-    sigma BLOB, -- float64 (h), m, of the height above it
-    rejected BLOB, -- int8 (h), 1: a blunder to the last batch adjustment
-    level BLOB -- int8 (h), 1: as if the ground were level, for its horizontal position isn't found
-)""",
-    """CREATE TABLE bundle_surface ( -- stereo surfaces that points of a bundle lie on
-    bundle INTEGER NOT NULL REFERENCES bundle,
-    surface INTEGER NOT NULL REFERENCES stereo_surface,
-    PRIMARY KEY (bundle, surface)
-) WITHOUT ROWID""",
-)
-"""Tables of packed columns."""
-_OF_FORMAT_3 = (
-    """CREATE TABLE stereo_height ( -- points that lie on them
-    point INTEGER PRIMARY KEY REFERENCES point,
-    surface INTEGER NOT NULL REFERENCES stereo_surface,
-    sigma NOT NULL,
-    rejected INTEGER NOT NULL DEFAULT 0,
-    level INTEGER NOT NULL DEFAULT 0
-)""",
-)
-_COMMON = (
-    """CREATE TABLE pass ( -- images on one trajectory
-    name TEXT PRIMARY KEY,
-    record BLOB NOT NULL -- .npz: names of images, times of the orientation images, prior, how cameras are mounted
-) WITHOUT ROWID""",
-    """CREATE TABLE shared_by_images ( -- unknowns that several images share
-    name TEXT PRIMARY KEY,
-    record BLOB NOT NULL -- .npz: kind, names of images, a-priori sigmas
-) WITHOUT ROWID""",
-)
-_EDITS = (
-    """CREATE TABLE edit ( -- measures and a-priori places that a person has changed, one point each
-    number INTEGER PRIMARY KEY AUTOINCREMENT,
-    change INTEGER NOT NULL REFERENCES change,
-    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove, undo
-    point TEXT NOT NULL,
-    before TEXT, -- JSON: kind, a-priori place, measures; NULL where there was no such point
-    after TEXT, -- the same afterwards
-    undoes INTEGER REFERENCES edit -- of kind undo
-)""",
-    "CREATE INDEX edit_of_point ON edit (point, number)",
-)
 TABLES = (
     """CREATE TABLE meta ( -- what this file is
     key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON), case (path),
@@ -182,8 +83,69 @@ TABLES = (
     PRIMARY KEY (image, bundle)
 ) WITHOUT ROWID""",
     "CREATE INDEX image_of_bundle ON bundle_image (bundle, position)",
-    *_STEREO,
-    *PACKED,
+    """CREATE TABLE stereo_surface ( -- surfaces that two images show, averaged over a footprint
+    id INTEGER PRIMARY KEY,
+    sha256 TEXT NOT NULL UNIQUE, -- of the record and the images
+    first INTEGER NOT NULL REFERENCES image,
+    second INTEGER NOT NULL REFERENCES image,
+    record BLOB NOT NULL -- .npz: places in the second image of nodes in the first
+)""",
+    """CREATE TABLE point_names ( -- names of the points of a bundle
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    text BLOB NOT NULL, -- UTF-8, one after another
+    ends BLOB NOT NULL -- int32 (n), byte of the text where each ends
+)""",
+    """CREATE TABLE point_columns ( -- points of a bundle, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    class BLOB, -- int8 (n), 0 tie, 1 laser, 2 control
+    kind BLOB, -- int8 (n), 0 free, 1 constrained, 2 fixed
+    profile BLOB, -- int32 (n), laser profile whose shift it shares; 0 for none
+    surface_sigma BLOB, -- float64 (n), m, of its height above the terrain model; Inf for none
+    place BLOB, -- float64 (n, 3), m, body-fixed, a-priori; NaN where unknown
+    covariance BLOB -- float64 (n, 3, 3), m^2, a-priori
+)""",
+    """CREATE TABLE adjusted_columns ( -- where they are after the adjustment
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL,
+    place BLOB, -- float64 (n, 3), m, body-fixed; NaN where undetermined or not adjusted yet
+    covariance BLOB -- float64 (n, 3, 3), m^2, for sigma0 = 1; NaN where the place is
+)""",
+    """CREATE TABLE ray_columns ( -- image coordinates of them, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    point BLOB, -- int32 (k), of the bundle, from 0 on
+    image BLOB, -- int32 (k), position in the bundle (bundle_image)
+    place BLOB, -- float64 (k, 2), line and sample in pixels, the first pixel's centre at (0.5, 0.5)
+    sigma BLOB, -- float64 (k, 2), pixels
+    back_projected BLOB, -- int8 (k), 1: a projection with the nominal orientation
+    rejected BLOB -- int8 (k), 1: a blunder to the last batch adjustment
+)""",
+    """CREATE TABLE range_columns ( -- laser ranges to them, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    point BLOB, -- int32 (r), of the bundle, from 0 on
+    image BLOB, -- int32 (r), position in the bundle of the image whose orientation carries it
+    time BLOB, -- float64 (r), s TDB past J2000
+    value BLOB, -- float64 (r), m, one-way
+    sigma BLOB, -- float64 (r), m
+    rejected BLOB -- int8 (r), 1: a blunder to the last batch adjustment
+)""",
+    """CREATE TABLE height_columns ( -- heights of them above stereo surfaces, packed
+    bundle INTEGER PRIMARY KEY REFERENCES bundle,
+    size INTEGER NOT NULL, -- how many
+    point BLOB, -- int32 (h), of the bundle, from 0 on
+    surface BLOB, -- int32 (h), number of the stereo surface
+    sigma BLOB, -- float64 (h), m, of the height above it
+    rejected BLOB, -- int8 (h), 1: a blunder to the last batch adjustment
+    level BLOB -- int8 (h), 1: as if the ground were level, for its horizontal position isn't found
+)""",
+    """CREATE TABLE bundle_surface ( -- stereo surfaces that points of a bundle lie on
+    bundle INTEGER NOT NULL REFERENCES bundle,
+    surface INTEGER NOT NULL REFERENCES stereo_surface,
+    PRIMARY KEY (bundle, surface)
+) WITHOUT ROWID""",
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
@@ -204,26 +166,23 @@ TABLES = (
     folder TEXT, -- of its products, in the project's folder
     kind TEXT NOT NULL DEFAULT 'batch' -- batch or incremental
 )""",
-    *_COMMON,
-    *_EDITS,
+    """CREATE TABLE pass ( -- images on one trajectory
+    name TEXT PRIMARY KEY,
+    record BLOB NOT NULL -- .npz: names of images, times of the orientation images, prior, how cameras are mounted
+) WITHOUT ROWID""",
+    """CREATE TABLE shared_by_images ( -- unknowns that several images share
+    name TEXT PRIMARY KEY,
+    record BLOB NOT NULL -- .npz: kind, names of images, a-priori sigmas
+) WITHOUT ROWID""",
+    """CREATE TABLE edit ( -- measures and a-priori places that a person has changed, one point each
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    change INTEGER NOT NULL REFERENCES change,
+    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove, undo
+    point TEXT NOT NULL,
+    before TEXT, -- JSON: kind, a-priori place, measures; NULL where there was no such point
+    after TEXT, -- the same afterwards
+    undoes INTEGER REFERENCES edit -- of kind undo
+)""",
+    "CREATE INDEX edit_of_point ON edit (point, number)",
 )
 """Statements that make an empty project."""
-
-MIGRATIONS: dict[int, tuple[str, ...]] = {
-    1: (
-        "ALTER TABLE solution ADD COLUMN kind TEXT NOT NULL DEFAULT 'batch'",  # a solution was always a batch
-        "ALTER TABLE ray ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",  # nothing was rejected
-        "ALTER TABLE range ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",
-    ),
-    2: (*_STEREO, *_OF_FORMAT_3),  # nothing lay on a stereo surface
-    3: (  # every unknown was estimated
-        "ALTER TABLE shared ADD COLUMN considered INTEGER NOT NULL DEFAULT 0",
-        "ALTER TABLE profile ADD COLUMN considered INTEGER NOT NULL DEFAULT 0",
-        "ALTER TABLE bundle ADD COLUMN terrain_considered INTEGER NOT NULL DEFAULT 0",
-    ),
-    4: (),  # had no checksum, which every change writes
-    5: _COMMON,  # every image had an orientation of its own, and nothing was shared
-    6: PACKED,  # points and their rows had a row each, which `migration.py` packs
-    7: _EDITS,  # nobody had changed a measure
-}
-"""Statements by which a format becomes the next one."""

@@ -18,7 +18,7 @@ _HISTORY = 10
 
 
 def status(project: Project) -> str:
-    """Images, points, measures, how they hang together, the last solution and the last changes; several lines."""
+    """Images, points, measures, how they are connected, the last solution and the last changes; several lines."""
     with understood(str(project.folder), A_PROJECT, ELSEWHERE):
         return "\n".join(_lines(project))
 
@@ -63,7 +63,7 @@ def _passes(project: Project) -> list[str]:
 
 
 def islands(names: list[str], bundles: list[tuple[str, int, int]]) -> list[list[str]]:
-    """Images that hang together by common points, largest island first; `bundles` as `Project.bundle_images`."""
+    """Images that are connected by common points, largest island first; `bundles` as `Project.bundle_images`."""
     number, of_bundle = {name: j for j, name in enumerate(names)}, defaultdict[int, list[int]](list)
     for name, bundle, _ in bundles:
         of_bundle[bundle].append(number[name])
@@ -81,7 +81,7 @@ def _connections(project: Project, names: list[str]) -> list[str]:
     lines = ["Connections"]
     if several:
         sizes = ", ".join(str(len(island)) for island in several)
-        word = "all hang together" if len(several) == 1 and not alone else f"{many(len(several), 'island')}"
+        word = "all connected" if len(several) == 1 and not alone else f"{many(len(several), 'island')}"
         lines.append(f"  images by common points: {word} ({sizes} images)")
     for island in several[1:]:
         lines.append(f"    apart from the largest: {some(island, len(island), _NAMED)}")

@@ -32,8 +32,7 @@ from mgsgraph.project.columns import (
     rays_of,
 )
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
-from mgsgraph.project.grids import StoredGrids
-from mgsgraph.project.stereo_rows import StoredStereo
+from mgsgraph.project.stored_records import StoredRecords, StoredStereo
 from mgsgraph.results.archive_arrays import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
@@ -67,7 +66,7 @@ class ProjectStore:
         self._connection, self._where = connection, where
         self._cells = Cells(connection)
         self._images = dict[str, KnownImage]()
-        self._grids = StoredGrids(connection, where)
+        self._grids = StoredRecords(connection, where, "terrain", TerrainGrid)
         self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
         self._stereo = StoredStereo(connection, where)
         self._definitions: Definitions | None = None
@@ -214,8 +213,8 @@ class ProjectStore:
             rays_of(self._cells, number, read.runs, places),
             ranges_of(self._cells, number, read.runs, places),
             self._shifts(read),
-            None if terrain is None else Surface(self._grids.grid(terrain), read.surface_sigmas, shift_sigma),
-            None if areoid is None else self._grids.grid(areoid),
+            None if terrain is None else Surface(self._grids.record(terrain), read.surface_sigmas, shift_sigma),
+            None if areoid is None else self._grids.record(areoid),
             stereo=self._stereo.control(number, read.runs, numbers, read.places),
         ).considering([*self._considered_profiles, *([TERRAIN] if stays else [])])
         network = with_definitions(network, self.definitions())
@@ -267,10 +266,10 @@ class ProjectStore:
             f"INSERT INTO bundle (members, {', '.join(_BUNDLE)}) VALUES ({', '.join('?' * (1 + len(_BUNDLE)))})",
             (
                 _text(members), number, len(network.points), network.rays.point.size, network.ranges.point.size,
-                None if surface is None else self._grids.number(surface.grid),
+                None if surface is None else self._grids.number(surface.grid, source=surface.grid.source),
                 None if surface is None else surface.shift_sigma,
                 int(TERRAIN in network.considered),
-                None if network.areoid is None else self._grids.number(network.areoid),
+                None if network.areoid is None else self._grids.number(network.areoid, source=network.areoid.source),
                 *_reduced_row(bundle.reduced),
             ),
         )  # fmt: skip
@@ -327,13 +326,13 @@ class ProjectStore:
         found = self._ask("SELECT DISTINCT terrain, terrain_shift_sigma FROM bundle WHERE terrain IS NOT NULL")
         if len(found) > 1:
             raise InputError(self._where, f"{len(found)} terrain models", "one for all points")
-        return (self._grids.grid(found[0][0]), found[0][1]) if found else None
+        return (self._grids.record(found[0][0]), found[0][1]) if found else None
 
     @property
     def areoid(self) -> TerrainGrid | None:
         """The areoid, where heights are to be above it."""
         found = self._ask("SELECT min(areoid) FROM bundle")
-        return None if found[0][0] is None else self._grids.grid(found[0][0])
+        return None if found[0][0] is None else self._grids.record(found[0][0])
 
     def with_known_grids(self, network: Network) -> Network:
         """The network with this store's terrain grids in place of equal ones: parts of one network share one grid."""

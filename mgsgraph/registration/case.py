@@ -1,5 +1,5 @@
 """Registration of a case: where its laser profiles fall in its images, by how much images contradict each other about
-them, before an adjustment and after it; and the same in words.
+them, before an adjustment and after it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,7 +23,7 @@ from mgsgraph.network.footprints import (
     discrepancy,
     footprints_in_images,
 )
-from mgsgraph.text import listed, many, root_mean_square
+from mgsgraph.text import listed, many
 
 _FEWEST_TIES = 3
 """Common tie points without which two images can't be compared."""
@@ -193,86 +193,8 @@ def _adjusted_places(name: str, shots: AltimeterShots, solution: Solution, rows:
     return solution.places[[rows[one] for one in wanted]]
 
 
-# --- words
-
-
-def registration_statements(registration: CaseRegistration) -> list[str]:
-    """Sentences with figures and units, for reports and the terminal."""
-    return [
-        *(_falls(profile) for profile in registration.before),
-        *(
-            _contradiction(profile.name, one, state)
-            for state, profiles in registration.states()
-            for profile in profiles
-            for one in profile.discrepancies
-        ),
-        *(_methods(state, profiles) for state, profiles in registration.states()),
-        *registration.warnings,
-    ]
-
-
-def _falls(profile: ProfileRegistration) -> str:
-    """How many shots fall in each image."""
-    found = profile.found
-    seeing = [
-        (int(inside.sum()), f"in {image.name}{' (taken at the same time)' if np.any(same) else ''}")
-        for image, inside, same in zip(found.images, found.inside, found.simultaneous, strict=True)
-        if np.any(inside | same)
-    ]
-    if not seeing:
-        return f"None of {many(found.shots.times.size, 'shot')} of {profile.name} falls in an image."
-    (first, place), *others = seeing
-    where = listed([f"{first} fall{'s' * (first == 1)} {place}", *(f"{count} {other}" for count, other in others)])
-    return f"Of {many(found.shots.times.size, 'shot')} of {profile.name}, {where}."
-
-
-def _contradiction(profile: str, one: Misregistration, state: str) -> str:
-    """Mean and rms of a discrepancy along and across the flight, in pixels, metres and spacings."""
-    if not one.shots.size:
-        return f"Discrepancy, {state} orientation, {profile}: no footprint falls in both {one.against} and {one.image}."
-    parts = []
-    for k, (way, pixel) in enumerate((("along", "lines"), ("across", "samples"))):
-        figures = [
-            f"{_short(values.mean(), '+')} (rms {_short(root_mean_square(values))}) {unit}"
-            for values, unit in (
-                (one.pixels[:, k], pixel), (one.metres[:, k], "m"), (one.spacings[:, k], "MOLA spacings")
-            )
-            if np.all(np.isfinite(values))
-        ]
-        metres = one.metres[:, k]
-        between = f", between {_short(metres.min(), '+')} and {_short(metres.max(), '+')} m" if metres.size > 1 else ""
-        parts.append(f"{way} the flight {' = '.join(figures)}{between}")
-    sigmas = one.metre_sigmas.mean(axis=0)
-    known = "how well that is known can't be told from so few tie points"
-    if np.all(np.isfinite(sigmas)):
-        known = f"a footprint's is known to {_short(sigmas[0])} and {_short(sigmas[1])} m"
-    return (
-        f"Discrepancy, {state} orientation: {one.image} against {one.against} at "
-        f"{many(one.shots.size, 'footprint')} of {profile}: {parts[0]}; {parts[1]}; {known}."
-    )
-
-
-def _methods(state: str, profiles: tuple[ProfileRegistration, ...]) -> str:
-    """The largest difference between Newton's method and the five steps."""
-    worst, where = np.zeros(2), ""
-    for profile in profiles:
-        for j, image in enumerate(profile.found.images):
-            here = five_steps_difference(profile.found, j)
-            if np.any(here > worst):
-                worst, where = np.maximum(worst, here), image.name
-    return (
-        f"Newton's method and the five steps with linear orientation differ by at most {worst[0]:.2g} lines and "
-        f"{worst[1]:.2g} samples ({state} orientation{f', {where}' if where else ''})."
-    )
-
-
 def five_steps_difference(found: Registration, image: int) -> Array:
     """(2,) largest difference in lines and samples between the two methods inside an image; zero when it sees none."""
     mine = found.inside[image]
     difference = np.abs(found.linear[image, mine] - found.places[image, mine])
     return np.asarray(np.nanmax(difference, axis=0)) if np.any(np.isfinite(difference)) else np.zeros(2)
-
-
-def _short(value: float, sign: str = "-") -> str:
-    """One decimal, two below 1."""
-    return f"{value:{sign}.{2 if abs(value) < 1.0 else 1}f}"

@@ -1,45 +1,35 @@
 """What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mgsgraph.analysis.components import Components, components_of, iterated_components
+from mgsgraph.analysis.likelihood import linearity_of
 from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.snooping import snoop
-from mgsgraph.analysis.suspects import suspects
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import write_json
-from mgsgraph.files.output.folders import ANALYSIS, PROGRAM, fresh_folder
+from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers
-from mgsgraph.results.answers import Answer, Questions, answered
+from mgsgraph.results.answers import Questions, answered
 from mgsgraph.results.likelihood import likelihood_section, linearity_section
-from mgsgraph.results.reliability import (
-    reliability_record,
-    reliability_table,
-    reliability_text,
-    snooping_record,
-    snooping_text,
-)
-from mgsgraph.results.sigmas import Section, curve_section, raster_section
-from mgsgraph.results.unexplained import unexplained_section
-from mgsgraph.results.vibrations import vibrations_section
+from mgsgraph.results.reliability import reliability_section, snooping_section
+from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.sigmas import curve_section, raster_section
+from mgsgraph.results.unexplained import unexplained_section, vibrations_section
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet
 
-_PROMISED = (
-    f"{'  (a normal law promises)':<28} {'':>9} {'':>8} {0:>6} {1:>6} {0:>6} {0:>6} "
-    + " ".join(f"{100.0 * share:>6.3g}" for share in PROMISED)
-)
+_EXPECTED = ", ".join(f"{100.0 * share:.3g}" for share in PROMISED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +81,9 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
     Raises InputError where something asked about isn't in the solution.
     """
     if wanted.questions:
-        yield _answers(list(answered(posterior, wanted.questions)))
+        found = list(answered(posterior, wanted.questions))
+        said = [sentence for one in found for sentence in one.sentences]
+        yield Section("answers", sentences=said, numbers=[one.numbers for one in found])
     for image in dict.fromkeys(wanted.curves):
         yield curve_section(posterior, image)
     if wanted.raster is not None:
@@ -101,13 +93,13 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield vibrations_section(posterior, name)
     if wanted.honesty:
         yield _honesty(posterior, name)
-        yield linearity_section(posterior)
+        yield linearity_section(linearity_of(posterior.linearised))
     if wanted.likelihood:
         yield likelihood_section(posterior, wanted.likelihood)
     if wanted.iterated:
         yield _iterated(posterior)
     if wanted.suspects:
-        yield _reliability(reliability(posterior.linearised, wanted.levels), wanted.suspects)
+        yield reliability_section(reliability(posterior.linearised, wanted.levels), wanted.suspects)
     if wanted.snooped:
         yield _snooped(posterior, wanted.levels)
     if wanted.weak:
@@ -124,38 +116,26 @@ def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures
     InputError
         If the folder holds anything else than an earlier analysis, or can't be written.
     """
-    with fresh_folder(folder, ANALYSIS) as aside:
-        record: dict[str, Any] = {"program": PROGRAM, "format": 1, "name": name}
-        names = [ANALYSIS]
-        for section in sections:
-            record.setdefault(section.key, []).append(section.record)
-            names += section.write(aside, figures)
-        write_json(aside / ANALYSIS, record)
-    return names
-
-
-def _answers(found: Sequence[Answer]) -> Section:
-    return Section("answers", "\n".join(one.text for one in found), [one.record for one in found])
+    record, sections = dict[str, Any](), list(sections)
+    for section in sections:
+        record.setdefault(section.name, []).append(section.numbers)
+    return write_sections(sections, {"format": 1, "name": name, **record}, folder, ANALYSIS, figures)
 
 
 def _honesty(posterior: Posterior, name: str) -> Section:
     at, fit = posterior.linearised, posterior.linearised.fit()
     if fit.degrees_of_freedom < 1:
         counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
-        text = f"No redundancy ({counts}): nothing tells whether the sigmas are honest."
-        return Section("honesty", text, {"degrees_of_freedom": fit.degrees_of_freedom})
-    test, components = chi_square_test(fit), components_of(at)
-    statistics = residual_statistics(at)
+        text = f"No redundancy ({counts}): nothing tells whether the sigmas are realistic."
+        return Section("honesty", sentences=[text], numbers={"degrees_of_freedom": fit.degrees_of_freedom})
+    test, components, statistics = chi_square_test(fit), components_of(at), residual_statistics(at)
+    residuals = residuals_table(statistics)
 
-    def sheet() -> "Sheet":
+    def sheets() -> "list[Sheet]":
         from mgsgraph.results.figures.quantiles import quantile_sheet
 
-        return quantile_sheet(statistics, name)
+        return [quantile_sheet(statistics, name)]
 
-    lines = [f"{test.sentence}.", "By what factor the sigmas of each group are wrong:", *components.sentences]
-    residuals = residuals_table(statistics)
-    head, *rows = residuals.text()
-    lines += [head, _PROMISED, *rows]
     record = {
         "global_test": {
             "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
@@ -164,66 +144,54 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         "components": _components_record(components),
         "residuals": residuals.records(),
     }  # fmt: skip
-    files = {"components.csv": components_table(components).write_csv}
-    return Section("honesty", "\n".join(lines), record, files, sheet)
+    return Section(
+        "honesty", "Stated sigmas against residuals", [f"{test.sentence}.", *components.sentences], [residuals],
+        record, [components_table(components)], sheets=sheets,
+    )  # fmt: skip
 
 
 def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
     """One row per group of normalised residuals: how they are distributed."""
     beyond, p = numbers(statistics, "beyond").reshape(-1, 3), numbers(statistics, "p_value")
-    odd = ["" if one.as_promised is not False else " not as promised" for one in statistics]
-    return Table("residuals", "Normalised residuals", (
-        Column("group", [one.name for one in statistics], label="Normalised residuals", text="<28"),
+    odd = ["" if one.as_promised is not False else " inconsistent" for one in statistics]
+    return Table("residuals", "Normalised residuals (of a normal law: mean 0, rms 1, skew 0, kurtosis 0)", (
+        Column("group", [one.name for one in statistics], text="<28"),
         Column("residuals", np.array([one.values.size for one in statistics]), label="number", text=">9"),
-        Column("independent", numbers(statistics, "effective"), meaning="residuals that they are worth", label="worth",
-               text=">8.4g"),
+        Column("independent", numbers(statistics, "effective"), meaning="residuals that they are worth", text=">11.4g"),
         Column("mean", numbers(statistics, "mean"), text=">6.2f"),
         Column("rms", numbers(statistics, "rms"), text=">6.2f"),
         Column("skewness", numbers(statistics, "skewness"), label="skew", text=">6.2f"),
         Column("excess_kurtosis", numbers(statistics, "kurtosis"), label="kurt.", text=">6.2f"),
-        Column("beyond_1_2_3_sigma", beyond),
-        *(Column(f"beyond_{k + 1}", beyond[:, k], "percent", label=f">{k + 1} %", text=">6.3g", files=False)
-          for k in range(3)),
-        Column("p", p, meaning="chance of no less odd ones"),
-        Column("chance", ["few" if not np.isfinite(one) else f"{one:.2g}" for one in p.tolist()], label="p", text=">8",
-               files=False),
+        Column("beyond_1_2_3_sigma", beyond, label=f"beyond 1, 2, 3 sigmas ({_EXPECTED} %)",
+               parts=("1", "2", "3"), text=">10.3f"),
+        Column("p", p, meaning="chance of no less odd ones", text=">8.2g"),
         Column("odd", odd, label="", text="<", files=False),
     ))  # fmt: skip
 
 
 def _components_record(found: Components) -> dict[str, Any]:
     return {
-        "exact": found.exact,
-        "groups": [
-            {
-                "group": one.name, "judgement": str(one.judgement), "rows": one.rows, "redundancy": one.redundancy,
-                "squares": one.squares, "factor": one.factor, "sigma_of_factor": one.sigma,
-                "estimator": "foerstner" if one.negative else "helmert",
-                "interval_99": one.interval(),
-            }
-            for one in found.groups
-        ],
+        "exact": found.exact, "groups": components_table(found).drop("foerstner").records(),
         "correlation_of_squared_factors": found.correlation,
     }  # fmt: skip
 
 
-def components_table(found: Components) -> Table:
+def components_table(found: Components, name: str = "components") -> Table:
     """One row per group of measures: by what factor its sigmas are wrong."""
-    groups = found.groups
-    interval = np.array([one.interval() for one in found.groups]).reshape(-1, 2)
-    return Table("components", "Variance components", (
-        Column("group", [one.name for one in found.groups], meaning="of measures with a sigma of their own"),
-        Column("judgement", [str(one.judgement) for one in found.groups], meaning="whether the data can tell"),
+    groups, interval = found.groups, np.array([one.interval() for one in found.groups]).reshape(-1, 2)
+    return Table(name, "Variance components", (
+        Column("group", [one.name for one in groups], meaning="of measures with a sigma of their own"),
+        Column("judgement", [str(one.judgement) for one in groups], meaning="whether the data can tell"),
         Column("rows", numbers(groups, "rows"), meaning="how many measures"),
         Column("redundancy", numbers(groups, "redundancy"), meaning="sum of their redundancy numbers"),
         Column("squares", numbers(groups, "squares"), meaning="sum of squares of the normalised residuals"),
         Column("factor", numbers(groups, "factor"), meaning="of the stated sigmas"),
-        Column("sigma", numbers(groups, "sigma"), meaning="of the factor"),
+        Column("sigma", numbers(groups, "sigma"), meaning="of the factor", json="sigma_of_factor"),
         Column("estimator", ["foerstner" if one.negative else "helmert" for one in groups],
                meaning="of the factor: foerstner where Helmert's equations give a negative square"),
         Column("foerstner", numbers(groups, "foerstner"), meaning="the factor, if all other groups' sigmas are right"),
-        Column("factor_low_99", interval[:, 0], meaning="lower end of the 99 % interval"),
-        Column("factor_high_99", interval[:, 1], meaning="upper end"),
+        Column("factor_{}_99", interval, meaning="ends of the 99 % interval", parts=("low", "high"),
+               json="interval_99"),
     ))  # fmt: skip
 
 
@@ -233,31 +201,25 @@ def _iterated(posterior: Posterior) -> Section:
         "converged": found.converged, "passes": len(found.history), **_components_record(found.components),
         "sigma0": found.solution.sigma0,
     }  # fmt: skip
-    files = {"components_iterated.csv": components_table(found.components).write_csv}
-    text = "\n".join(["Scaled and adjusted again, until all factors were one:", *found.sentences])
-    return Section("iterated", text, record, files)
-
-
-def _reliability(found: Reliability, most: int) -> Section:
-    worst, files = suspects(found, most), {"reliability.csv": reliability_table(found).write_csv}
-    return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), files)
+    return Section(
+        "iterated", "Scaled and adjusted again, until all factors were one", found.sentences, numbers=record,
+        csv=[components_table(found.components, "components_iterated")],
+    )  # fmt: skip
 
 
 def _snooped(posterior: Posterior, levels: Levels) -> Section:
     """Always by plain least squares, and beginning with all measures: that is what the tests presume."""
     settings = posterior.linearised.settings
-    found = snoop(posterior.network, settings, levels)
-    changed = settings.loss != "none" or settings.reject > 0.0
-    said = "By plain least squares, without the loss and the blunder limit of this solution:\n" if changed else ""
-    return Section("snooping", said + snooping_text(found), snooping_record(found))
+    found = snooping_section(snoop(posterior.network, settings, levels))
+    if settings.loss == "none" and settings.reject == 0.0:
+        return found
+    return replace(found, title="By plain least squares, without the loss and the blunder limit of this solution")
 
 
 def _weak(posterior: Posterior, count: int) -> Section:
     if posterior.linearised.joint.columns == 0:
-        return Section("weak", "All orientation was held: nothing of it is weak.", [])
+        return Section("weak", sentences=["All orientation was held: nothing of it is weak."], numbers=[])
     found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
-    lines = ["Of what least was learnt (sigma after over sigma before):"]
-    lines += [f"{one.ratio:8.3f}  {one.sentence}" for one in found]
     record = [
         {
             "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.sentence, "equals": one.equals,
@@ -271,15 +233,15 @@ def _weak(posterior: Posterior, count: int) -> Section:
         }
         for one in found
     ]  # fmt: skip
-    return Section("weak", "\n".join(lines), record)
+    title = "Least-constrained directions (posterior / prior sigma)"
+    return Section("weak", title, [f"{one.ratio:.3f}: {one.sentence}" for one in found], numbers=record)
 
 
 def _separability(posterior: Posterior) -> Section:
     """Mountings, attitude and position of passes that are not told apart."""
     linearised = posterior.linearised
     found = inseparable(posterior.network, linearised.joint, linearised.settings.angles)
-    lines = [one.sentence[0].upper() + one.sentence[1:] for one in found]
-    none = "Position and attitude of passes, and what their images share, are told apart (no correlation above 0.95)."
+    none = "Position and attitude of passes, and what their images share, are separable (no correlation above 0.95)."
     record = [
         {
             "quantities": [{"name": part.name, "of": part.owner, "unit": part.unit, "sigma": part.sigma,
@@ -289,4 +251,5 @@ def _separability(posterior: Posterior) -> Section:
         }
         for one in found
     ]  # fmt: skip
-    return Section("separability", "\n".join(lines) or none, record)
+    said = [one.sentence[0].upper() + one.sentence[1:] for one in found]
+    return Section("separability", sentences=said or [none], numbers=record)

@@ -1,15 +1,13 @@
 """Questions to the posterior as a person asks them, and its answers in words and as JSON; km and degrees only here."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.analysis.estimates import (
     Difference,
-    ErrorEllipsoid,
     Estimate,
     PixelEstimate,
     PoseEstimate,
@@ -20,9 +18,9 @@ from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.results.section import Section
 from mgsgraph.units import DEG, MRAD
 
-_UNITS = np.array([1.0, 1.0, 1.0, MRAD, MRAD, MRAD])
 _MOST_SHOWN = 12
 """Rows of a correlation matrix that are printed; the file has all."""
 
@@ -56,18 +54,10 @@ class Questions:
         return bool(self.points or self.pairs or self.poses or self.pose_pairs or self.projections or self.pixels)
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What is said of one question to the covariance."""
-
-    text: str
-    """Lines for a person."""
-    record: dict[str, Any]
-    """The answer as JSON, with the unit in each key."""
-
-
-def answered(posterior: Posterior, asked: Questions) -> Iterator[Answer]:
-    """Answers in the order of the questions' kinds; InputError where something asked about isn't in the solution."""
+def answered(posterior: Posterior, asked: Questions) -> Iterator[Section]:
+    """A finding for each question, in the order of their kinds; InputError where something asked about isn't in the
+    solution.
+    """
     for name in asked.points:
         yield _place(posterior.point(name), asked.probability, "point")
     for first, second in asked.pairs:
@@ -95,116 +85,109 @@ def _quantities(posterior: Posterior, asked: Questions) -> Iterator[Quantity]:
         yield posterior.of_intersection(asked.pixels)
 
 
-def _place(found: PositionEstimate, probability: float, what: str) -> Answer:
+def _sigmas(covariance: Array, axes: Sequence[str] = ("X", "Y", "Z"), unit: str = " m") -> str:
+    """Standard deviations of axes, in words."""
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    return ", ".join(f"{axis} {sigma:.4g}{unit}" for axis, sigma in zip(axes, sigmas, strict=True))
+
+
+def _flight(covariance: Array) -> str:
+    """Standard deviations of an orientation along the flight's axes (m, rad), in words."""
+    position, rotation = covariance[:3, :3], covariance[3:, 3:] / MRAD**2
+    return f"sigma {_sigmas(position, FLIGHT_NAMES[:3])}, {_sigmas(rotation, FLIGHT_NAMES[3:], ' mrad')}"
+
+
+def _place(found: PositionEstimate, probability: float, what: str) -> Section:
     longitude, latitude, radius = planetocentric(found.position)
-    ellipsoid, local = found.ellipsoid(probability), np.sqrt(np.diagonal(found.east_north_up))
-    title = "Newly intersected place" if what == "intersection" else f"Point {found.name}"
-    missed = "" if found.misfit is None else f"\n  the rays miss each other by {found.misfit:.2g} of their sigmas"
-    text = (
+    ellipsoid = found.ellipsoid(probability)
+    title = "New point" if what == "intersection" else f"Point {found.name}"
+    axes = zip(ellipsoid.semi_axes, ellipsoid.azimuths / DEG, ellipsoid.elevations / DEG, strict=True)
+    shape = ", ".join(f"{size:.4g} m (azimuth {turn:.0f}, elevation {up:.0f} deg)" for size, turn, up in axes)
+    said = [
         f"{title}: longitude {longitude / DEG % 360.0:.6f} deg E, latitude {latitude / DEG:.6f} deg (planetocentric), "
-        f"radius {radius:.3f} m\n"
-        f"  sigma east {local[0]:.4g} m, north {local[1]:.4g} m, up {local[2]:.4g} m; "
-        f"X {found.sigmas[0]:.4g} m, Y {found.sigmas[1]:.4g} m, Z {found.sigmas[2]:.4g} m\n"
-        f"  {100.0 * probability:g} % error ellipsoid: {_axes(ellipsoid)}{missed}"
-    )
-    return Answer(text, {
-        "question": what, "point": found.name, "place_m": found.position.tolist(),
+        f"radius {radius:.3f} m; sigma {_sigmas(found.east_north_up, ('east', 'north', 'up'))}; "
+        f"{_sigmas(found.covariance)}.",
+        f"{100.0 * probability:g} % error ellipsoid: {shape}.",
+    ]
+    if found.misfit is not None:
+        said.append(f"The rays miss each other by {found.misfit:.2g} of their sigmas.")
+    return Section("answer", sentences=said, numbers={
+        "question": what, "point": found.name, "place_m": found.position,
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
-        "covariance_m2": found.covariance.tolist(), "covariance_east_north_up_m2": found.east_north_up.tolist(),
+        "covariance_m2": found.covariance, "covariance_east_north_up_m2": found.east_north_up,
         "misfit_sigmas": found.misfit, "ellipsoid": {
-            "probability": probability, "semi_axes_m": ellipsoid.semi_axes.tolist(),
-            "azimuths_deg": (ellipsoid.azimuths / DEG).tolist(),
-            "elevations_deg": (ellipsoid.elevations / DEG).tolist(),
+            "probability": probability, "semi_axes_m": ellipsoid.semi_axes,
+            "azimuths_deg": ellipsoid.azimuths / DEG,
+            "elevations_deg": ellipsoid.elevations / DEG,
         },
     })  # fmt: skip
 
 
-def _axes(ellipsoid: ErrorEllipsoid) -> str:
-    axes = zip(ellipsoid.semi_axes, ellipsoid.azimuths / DEG, ellipsoid.elevations / DEG, strict=True)
-    return ", ".join(f"{size:.4g} m (azimuth {azimuth:.0f}, elevation {up:.0f} deg)" for size, azimuth, up in axes)
-
-
-def _difference(found: Difference) -> Answer:
-    text = (
-        f"{found.sentence}\n"
-        f"  distance {found.distance:.3f} m, sigma {found.distance_sigma:.4g} m; sigma of the vector east, north, up "
-        f"{', '.join(f'{sigma:.4g}' for sigma in np.sqrt(np.diagonal(found.east_north_up)))} m"
+def _difference(found: Difference) -> Section:
+    more = (
+        f"Their distance is {found.distance:.3f} m, sigma {found.distance_sigma:.4g} m; sigma of the vector "
+        f"{_sigmas(found.east_north_up, ('east', 'north', 'up'))}."
     )
-    return Answer(text, {
+    return Section("answer", sentences=[found.sentence, more], numbers={
         "question": "pair", "points": [found.first, found.second], "height_difference_m": found.height,
         "height_sigma_m": found.height_sigma, "height_sigma_if_independent_m": found.height_sigma_if_independent,
         "chance": found.chance, "distance_m": found.distance, "distance_sigma_m": found.distance_sigma,
-        "covariance_m2": found.joint.tolist(),
+        "covariance_m2": found.joint,
     })  # fmt: skip
 
 
-def _flight(covariance: Array) -> str:
-    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / _UNITS
-    parts = [f"{name} {sigma:.4g}" for name, sigma in zip(FLIGHT_NAMES, sigmas, strict=True)]
-    return f"sigma {', '.join(parts[:3])} m; {', '.join(parts[3:])} mrad"
-
-
-def _pose(found: PoseEstimate) -> Answer:
-    body = np.sqrt(np.maximum(np.diagonal(found.covariance)[:3], 0.0))
-    text = (
-        f"Image {found.image} at line {found.line:g}: {_flight(found.flight)}\n"
-        f"  sigma X {body[0]:.4g}, Y {body[1]:.4g}, Z {body[2]:.4g} m (body-fixed)"
-    )
-    return Answer(text, {
-        "question": "pose", "image": found.image, "line": found.line, "position_m": found.position.tolist(),
-        "matrix_body_to_camera": found.matrix.tolist(), "covariance_m_rad": found.covariance.tolist(),
-        "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": found.flight.tolist(),
+def _pose(found: PoseEstimate) -> Section:
+    where = f"Image {found.image} at line {found.line:g}"
+    said = f"{where}: {_flight(found.flight)}; body-fixed {_sigmas(found.covariance[:3, :3])}."
+    return Section("answer", sentences=[said], numbers={
+        "question": "pose", "image": found.image, "line": found.line, "position_m": found.position,
+        "matrix_body_to_camera": found.matrix, "covariance_m_rad": found.covariance,
+        "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": found.flight,
     })  # fmt: skip
 
 
-def _pose_pair(posterior: Posterior, image: str, line: float, other: str, other_line: float) -> Answer:
+def _pose_pair(posterior: Posterior, image: str, line: float, other: str, other_line: float) -> Section:
     if (image, line) == (other, other_line):
         raise InputError(f"poses of image {image}", f"line {line:g} twice", "two images, or two lines of one")
     poses = posterior.pose(image, line), posterior.pose(other, other_line)
-    turns = [pose.flight_turn for pose in poses]
     both = np.zeros((12, 12))
-    both[:6, :6], both[6:, 6:] = turns
-    joint = posterior.covariance([posterior.of_pose(image, line), posterior.of_pose(other, other_line)])
-    joint = both @ joint @ both.T
+    both[:6, :6], both[6:, 6:] = (pose.flight_turn for pose in poses)
+    joint = both @ posterior.covariance([posterior.of_pose(image, line), posterior.of_pose(other, other_line)]) @ both.T
     apart = np.hstack([-np.eye(6), np.eye(6)])
-    difference = apart @ joint @ apart.T
     sigmas = np.sqrt(np.maximum(np.diagonal(joint), 1e-300))
     shared = np.diagonal(joint[:6, 6:]) / (sigmas[:6] * sigmas[6:])
-    text = (
-        f"Image {other} at line {other_line:g} against {image} at line {line:g}, each along its own flight axes:\n"
-        f"  difference: {_flight(difference)}\n"
-        f"  correlation {', '.join(f'{name} {value:.3f}' for name, value in zip(FLIGHT_NAMES, shared, strict=True))}"
+    said = (
+        f"Image {other} at line {other_line:g} minus {image} at line {line:g}, each along its own flight axes: "
+        f"{_flight(apart @ joint @ apart.T)}; correlation "
+        f"{', '.join(f'{name} {value:.3f}' for name, value in zip(FLIGHT_NAMES, shared, strict=True))}."
     )
-    return Answer(text, {
+    return Section("answer", sentences=[said], numbers={
         "question": "poses", "images": [image, other], "lines": [line, other_line], "flight_axes": list(FLIGHT_NAMES),
-        "joint_flight_covariance_m_rad": joint.tolist(), "correlation": shared.tolist(),
+        "joint_flight_covariance_m_rad": joint, "correlation": shared,
     })  # fmt: skip
 
 
-def _pixel(found: PixelEstimate) -> Answer:
+def _pixel(found: PixelEstimate) -> Section:
     line, sample = found.sigmas
     rho = found.covariance[0, 1] / (line * sample) if line * sample > 0.0 else 0.0
-    text = (
+    said = (
         f"Point {found.point} in image {found.image}: line {found.pixel[0]:.2f}, sigma {line:.4g} px; sample "
-        f"{found.pixel[1]:.2f}, sigma {sample:.4g} px; correlation {rho:.3f} (of the place itself, without the noise "
-        "of a measure; the first pixel's centre is at 0.5)"
+        f"{found.pixel[1]:.2f}, sigma {sample:.4g} px; correlation {rho:.3f} (without the noise of a measurement; the "
+        "first pixel's centre is at 0.5)."
     )
-    return Answer(text, {
-        "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.pixel.tolist(),
-        "covariance_px2": found.covariance.tolist(),
+    return Section("answer", sentences=[said], numbers={
+        "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.pixel,
+        "covariance_px2": found.covariance,
     })  # fmt: skip
 
 
-def _correlations(found: Estimate) -> Answer:
-    table = found.correlation
-    shown = min(len(found.names), _MOST_SHOWN)
-    rows = [
-        f"  {k + 1:>3} " + " ".join(f"{value:6.3f}" for value in table[k, : k + 1]) + f"  {found.names[k]}"
-        for k in range(shown)
+def _correlations(found: Estimate) -> Section:
+    shown = slice(_MOST_SHOWN)
+    said = [
+        f"Correlations of {name}: {', '.join(f'{value:.3f}' for value in row[: k + 1])}."
+        for k, (name, row) in enumerate(zip(found.names[shown], found.correlation[shown], strict=True))
     ]
-    more = f"\n  ... and {len(found.names) - shown} more" if shown < len(found.names) else ""
-    return Answer("Correlations:\n" + "\n".join(rows) + more, {
+    return Section("answer", sentences=said, numbers={
         "question": "correlations", "names": list(found.names), "units": list(found.units),
-        "values": found.values.tolist(), "sigmas": found.sigmas.tolist(),
-        "correlation": [[None if np.isnan(value) else float(value) for value in row] for row in table],
+        "values": found.values, "sigmas": found.sigmas, "correlation": found.correlation,
     })  # fmt: skip

@@ -4,6 +4,7 @@ more than was unknown; and where sigmas became smaller or larger.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,21 +12,25 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import picked, write_json
-from mgsgraph.files.output.folders import COMPARISON, PROGRAM, fresh_folder
+from mgsgraph.files.output.csv_json import picked
+from mgsgraph.files.output.folders import COMPARISON
 from mgsgraph.files.output.table import Column, Table, cut
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.names import Names
 from mgsgraph.network import PointClass
-from mgsgraph.results.comparison_input import input_differences, setting_differences
-from mgsgraph.results.page_tables import MOST_IMAGES
+from mgsgraph.results.comparison_input import input_section, only, settings_section
+from mgsgraph.results.section import Section, write_sections
 from mgsgraph.results.soundness import state_of
-from mgsgraph.text import NAMED, many, root_mean_square, some
+from mgsgraph.results.summary import figures_of_merit
+from mgsgraph.text import many, root_mean_square, some
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
 
 _POINTS = "points_compared"
-_MOST_SHOWN = 10
-"""Rows of a table that are printed; the files have all."""
+_MOST_IMAGES = 300
+"""Images whose orientation is compared."""
 _MOST_POINTS = 200
 """Points listed, those that moved most."""
 _TITLE = "Ground points that moved most"
@@ -45,10 +50,8 @@ class Comparison:
     """What the earlier one is called."""
     labels: tuple[str, str]
     """What the earlier one and the later one are called in headings."""
-    sentences: list[str]
-    """In words."""
-    tables: list[Table]
-    """Of settings and input that differ, figures of merit, sigmas, images and points."""
+    section: Section
+    """Sentences; tables of settings and input that differ, figures of merit, sigmas, images and points."""
     points: CommonPoints
     """The ground points that both have."""
 
@@ -68,23 +71,30 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     InputError
         If they have no image in common, or one of them with other pixels.
     """
-    shared = common_images(solution, earlier)
-    points = CommonPoints(solution, earlier)
-    settings, inputs = setting_differences(earlier, solution, labels), input_differences(earlier, solution, labels)
-    about_images, images = _images(solution, earlier, shared)
-    about_points, moved = _points(points, labels)
-    about_sigmas, sigmas = _sigmas(points, labels)
-    others = [sentence for sentence in (
-        _only([image.name for image in solution.network.images], [image.name for image in earlier.network.images]),
-        *("" if one.converged else f"{label.capitalize()}: NOT CONVERGED, so that its sigmas mean little."
-          for one, label in zip((earlier, solution), labels, strict=True)),
-    ) if sentence]  # fmt: skip
-    method = _METHOD.format(labels[1], labels[0])
-    sentences = [
-        method, *about_images, *about_points, *about_sigmas, settings.sentence, *inputs.sentences, *others,
+    shared, points = common_images(solution, earlier), CommonPoints(solution, earlier)
+    images, moved, sigmas = _images(solution, earlier, shared), _points(points), _sigmas(points, labels)
+    settings, inputs = settings_section(earlier, solution, labels), input_section(earlier, solution, labels)
+    others = only("Images", [[image.name for image in one.network.images] for one in (earlier, solution)])
+    others += [
+        f"{label.capitalize()}: NOT CONVERGED, so that its sigmas mean little."
+        for one, label in zip((earlier, solution), labels, strict=True) if not one.converged
     ]  # fmt: skip
-    every = (_fit_figures(solution, earlier, labels), sigmas, settings.table, inputs.table, images, moved)
-    return Comparison(earlier.name, labels, sentences, [table for table in every if len(table)], points)
+    said = [_METHOD.format(labels[1], labels[0])]
+    said += [sentence for one in (images, moved, sigmas, settings, inputs) for sentence in one.sentences]
+    every = [_fit_figures(solution, earlier, labels)]
+    every += [table for one in (sigmas, settings, inputs, images, moved) for table in one.tables if len(table)]
+
+    def sheets() -> "list[Sheet]":
+        from mgsgraph.results.figures.comparison import comparison_sheet  # matplotlib takes its time
+
+        sheet = comparison_sheet(points, labels)
+        return [] if sheet is None else [sheet]
+
+    csv = [*(table for table in every if table.name != _POINTS), *moved.csv]
+    record = {"format": 1, "names": list(labels), "statements": [*said, *others]}
+    record |= {table.name: table.records() for table in every if table.name != _POINTS}
+    section = Section("comparison", "", [*said, *others], every, record, csv, sheets=sheets)
+    return Comparison(earlier.name, labels, section, points)
 
 
 def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]]:
@@ -107,28 +117,12 @@ def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]
     return shared
 
 
-def _only(here: list[str], there: list[str]) -> str:
-    """Words about images that only one of both has."""
-    known, others = set(here), set(there)
-    new, gone = [name for name in here if name not in others], [name for name in there if name not in known]
-    parts = [f"{word}: {some(names, len(names), NAMED)}" for word, names in (("new", new), ("gone", gone)) if names]
-    return f"Images that only one of both has, {'; '.join(parts)}." if parts else ""
-
-
 def _fit_figures(solution: Solution, earlier: Solution, labels: tuple[str, str]) -> Table:
-    both = [
-        ("cost with the nominal orientation", earlier.cost_initial, solution.cost_initial),
-        ("cost at the solution", earlier.cost_final, solution.cost_final),
-        ("sigma0", earlier.sigma0, solution.sigma0),
-        ("degrees of freedom", earlier.fit.degrees_of_freedom, solution.fit.degrees_of_freedom),
-        ("observations", earlier.fit.observations, solution.fit.observations),
-        ("unknowns", earlier.fit.unknowns, solution.fit.unknowns),
-        ("images", len(earlier.network.images), len(solution.network.images)),
-        ("ground points", len(earlier.network.points), len(solution.network.points)),
-    ]
+    names = [name for name, _ in figures_of_merit(solution)]
+    before, after = (np.array([value for _, value in figures_of_merit(one)]) for one in (earlier, solution))
     states = [state_of(one) for one in (earlier, solution)]
-    numbers = np.array([(before, after, after - before) for _, before, after in both])
-    texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column] for column in numbers.T]
+    texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column]
+             for column in (before, after, after - before)]  # fmt: skip
     note = "" if earlier.fit.observations == solution.fit.observations else (
         "The numbers of observations differ: costs can't be compared, sigma0 can."
     )
@@ -137,7 +131,7 @@ def _fit_figures(solution: Solution, earlier: Solution, labels: tuple[str, str])
         words = "; now ".join(_loss(*one) for one in losses)
         note = f"The losses differ ({words}): neither costs nor sigma0 can be compared."
     return Table("merit_compared", "Figures of merit", (
-        Column("figure", ["state", *(name for name, _, _ in both)], page="s", text="<34"),
+        Column("figure", ["state", *names], page="s", text="<34"),
         *(Column(name, [first, *text], page="s", text=">14")
           for name, first, text in zip((*labels, "difference"), (*states, ""), texts, strict=True)),
     ), note)  # fmt: skip
@@ -160,8 +154,8 @@ def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int
     return moved, np.maximum(*sigmas)
 
 
-def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]) -> tuple[list[str], Table]:
-    shown = shared[:MOST_IMAGES]
+def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]) -> Section:
+    shown = shared[:_MOST_IMAGES]
     names = [solution.network.images[j].name for j, _ in shown]
     found = [orientation_difference(solution, j, earlier, i) for j, i in shown]
     rms = np.array([root_mean_square(moved, 0) for moved, _ in found])
@@ -169,10 +163,8 @@ def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]
         most = np.array([np.max(np.where(s > 0.0, np.abs(moved) / s, np.nan), axis=0) for moved, s in found])
     largest = np.nanmax(np.nan_to_num(most), axis=1)  # NaN of a held image
     worst, where = (largest.max(), names[int(np.argmax(largest))]) if largest.max(initial=0.0) > 0.0 else (0.0, "")
-    sentences = [
-        f"The orientation of {many(len(shown), 'common image')} differs by at most {worst:.2g} sigmas"
-        + (f" ({where})." if where else ".")
-    ]
+    said = f"The orientation of {many(len(shown), 'common image')} differs by at most {worst:.2g} sigmas"
+    said += f" ({where})." if where else "."
     note = f"Over {PLACES} lines: rms of the differences, and the largest one in sigmas; a dash: held. "
     axes, turns = ("X", "Y", "Z"), ("x", "y", "z")
     table = Table("images_compared", "Orientation of the images", (
@@ -185,15 +177,15 @@ def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]
         Column("largest_turn_{}_sigmas", most[:, 3:], parts=turns, head="largest turn {} (σ)", page=".2f",
                label="largest turn (sigmas)", text=">7"),
     ), note + cut(len(shared), len(shown), "the first ones", "orientation.csv"))  # fmt: skip
-    return sentences, table
+    return Section("images", sentences=[said], tables=[table])
 
 
-def _points(points: CommonPoints, labels: tuple[str, str]) -> tuple[list[str], Table]:
+def _points(points: CommonPoints) -> Section:
     new, gone = len(points.solution.network.points) - points.shared, len(points.earlier.network.points) - points.shared
     counts = f"{many(points.shared, 'point')} of both, {new} new, {gone} gone"
     table = moved_points(points)
     if not len(table):
-        return [f"{counts}: no point has a place in both."], table
+        return Section("points", sentences=[f"{counts}: no point has a place in both."])
     length, off = np.linalg.norm(points.moved, axis=1), points.in_sigmas
     known = off[np.isfinite(off)]
     largest = f", by {known.max():.2g} sigmas at the most" if known.size else ""
@@ -201,7 +193,8 @@ def _points(points: CommonPoints, labels: tuple[str, str]) -> tuple[list[str], T
     words = f"{counts}; they moved by {rms:.3g} m (rms), {length.max():.3g} m at the most{largest}"
     listed = np.argsort(-length, kind="stable")[:_MOST_POINTS]
     note = table.note + cut(len(table), len(listed), "those that moved most", "the table of points")
-    return [f"{words}; half of them by less than {half:.3g} m."], replace(table.take(listed), note=note)
+    words += f"; half of them by less than {half:.3g} m."
+    return Section("points", sentences=[words], tables=[replace(table.take(listed), note=note)], csv=[table])
 
 
 def moved_points(points: CommonPoints) -> Table:
@@ -224,7 +217,7 @@ def moved_points(points: CommonPoints) -> Table:
     ), "Sigmas are 3-D, the root of the covariance's trace. ")  # fmt: skip
 
 
-def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> tuple[list[str], Table]:
+def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
     """Median sigmas of the common points by class, and by what factor the sigma of a point became larger."""
     classes = points.solution.network.points.classes[points.rows[0]]
     ratio, (earlier, later) = points.ratio, points.sigmas
@@ -241,22 +234,13 @@ def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> tuple[list[str], T
     ), f"Ratio: {labels[1]} over {labels[0]}, of each point; below 1 it is better known.")  # fmt: skip
     known = ratio[np.isfinite(ratio)]
     if not known.size:
-        return [], table
+        return Section("sigmas", tables=[table])
     better, worse = (100.0 * np.count_nonzero(side) / known.size for side in (known < 0.99, known > 1.01))
-    sentence = (
+    said = (
         f"3-D sigmas of the common points, {labels[1]} over {labels[0]}: median {np.median(known):.3g}; {better:.0f} % "
         f"of the points are better known by more than 1 %, {worse:.0f} % are worse known."
     )
-    return [sentence], table
-
-
-def comparison_text(found: Comparison) -> str:
-    """Sentences and tables for the terminal; the points that moved most are ten."""
-    lines = [f"- {sentence}" for sentence in found.sentences]
-    for table in found.tables:
-        more = f"row: see {table.name}.csv (--out)"
-        lines += ["", table.title, *table.text(most=_MOST_SHOWN, more=more, indent=2)]
-    return "\n".join(lines)
+    return Section("sigmas", sentences=[said], tables=[table])
 
 
 def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> list[str]:
@@ -268,19 +252,4 @@ def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> l
     InputError
         If the folder holds anything but an earlier comparison, or can't be written.
     """
-    with fresh_folder(folder, COMPARISON) as aside:
-        record = {"program": PROGRAM, "format": 1, "names": list(found.labels), "statements": found.sentences}
-        record |= {table.name: table.records() for table in found.tables if table.name != _POINTS}
-        write_json(aside / COMPARISON, record)
-        names = [COMPARISON]
-        for table in found.tables:
-            whole = moved_points(found.points) if table.name == _POINTS else table
-            whole.write_csv(aside / f"{table.name}.csv")
-            names.append(f"{table.name}.csv")
-        if figures:
-            from mgsgraph.results.figures.comparison import comparison_sheet  # matplotlib takes its time
-            from mgsgraph.results.figures.sheet import save
-
-            sheet = comparison_sheet(found.points, found.labels)
-            names += save([] if sheet is None else [sheet], aside)
-    return names
+    return write_sections([found.section], found.section.numbers, folder, COMPARISON, figures)

@@ -1,6 +1,7 @@
 """What two solutions differ in before they were adjusted: settings of the solver, a-priori sigmas, measures."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.records import Index
 from mgsgraph.names import Names
-from mgsgraph.text import many, some
+from mgsgraph.results.section import Section
+from mgsgraph.text import NAMED, many, some
 
 _SAME_PLACE = 1e-9
 """px between measures that are the same: what a network's text form loses."""
@@ -17,31 +19,11 @@ _SAME_SIGMA = 1e-12
 """Relative difference of sigmas that are the same."""
 
 
-@dataclass(frozen=True, slots=True)
-class SettingDifferences:
-    """Settings of the solver in which two adjustments differ."""
-
-    sentence: str
-    """In words."""
-    table: Table
-    """One row for each of them; none where they are the same."""
-
-
-@dataclass(frozen=True, slots=True)
-class InputDifferences:
-    """Observations in which two adjustments differ."""
-
-    sentences: list[str]
-    """In words; at least one."""
-    table: Table
-    """One row for each common image of other measures or a-priori sigmas."""
-
-
-def setting_differences(earlier: Solution, solution: Solution, labels: tuple[str, str]) -> SettingDifferences:
+def settings_section(earlier: Solution, solution: Solution, labels: tuple[str, str]) -> Section:
     """Settings that differ, by the names that a case file has for them, and versions of what computed."""
     one, other = dataclasses.asdict(earlier.settings), dataclasses.asdict(solution.settings)
     different = [name for name in one if one[name] != other[name]]
-    sentence = f"Settings that differ: {', '.join(different)}." if different else "The solver's settings are the same."
+    said = f"Settings that differ: {', '.join(different)}." if different else "The solver's settings are the same."
     versions = sorted(
         name for name in {*earlier.versions, *solution.versions}
         if earlier.versions.get(name) != solution.versions.get(name)
@@ -52,18 +34,19 @@ def setting_differences(earlier: Solution, solution: Solution, labels: tuple[str
         for name in versions
     ]
     names, before, after = ([row[k] for row in rows] for k in range(3))
-    return SettingDifferences(sentence, Table("settings_compared", "Settings and versions that differ", (
+    table = Table("settings_compared", "Settings and versions that differ", (
         Column("setting", names, page="s", text="<28"),
         Column(labels[0], before, page="s", text=">22"),
         Column(labels[1], after, page="s", text=">22"),
-    )))  # fmt: skip
+    ))  # fmt: skip
+    return Section("settings", sentences=[said], tables=[table])
 
 
 def _word(value: object) -> str:
     return "not set" if value is None else str(value)
 
 
-def input_differences(earlier: Solution, solution: Solution, labels: tuple[str, str]) -> InputDifferences:
+def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]) -> Section:
     """Measures and a-priori sigmas that differ, by the names of points and images."""
     measures = _measures(earlier, solution)
     rows = {image.name: j for j, image in enumerate(earlier.network.images)}
@@ -80,21 +63,33 @@ def input_differences(earlier: Solution, solution: Solution, labels: tuple[str, 
     names = [solution.network.images[j].name for j in after[listed].tolist()]
     table = Table("input_compared", "Images of other measures or a-priori sigmas", (
         Column("image", names, page="s", text="<28"),
-        Column(f"measures_{labels[0].replace(' ', '_')}", counts[0][listed], head=f"measures, {labels[0]}", page="s",
-               text=">18"),
-        Column(f"measures_{labels[1].replace(' ', '_')}", counts[1][listed], head=f"measures, {labels[1]}", page="s",
-               text=">18"),
+        *(
+            Column(f"measures_{label.replace(' ', '_')}", count[listed], head=f"measures, {label}", page="s",
+                   text=">18")
+            for label, count in zip(labels, counts, strict=True)
+        ),
         Column("moved", moved[listed], head="at another place", page="s", text=">17"),
         Column("weighted", weighted[listed], head="of another sigma", page="s", text=">17"),
         Column("priors", ["other" if one else "same" for one in other_priors[listed].tolist()],
                head="a-priori sigmas", page="s", text=">16"),
     ))  # fmt: skip
-    sentences = [measures.differences(labels)]
+    said = [measures.differences(labels)]
     if np.any(other_priors):
         changed = [solution.network.images[j].name for j in after[other_priors].tolist()]
-        sentences.append(f"Images of other a-priori sigmas: {some(changed, len(changed))}.")
-    sentences += _other_unknowns(earlier, solution)
-    return InputDifferences(sentences, table)
+        said.append(f"Images of other a-priori sigmas: {some(changed, len(changed))}.")
+    both = [one.network for one in (earlier, solution)]
+    said += only("Shared unknowns", [[each.name for each in network.shared] for network in both])
+    said += only("Shifts of profiles and terrain models", [list(network.shift_names) for network in both])
+    said += only("Passes", [[each.name for each in network.passes] for network in both])
+    return Section("inputs", sentences=said, tables=[table])
+
+
+def only(what: str, names: Sequence[Sequence[str]], most: int = NAMED) -> list[str]:
+    """A sentence about names that only the earlier, or only the later of two solutions has."""
+    before, after = (dict.fromkeys(each) for each in names)
+    new, gone = [name for name in after if name not in before], [name for name in before if name not in after]
+    parts = [f"{word}: {some(one, len(one), most)}" for word, one in (("new", new), ("gone", gone)) if one]
+    return [f"{what} that only one of both has, {'; '.join(parts)}."] if parts else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,20 +144,3 @@ def _priors_differ(earlier: Solution, i: int, solution: Solution, j: int) -> boo
     one, other = earlier.network.priors[i].sigmas, solution.network.priors[j].sigmas
     held = bool(earlier.network.held[i]) != bool(solution.network.held[j])
     return held or one.shape != other.shape or not np.allclose(one, other, rtol=_SAME_SIGMA, atol=0.0)
-
-
-def _other_unknowns(earlier: Solution, solution: Solution) -> list[str]:
-    """Sentences on shared unknowns, shifts and passes that only one of both has."""
-    found: list[str] = []
-    both = [one.network for one in (earlier, solution)]
-    for what, (before, after) in (
-        ("Shared unknowns", [[each.name for each in network.shared] for network in both]),
-        ("Shifts of profiles and terrain models", [list(network.shift_names) for network in both]),
-        ("Passes", [[each.name for each in network.passes] for network in both]),
-    ):
-        parts = [f"{word}: {some(names, len(names))}" for word, names in (
-            ("new", [name for name in after if name not in before]),
-            ("gone", [name for name in before if name not in after]),
-        ) if names]  # fmt: skip
-        found += [f"{what} that only one of both has, {'; '.join(parts)}."] if parts else []
-    return found

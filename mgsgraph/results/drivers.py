@@ -1,34 +1,25 @@
-"""What drives an adjustment that did not come to rest: in words, as JSON, as a table."""
+"""What drives an adjustment that did not converge."""
 
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
 from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.table import Column, Table
+from mgsgraph.results.section import Section
 
 
-def drivers_statements(solution: Solution) -> list[str]:
-    """Which images and points drive it, in sentences; none of an adjustment that came to rest."""
-    if solution.drivers is None:
-        return []
-    words = " ".join(driver_sentences(solution.drivers, solution.network))
-    redescending = ""
-    if solution.settings.loss == "tukey":
-        redescending = (
-            " With the loss tukey the end depends on where it begins: begin with huber, or give better orientations."
-        )
-    return [words + redescending]
-
-
-def drivers_json(solution: Solution) -> dict[str, Any] | None:
-    """The same for solution.json, with the largest shares of every quantity."""
+def drivers_section(solution: Solution) -> Section:
+    """Which images and points drive it; nothing of an adjustment that converged."""
     found = solution.drivers
     if found is None:
-        return None
-    return {
+        return Section("drivers")
+    said = " ".join(driver_sentences(found, solution.network))
+    if solution.settings.loss == "tukey":
+        said += " With the loss tukey the end depends on the start: begin with huber, or give better orientations."
+    table = drivers_table(solution)
+    return Section("drivers", sentences=[said], tables=[table], csv=[table], numbers={
         "cost": found.cost,
         "cost_after_next_step": found.cost_after,
         "next_step_sigmas": found.step,
@@ -42,7 +33,7 @@ def drivers_json(solution: Solution) -> dict[str, Any] | None:
             }
             for one in found.outstanding
         ],
-    }  # fmt: skip
+    })  # fmt: skip
 
 
 def drivers_table(solution: Solution) -> Table:

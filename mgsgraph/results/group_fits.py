@@ -3,15 +3,15 @@
 import math
 from collections.abc import Sequence
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.posterior import ABSURD
+from mgsgraph.adjustment.fit import ABSURD
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.group_fits import ODDS, GroupFit, group_fits
 from mgsgraph.files.output.table import Column, Table
+from mgsgraph.results.section import Section
 from mgsgraph.text import listed
 
 _KEYS = {
@@ -34,7 +34,7 @@ def group_fits_table(fits: Sequence[GroupFit] | None) -> Table:
     shown = fits or ()
     numbers = np.array([(one.redundancy, one.sigma0, one.low, one.high) for one in shown]).reshape(-1, 4)
     return Table("fits", "Fit of each group of observations", (
-        Column("group", [one.name for one in shown], page="s", label="Fit by group", text="<38"),
+        Column("group", [one.name for one in shown], page="s", text="<38"),
         Column("rows", np.array([one.rows for one in shown], dtype=np.int64), page="s", text=">7"),
         Column("redundancy", numbers[:, 0], meaning="sum of the rows' redundancy numbers", page=".1f", text=">10.1f"),
         Column("sigma0", numbers[:, 1], meaning="root of squares over redundancy", page=".3f", text=">8.3f"),
@@ -50,41 +50,35 @@ def _state(one: GroupFit) -> str:
     return "WORSE than stated" if one.worse else "better than stated" if one.better else ""
 
 
-def fits_json(solution: Solution) -> list[dict[str, Any]] | None:
-    """The same for strict JSON; None where nobody has looked."""
+def fits_section(solution: Solution) -> Section:
+    """What sigma0 says, and each group's; numbers are None where nobody has looked."""
     fits = group_fits(solution)
-    return None if fits is None else group_fits_table(fits).records()
+    table = group_fits_table(fits)
+    return Section("fits", sentences=weight_unit(solution), tables=[table],
+                   numbers=None if fits is None else table.records())  # fmt: skip
 
 
 def weight_unit(solution: Solution) -> list[str]:
     """What sigma0 says of the stated sigmas, and which groups of observations contradict it."""
     sigma0, freedom, fits = solution.sigma0, solution.fit.degrees_of_freedom, group_fits(solution) or ()
-    if math.isnan(sigma0) and freedom > 0:
-        return [
-            f"sigma0 is not defined although there are {freedom} degrees of freedom: where the solver stopped, "
-            "residuals are not finite."
-        ]
     if math.isnan(sigma0):
-        return [
-            f"There are {freedom} degrees of freedom: nothing checks the observations, sigma0 is not defined, and the "
-            "sigmas rest on the a-priori ones alone."
-        ]
+        why = "residuals are not finite" if freedom > 0 else "nothing checks the observations"
+        return [f"sigma0 is not defined, with {freedom} degrees of freedom: {why}."]
     head = f"sigma0 is {sigma0:.3g} with {freedom} degrees of freedom"
     worse, better = [one for one in fits if one.worse], [one for one in fits if one.better]
     words = _words(worse, better) if worse or better else ""
     mixed = f"{head}, but it is a mean of observations that do not fit alike: {words}" if words else ""
     if solution.converged and solution.strained:
         return [
-            f"{mixed or head}. No sigma holds, whatever it is multiplied by, while orientations are far beyond their "
-            "a-priori sigmas: see there, and look at the inputs first."
+            f"{mixed or head}. No sigma holds while orientations are far beyond their a-priori sigmas: look at the "
+            "inputs first."
         ]
     if worse and sigma0 <= ABSURD and (better or len(worse) < sum(one.judged for one in fits)):
         return [f"{mixed}.", _advice(worse)]
     if better and len(better) < sum(one.judged for one in fits):
         return [
-            f"{mixed}. All sigmas are quoted for sigma0 = 1 and are cautious where they rest on these; times sigma0 "
-            "those that rest on the others would be too small. `analyze --components` says by what factors stated "
-            "sigmas are too large."
+            f"{mixed}. All sigmas are quoted for sigma0 = 1 and are cautious where they rest on these; don't multiply "
+            "them by sigma0. `analyze --components` says by what factors stated sigmas are too large."
         ]
     return [_of_all(head, sigma0, freedom)]
 
@@ -124,9 +118,8 @@ def _advice(worse: Sequence[GroupFit]) -> str:
         steps.append(f"the stated sigmas of {name}{key} by {times(factor)}")
     return (
         f"Don't multiply the quoted sigmas by sigma0: they are too small wherever they rest on {listed(names)}. "
-        "Look for blunders there first (--reject 4, the largest ones in the table of residuals); if there are none, "
-        f"multiply {listed(steps)} and adjust again. `analyze --components --iterate` finds the factors of all groups "
-        "together."
+        f"Look for blunders there first (--reject 4); if there are none, multiply {listed(steps)} and adjust again. "
+        "`analyze --components --iterate` finds the factors of all groups."
     )
 
 

@@ -13,6 +13,7 @@ from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import Unmeasured, WeakNetwork
+from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
@@ -21,7 +22,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import Network, NodePrior, PointClass, Surface
+from mgsgraph.network import Network, NodePrior, PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.network.connectivity_words import (
     connectivity_warnings,
@@ -34,7 +35,8 @@ from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.results.crossings import crossing_sentences
 from mgsgraph.results.input_remarks import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.passes import bare_nodes, mounting_warnings, passes_inventory
-from mgsgraph.text import many, root_mean_square, some, some_of
+from mgsgraph.results.section import Section
+from mgsgraph.text import many, root_mean_square, some, some_of, span
 from mgsgraph.units import DEG, KM, MRAD
 
 _FEW_POINTS = 6
@@ -49,8 +51,6 @@ _MEDIAN_DEVIATION = 0.6745
 """Median of the modulus of a normal error, in its standard deviations."""
 _LISTED = 24
 """Images up to which each is listed with its partners."""
-_ISLANDS = 9
-"""Islands named."""
 _NAMED = 5
 """How many of a kind are named."""
 
@@ -66,20 +66,21 @@ def inventory(case: Case) -> str:
         prediction = predict(_with_priors(network), case.settings)
     connected = connectivity(network, network_footprints(network, prediction.places))
     weak += _weak_spots(network, prediction, connected)
-    parts = [
+    head = (
         f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
-        f"measurements, {network.ranges.point.size} ranges",
-        *case.notes,
-        _images(network),
+        f"measurements, {network.ranges.point.size} ranges"
+    )
+    sections = [
+        Section("", head, case.notes, [_images_table(network.images, network)]),
+        Section("", sentences=reading_statements(network.images)),
         _points(network, prediction),
         _connections(connected),
-        *_pulses(case),
-        *([_shared(network)] if network.shared else []),
-        *([passes_inventory(network)] if network.passes else []),
-        *([_terrain(network, network.surface, prediction.places)] if network.surface is not None else []),
-        "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
+        Section("", sentences=[*_pulses(case), *_shared(network)]),
+        passes_inventory(network),
+        _terrain(network, prediction.places),
+        Section("", "Weak spots", weak or ["none seen"]),
     ]
-    return "\n\n".join(parts)
+    return "\n\n".join(filter(None, (section.text(None) for section in sections)))
 
 
 def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | None:
@@ -99,7 +100,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     images, _ = read_images(wanted, wanted.orientations, members(wanted.passes, names, str(path)), path)
     found = overlaps([footprint(image) for image in images])
     pairs = [
-        f"  {images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
+        f"{images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
         for (i, j), area, share in zip(found.pairs.tolist(), found.areas.tolist(), found.shares.tolist(), strict=True)
     ]
     bare = [entry.name for entry in wanted.images if picture_of(entry, path.parent) is None]
@@ -107,16 +108,20 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     into = "MATCHES" if folder is None else str(Path(folder).parent)
     what = f"mgsgraph match {path} --out {into}" if pairs else "an image that overlaps, as well (mgsgraph new)"
     what = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {what}' if bare and pairs else what
-    return "\n".join([
-        f"{wanted.name}: {many(len(images), 'image')}, no measures in them\n", "Images",
-        *(line for image in images for line in _image(image)),
-        *(f"  {sentence}" for sentence in reading_statements(images)), "", "Overlaps", *(pairs or ["  none"]), "",
-        *_laser_files(wanted, images, path.parent),
-        *([f"Its tie points, {folder}, are not there yet."] if folder is not None else []),
-        *([f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}."]
-          if pairs and not bare else []),
-        f"To be adjusted it needs tie points, ground control, or laser shots measured in images; next: {what}",
-    ])
+    ready = f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}."
+    sections = [
+        Section("", f"{wanted.name}: {many(len(images), 'image')}, no measurements in them",
+                tables=[_images_table(images)]),
+        Section("", sentences=reading_statements(images)),
+        Section("", "Overlaps", pairs or ["none"]),
+        Section("", "Laser", _laser_files(wanted, images, path.parent)),
+        Section("", sentences=[
+            *([f"Its tie points, {folder}, are not there yet."] if folder is not None else []),
+            *([ready] if pairs and not bare else []),
+            f"To be adjusted it needs tie points, ground control, or laser shots measured in images; next: {what}",
+        ]),
+    ]  # fmt: skip
+    return "\n\n".join(section.text(None) for section in sections if section.sentences or section.tables)
 
 
 def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Path) -> list[str]:
@@ -126,13 +131,13 @@ def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Pa
         shots = read_profile(entry, folder)
         require_on_body(shots.footprints, body, shots.source)
         over = shots_over_images(images, shots.chosen(shots.ground))
-        said.append(f"  {entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
-        said += [f"    {sentence}" for sentence in crossing_sentences(over, over.crossings())]
+        said.append(f"{entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
+        said += crossing_sentences(over, over.crossings())
     for cloud in wanted.altimetry:
         found = read_altimetry(cloud, folder, body)
         count = f"{many(len(found.ids), 'ground return')} in {many(len(found.profiles), 'profile')}"
-        said.append(f"  {cloud.file}: {count}, for control by relief")
-    return ["Laser", *said, ""] if said else []
+        said.append(f"{cloud.file}: {count}, for control by relief")
+    return said
 
 
 def _with_priors(network: Network) -> Network:
@@ -148,90 +153,72 @@ def _with_priors(network: Network) -> Network:
     return replace(network, priors=priors, passes=passes)
 
 
-def _terrain(network: Network, surface: Surface, places: Array) -> str:
+def _terrain(network: Network, places: Array) -> Section:
     """Terrain model as control: how many tie points lie on it, with what sigma; its own unknowns."""
-    on = np.isfinite(surface.sigmas)
-    sigmas = surface.sigmas[on]
-    lines = [f"Terrain model {surface.grid.source}"]
+    surface = network.surface
+    if surface is None:
+        return Section("")
+    sigmas, ties = surface.sigmas[np.isfinite(surface.sigmas)], network.points.classes == PointClass.TIE
+    covered, said = coverage(surface.grid, places[ties]), list[str]()
     if sigmas.size:
-        extent = f"{sigmas.min():.1f}" + (f" .. {sigmas.max():.1f}" if np.ptp(sigmas) > 0.05 else "")
-        lines.append(f"  {sigmas.size} points lie on it, sigma of their heights {extent} m")
-    ties = network.points.classes == PointClass.TIE
-    covered = coverage(surface.grid, places[ties])
+        said.append(f"{sigmas.size} points lie on it, sigma of their heights {span(sigmas)} m")
     if covered.words:
-        lines.append(f"  of {covered.total} tie points it leaves out {covered.words}: these have no such row")
+        said.append(f"of {covered.total} tie points it leaves out {covered.words}: these have no such row")
     terms = [
         f"{term.name} {term.sigma / (MRAD if term.unit == 'rad' else 1.0):.3g} {term.unit.replace('rad', 'mrad')}"
         for term in surface.terms
     ]
-    lines.append(f"  unknowns of its own, a-priori sigma: {', '.join(terms) if terms else 'none'}")
-    return "\n".join(lines)
+    said.append(f"unknowns of its own, a-priori sigma: {', '.join(terms) if terms else 'none'}")
+    return Section("", f"Terrain model {surface.grid.source}", said)
 
 
 def _pulses(case: Case) -> list[str]:
     """Profiles whose ranges and heights get no share of their echoes' widths, which nobody knows; nothing without."""
     names = [Path(one.source).name for one in case.profiles if np.all(np.isnan(one.pulses))]
-    if not names:
-        return []
-    return [f"Laser profiles that don't say how broad their echoes were: {some(names[:_NAMED], len(names))}\n  "
-            "sigmas of their ranges and heights are as stated, on slopes too (pulse_share)"]  # fmt: skip
+    return [f"Laser profiles that don't say how broad their echoes were, {some(names, len(names))}: sigmas of their "
+            "ranges and heights are as stated, on slopes too (pulse_share)"] if names else []  # fmt: skip
 
 
-def _shared(network: Network) -> str:
+def _shared(network: Network) -> list[str]:
     """Unknowns that images share, with what is known of them beforehand."""
-    lines = ["Unknowns that images share"]
+    said = []
     for one in network.shared:
         scale, unit = one.kind.reported
         sigmas = ", ".join(f"{sigma / scale:.3g}" for sigma in one.sigmas)
         kind = "" if one.name == one.kind else f" ({one.kind})"
         names = [network.images[j].name for j in one.images.tolist()]
-        lines.append(f"  {one.name}{kind}: a-priori sigma {sigmas} {unit}; {some(names, len(names))}")
-    return "\n".join(lines)
+        said.append(f"Shared by {some(names, len(names))}: {one.name}{kind}, a-priori sigma {sigmas} {unit}")
+    return said
 
 
-def _images(network: Network) -> str:
-    lines = ["Images"]
-    for j, image in enumerate(network.images):
-        lines += _image(image, ", held" if network.held[j] else "")
-        lines.append(f"    {_orientation(network, j)}")
-    lines += [f"  {sentence}" for sentence in reading_statements(network.images)]
-    return "\n".join(lines)
-
-
-def _image(image: PushbroomImage, held: str = "") -> list[str]:
-    """Its size, and where it lies."""
-    middle, spacing = _ground_spacing(image)
-    longitude, latitude, _ = planetocentric(middle)
-    corners = _corners(image)
-    return [
-        f"  {image.name}: {image.lines} lines x {image.samples} samples{held}; "
-        f"line {spacing[0]:.2f} m, sample {spacing[1]:.2f} m on the ground",
-        f"    centre {longitude / DEG % 360.0:.4f} E {latitude / DEG:+.4f} N; "
-        f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, "
-        f"latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg",
-    ]
+def _images_table(images: Sequence[PushbroomImage], network: Network | None = None) -> Table:
+    """Size, place, and how the orientation is adjusted."""
+    grounds = [image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+               for image in images]  # fmt: skip
+    spacing = np.array([np.linalg.norm(derivative[0], axis=0) for _, derivative in grounds])
+    corners = np.array([_corners(image) for image in images])
+    adjusted = [] if network is None else [
+        Column("orientation", [_orientation(network, j) for j in range(len(images))], text="<", gap=2)
+    ]  # fmt: skip
+    return Table("images", "Images", (
+        Column("image", [image.name for image in images], text="<20"),
+        Column("lines", np.array([image.lines for image in images]), text=">7"),
+        Column("samples", np.array([image.samples for image in images]), text=">7"),
+        Column("spacing_{}", spacing, "m", "on the ground", ("line", "sample"), label="pixel (m)", text=">6.2f"),
+        Column("longitude_{}", corners[:, :, 0], "deg", "east", ("from", "to"), label="longitude (deg E)",
+               text=">9.4f", scale=1.0),
+        Column("latitude_{}", corners[:, :, 1], "deg", "planetocentric", ("from", "to"), label="latitude (deg N)",
+               text=">+8.4f", scale=1.0),
+        *adjusted,
+    ))  # fmt: skip
 
 
 def _orientation(network: Network, j: int) -> str:
     """How an image is adjusted."""
-    owner, prior = int(network.pass_of[j]), network.priors[j]
+    owner, prior, held = int(network.pass_of[j]), network.priors[j], "held; " if network.held[j] else ""
     if owner >= 0:
-        return f"orientation images of pass {network.passes[owner].name}"
-    return (
-        f"orientation polynomials of degree {prior.degree}, a-priori sigma {_range(prior.sigmas[0, :3])} m and "
-        f"{_range(prior.sigmas[0, 3:] / MRAD)} mrad (constant term)"
-    )
-
-
-def _range(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g} .. {high:g}"
-
-
-def _ground_spacing(image: PushbroomImage) -> tuple[Array, Array]:
-    """Ground point (3,) of the image's middle, and m per line and per sample there, on the ellipsoid."""
-    point, derivative = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
-    return point[0], np.linalg.norm(derivative[0], axis=0)
+        return f"{held}pass {network.passes[owner].name}"
+    return f"{held}degree {prior.degree}, sigma {span(prior.sigmas[0, :3])} m, {span(prior.sigmas[0, 3:] / MRAD)} mrad"
 
 
 def _corners(image: PushbroomImage) -> Array:
@@ -243,55 +230,44 @@ def _corners(image: PushbroomImage) -> Array:
     return np.stack([places.min(axis=0), places.max(axis=0)])
 
 
-def _points(network: Network, prediction: Prediction) -> str:
-    lines = ["Points"]
-    counts = network.ray_counts
+def _points(network: Network, prediction: Prediction) -> Section:
+    """Points by class, with expected sigmas and residuals; ranges."""
+    counts, said, rows = network.ray_counts, list[str](), []
     sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
-    for point_class, mine in network.of_class():
-        kinds = ", ".join(
-            f"{count} {kind.name.lower()}"
-            for kind in PointKind
-            if (count := int(np.count_nonzero(network.points.kinds[mine] == kind)))
-        )
-        lines.append(
-            f"  {mine.size} {point_class.name.lower()} points ({kinds}), {counts[mine].min()} to "
-            f"{counts[mine].max()} rays each"
-        )
+    for _, mine in network.of_class():
         known = mine[np.all(np.isfinite(sigmas[mine]), axis=1)]
-        if not known.size:
-            lines.append("    nothing determines the place of any of them: their rays are parallel, or single")
-            continue
-        expected = sigmas[known].mean(axis=0)
-        lines.append(f"    expected mean sigma in x, y, z: {expected[0]:.2f}, {expected[1]:.2f}, {expected[2]:.2f} m")
-        rays = np.isin(network.rays.point, known)
-        if np.any(rays):
-            misfit = prediction.residuals[rays]
-            rms = root_mean_square(misfit[np.all(np.isfinite(misfit), axis=1)], 0)
-            lines.append(
-                f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms"
-            )
+        expected = sigmas[known].mean(axis=0) if known.size else np.full(3, np.nan)
+        misfit = prediction.residuals[np.isin(network.rays.point, known)]
+        rms = root_mean_square(misfit[np.all(np.isfinite(misfit), axis=1)], 0) if misfit.size else np.full(2, np.nan)
+        rows.append((mine.size, np.count_nonzero(network.points.kinds[mine] == PointKind.FREE),
+                     counts[mine].min(), counts[mine].max(), *expected, *rms))  # fmt: skip
+    values = np.array(rows, dtype=np.float64).reshape(-1, 9)
+    table = Table("points", "Points", (
+        Column("class", [point_class.name.lower() for point_class, _ in network.of_class()], text="<10"),
+        Column("count", values[:, 0].astype(np.int64), text=">8"),
+        Column("free", values[:, 1].astype(np.int64), text=">8"),
+        Column("rays_{}", values[:, 2:4], parts=("from", "to"), label="rays", text=">5.0f"),
+        Column("sigma_{}", values[:, 4:7], "m", parts=("x", "y", "z"), label="expected mean sigma (m)", text=">8.2f"),
+        Column("residual_{}", values[:, 7:], "px", parts=("lines", "samples"), label="nominal residuals (px)",
+               text=">10.2f"),
+    ))  # fmt: skip
     if network.ranges.point.size:
-        misfit = prediction.range_residuals
-        lines.append(
-            f"  {misfit.size} laser ranges of {network.ranges.values.min() / KM:.3f} .. "
-            f"{network.ranges.values.max() / KM:.3f}"
-            f" km; measured minus nominal: mean {misfit.mean():+.3f} m, rms {root_mean_square(misfit):.3f} m"
+        misfit, ranges = prediction.range_residuals, network.ranges.values / KM
+        said.append(
+            f"{misfit.size} laser ranges of {ranges.min():.3f} .. {ranges.max():.3f} km; measured minus nominal: mean "
+            f"{misfit.mean():+.3f} m, rms {root_mean_square(misfit):.3f} m"
         )
-    else:
-        lines.append("  no laser ranges")
-    return "\n".join(lines)
+    return Section("", sentences=said or ["no laser ranges"], tables=[table])
 
 
-def _connections(connected: Connectivity) -> str:
+def _connections(connected: Connectivity) -> Section:
     """Each image with its partners, in small blocks; the links as a whole and the weakest of them."""
-    lines = ["Connections (points in common)"]
-    if len(connected.names) <= _LISTED:
-        lines += [_partners(connected, j) for j in range(len(connected.names))]
-    lines += [f"  {sentence}" for sentence in link_statement(connected)]
+    said = [*link_statement(connected)]
     if connected.spine.size > 1:
-        phrases = [f"    {phrase}" for phrase in weakest_joints(connected)]
-        lines += ["  Weakest joints (parts that have no stronger link):", *phrases]
-    return "\n".join(lines)
+        said.append(f"Weakest joints (parts that have no stronger link): {'; '.join(weakest_joints(connected))}.")
+    if len(connected.names) <= _LISTED:
+        said += [_partners(connected, j) for j in range(len(connected.names))]
+    return Section("", "Connections (points in common)", said)
 
 
 def _partners(connected: Connectivity, image: int) -> str:
@@ -302,32 +278,25 @@ def _partners(connected: Connectivity, image: int) -> str:
         f"{connected.points[row]} with {connected.names[j]}" for row, j in zip(rows[:_NAMED], other, strict=False)
     ]
     named = some(partners, rows.size, _NAMED) or "no other image"
-    return f"  {connected.names[image]}: {connected.seen[image]} points; {named}"
+    return f"{connected.names[image]}: {connected.seen[image]} points; {named}"
 
 
 def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
-    found = []
-    if len(connected.islands) > 1:
-        named = [", ".join(connected.names[j] for j in island[:_NAMED]) for island in connected.islands[1:_ISLANDS]]
-        more = f"; and {len(connected.islands) - _ISLANDS} more" if len(connected.islands) > _ISLANDS else ""
-        found.append(
-            f"the block falls into {len(connected.islands)} islands without common points; apart from the largest: "
-            f"{'; '.join(named)}{more}"
-        )
-    found += [*cut_image_statement(connected), *connectivity_warnings(connected)]
-    lost = np.flatnonzero(network.undetermined)
-    if lost.size:
-        found.append(
-            f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: "
-            f"{some_of(network.points.ids, lost, _NAMED)}"
-        )
-    flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
-    if flat.size:
-        names = some_of(network.points.ids, flat, _NAMED)
-        found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {names}")
+    points, shots, lost = network.points, network.ranges.point, network.undetermined
+    found = [*cut_image_statement(connected), *connectivity_warnings(connected)]
     found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
-    found += mounting_warnings(network)
+    found += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
+    for mine, what in (
+        (np.flatnonzero(lost), "points have fewer than two rays and no a-priori place, and stay out"),
+        (np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~lost),
+         "points have parallel rays, and stay out"),
+        (shots[wild_ranges(network, prediction.range_residuals)],
+         f"ranges lie more than {_WILD:.0f} robust standard deviations from the others of their image"),
+        (np.setdiff1d(np.flatnonzero(points.classes == PointClass.LASER), shots) if shots.size else shots,
+         "laser points have no range (no simultaneous image)"),
+    ):  # fmt: skip
+        found += [f"{mine.size} {what}: {some_of(points.ids, mine, _NAMED)}"] if mine.size else []
     angle = _convergence(network)
     if np.any(angle < _NARROW):
         found.append(
@@ -335,31 +304,11 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
             f"{_NARROW / DEG:.0f} deg (least {angle.min() / DEG:.2f} deg): "
             "expect their sigma along the line of sight to be large"
         )
-    found += _doubtful_observations(network, prediction)
     controlled = network.surface is not None or network.stereo is not None
-    held_down = controlled or np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
-    if not held_down:
+    if not (controlled or np.any(points.kinds != PointKind.FREE) or np.any(network.held)):
         found.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"
         )
-    return found
-
-
-def _doubtful_observations(network: Network, prediction: Prediction) -> list[str]:
-    """Ranges far from what the nominal orientation says, and laser points without any."""
-    found = range_statements(network, prediction.range_residuals)
-    wild = wild_ranges(network, prediction.range_residuals)
-    if wild.size:
-        names = some_of(network.points.ids, network.ranges.point[wild], _NAMED)
-        found.append(
-            f"{wild.size} ranges lie more than {_WILD:.0f} robust standard deviations from the others of their image: "
-            f"{names}"
-        )
-    laser = np.flatnonzero(network.points.classes == PointClass.LASER)
-    bare = np.setdiff1d(laser, network.ranges.point)
-    if network.ranges.point.size and bare.size:
-        names = some_of(network.points.ids, bare, _NAMED)
-        found.append(f"{bare.size} laser points have no range (no simultaneous image): {names}")
     return found
 
 

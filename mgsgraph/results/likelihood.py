@@ -1,63 +1,38 @@
-"""Linearity and profiles of the likelihood: in words, as JSON, sections of an analysis."""
+"""Linearity and profiles of the likelihood: sections of a solution and of an analysis."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from mgsgraph.adjustment.linearity import Linearity
-from mgsgraph.analysis.likelihood import LEVELS, Profile, linearity_of
+from mgsgraph.analysis.likelihood import LEVELS, Profile
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.files.output.table import Column, Table
-from mgsgraph.results.sigmas import Section
+from mgsgraph.results.section import Section
 from mgsgraph.units import MRAD
 
 
-def linearity_statements(found: Linearity | None) -> list[str]:
-    """What a solution's linearity means, in a sentence."""
+def linearity_section(found: Linearity | None) -> Section:
+    """What a solution's linearity means."""
     if found is None:
-        return []
-    drawn = (
-        f"over {found.draws} draws from the joint error ellipsoid of the {found.unknowns} unknowns that points share, "
-        f"the squares rise {found.ratio:.3g} times as much as it says"
-    )
-    if found.linear:
-        return [f"Linear enough for statements by covariances: {drawn}."]
-    return [
-        f"NOT LINEAR: {drawn}. Single sigmas may hold; joint statements on orientation and shifts by their covariance "
-        "don't. Use likelihood ratios and profiles: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
-    ]
-
-
-def linearity_json(found: Linearity | None) -> dict[str, Any] | None:
-    """The same for solution.json."""
-    if found is None:
-        return None
-    return {
+        return Section("linearity")
+    record = {
         "linear": found.linear, "ratio_of_squares": found.ratio, "scatter": found.scatter,
         "unknowns": found.unknowns, "draws": found.draws,
     }  # fmt: skip
-
-
-def linearity_figure(found: Linearity | None) -> list[tuple[str, str]]:
-    """The same for the head of the page."""
-    return [] if found is None else [("linear", f"{'yes' if found.linear else 'NO'} ({found.ratio:.3g})")]
-
-
-def linearity_section(posterior: Posterior) -> Section:
-    """The same of an analysis."""
-    found = linearity_of(posterior.linearised)
-    return Section("linearity", "\n".join(linearity_statements(found)) or "Nothing is shared.", linearity_json(found))
+    drawn = f"(cost ratio {found.ratio:.3g} over {found.draws} samples of {found.unknowns} unknowns)"
+    said = f"Linearity check passed {drawn}." if found.linear else (
+        f"NOT LINEAR {drawn}. Single sigmas may hold; joint statements on orientation and shifts by their covariance "
+        "don't. Use likelihood ratios and profiles: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
+    )
+    return Section("linearity", sentences=[said], numbers=record)
 
 
 def likelihood_section(posterior: Posterior, names: Sequence[str]) -> Section:
     """Intervals of the numbers of images, shifts and shared unknowns by the likelihood."""
     table = likelihood_table([one for name in dict.fromkeys(names) for one in posterior.likelihood.profiles(name)])
-    title = f"{table.title} (68, 95 and 99 %)"
-    if posterior.linearised.mixed:
-        title += ", within the lowest of several minima: the others are not in them"
-    text = "\n".join([title, *table.text()])
-    return Section("likelihood", text, table.records(), {"likelihood.csv": table.write_csv})
+    mixed = ["Only within the lowest of several minima."] if posterior.linearised.mixed else []
+    return Section("likelihood", sentences=mixed, tables=[table], numbers=table.records(), csv=[table])
 
 
 def likelihood_table(profiles: Sequence[Profile]) -> Table:
@@ -70,7 +45,7 @@ def likelihood_table(profiles: Sequence[Profile]) -> Table:
                label=f"{end} {level:.0%}", text=">10.4g")
         for k, level in enumerate(LEVELS) for side, end in enumerate(("low", "high"))
     ]  # fmt: skip
-    return Table("likelihood", "Intervals by the likelihood", (
+    return Table("likelihood", "Intervals by the likelihood (68, 95 and 99 %)", (
         Column("of", [one.owner for one in profiles], meaning="image, shift or shared unknown", text="<20"),
         Column("axis", [one.axis for one in profiles], meaning="which of its unknowns", text="<31"),
         Column("unit", units, meaning="of all numbers of the row", text="<5"),

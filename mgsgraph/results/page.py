@@ -1,6 +1,8 @@
 """The report page of a solution: one HTML file without any outside address, figures and pictures as data URIs."""
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,22 +13,29 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.page import page_of, write_page
-from mgsgraph.files.output.table import NONE
+from mgsgraph.files.output.table import NONE, Column, Table, cut
 from mgsgraph.files.writing import require_free
+from mgsgraph.geometry.records import Index
 from mgsgraph.network import PointClass
-from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results.comparison import compare
-from mgsgraph.results.likelihood import linearity_figure
-from mgsgraph.results.page_tables import inputs_table, settings_table, tables, versions_table
+from mgsgraph.results.registration import registration_section
+from mgsgraph.results.section import Section
 from mgsgraph.results.soundness import state_of
-from mgsgraph.results.summary import statements
+from mgsgraph.results.summary import figure, figures_of_merit, sentences_of, solution_sections
+from mgsgraph.results.tables import points_table, residuals_table
 from mgsgraph.workers import called_in_workers
 
-_TEMPLATE = "reports/templates/report.html"
+_TEMPLATE = "results/templates/report.html"
 _SECTIONS = ("map", "registration", "orientation", "residuals", "comparison")
 """Sections of the page that have figures of the solution."""
 _ENDINGS = (".html", ".htm")
+MOST_ROWS = 1000
+"""Rows of one table; the CSV files have all."""
+_MOST_MEASURES = 300
+"""Measures listed, those that fit worst."""
 
 
 def write_report(
@@ -95,24 +104,25 @@ def _content(
     drawings = figure_tasks(solution, connected)
     if compared is not None:
         drawings.append(("comparison", partial(comparison_figures, compared.points)))
-    sections, tasks = zip(*drawings, strict=True)
+    parts, tasks = zip(*drawings, strict=True)
+    found = solution_sections(solution, connected)
     with called_in_workers(tasks, "figures of the page", "give this program more memory") as drawn:
         sigmas, without_sigmas = sigma_figures(solution)
         content = {
             "solution": solution,
-            "statements": statements(solution, connected),
+            "statements": sentences_of(found),
             "key_figures": _key_figures(solution),
             "without_sigmas": without_sigmas,
             **_registered(solution, case, registration),
-            "tables": tables(solution),
+            "tables": tables(solution, found),
             "compared": compared,
-            "settings": [settings_table(solution), versions_table(solution)],
-            "inputs": inputs_table(inputs),
+            "settings": _settings_tables(solution),
+            "inputs": _inputs_table(inputs),
             "case_name": "" if case is None else case.path.name,
             "version": solution.versions.get("mgsgraph", NONE),
         }
         figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS} | {"sigmas": sigmas}
-        for section, pictures in zip(sections, drawn(), strict=True):
+        for section, pictures in zip(parts, drawn(), strict=True):
             figures[section] += pictures
     return content | {"figures": figures}
 
@@ -120,16 +130,18 @@ def _content(
 def _registered(solution: Solution, case: Case | None, registration: CaseRegistration | None) -> dict[str, Any]:
     """Laser footprints on the images, or why there are none."""
     if registration is None:
-        return {"scenes": [], "about_scenes": "", "registered": [], "closeups": [],
+        return {"scenes": [], "about_scenes": "", "registered": [], "agreement": None, "closeups": [],
                 "without_scenes": _without_scenes(solution, case)}  # fmt: skip
     from mgsgraph.results.figures.page import registration_figures
     from mgsgraph.results.figures.page_scene import scenes
 
     shown, about = scenes(registration)
+    registered = registration_section(registration)
     return {
         "scenes": shown,
         "about_scenes": about,
-        "registered": registration_statements(registration),
+        "registered": registered.sentences,
+        "agreement": registered.tables[0],
         "closeups": registration_figures(registration),
         "without_scenes": "" if shown else "No footprint falls in an image.",
     }
@@ -148,16 +160,83 @@ def _without_scenes(solution: Solution, case: Case | None) -> str:
 
 def _key_figures(solution: Solution) -> list[tuple[str, str]]:
     """What one looks at first."""
-    network, fit = solution.network, solution.fit
-    sigma0 = f"{fit.sigma0:.3g}" if np.isfinite(fit.sigma0) else "not defined"
+    linear = solution.linearity
     return [
         ("state", state_of(solution)),
-        ("sigma0", sigma0),
-        *linearity_figure(solution.linearity),
-        ("cost", f"{solution.cost_initial:.4g} → {solution.cost_final:.4g}"),
-        ("degrees of freedom", str(fit.degrees_of_freedom)),
-        ("images", str(len(network.images))),
-        ("ground points", str(len(network.points))),
-        ("image measures", str(network.rays.point.size)),
-        ("laser ranges", str(network.ranges.point.size)),
+        *([] if linear is None else [("linear", f"{'yes' if linear.linear else 'NO'} ({linear.ratio:.3g})")]),
+        *((name, figure(value)) for name, value in figures_of_merit(solution)),
     ]
+
+
+# --- tables
+
+
+def tables(solution: Solution, sections: Sequence[Section]) -> list[Table]:
+    """All tables of a solution that have rows."""
+    found = [_cut(table) for section in sections for table in section.tables]
+    return [table for table in [*found, _measures(solution), _points(solution)] if len(table)]
+
+
+def _cut(table: Table) -> Table:
+    rows = np.arange(min(len(table), MOST_ROWS))
+    return replace(table.take(rows), note=table.note + cut(len(table), rows.size, "the first ones", "solution.json"))
+
+
+def _measures(solution: Solution) -> Table:
+    """Measures that fit worst, in units of their sigmas."""
+    rays = solution.network.rays
+    size = np.max(np.abs(solution.residuals / rays.sigmas), axis=1) if rays.point.size else np.zeros(0)
+    sound = np.flatnonzero(np.isfinite(size))
+    chosen = sound[np.argsort(-size[sound], kind="stable")][:_MOST_MEASURES]
+    table = residuals_table(solution).take(chosen)
+    state = picked(("rejected", "used"), solution.rays_used[chosen].astype(np.int64))
+    more = Column("largest", size[chosen], head="largest over σ", page=".2f"), Column("state", state, page="s")
+    pairs = [f"{what}_{way}" for what in ("residual_before", "residual", "sigma") for way in ("line", "sample")]
+    note = (
+        "Lines and samples as ISIS counts them, the first pixel's centre at (1, 1); residuals are measured minus "
+        "predicted. " + cut(rays.point.size, chosen.size, "those with the largest residual over its sigma",
+                            "the table of residuals")
+    )  # fmt: skip
+    shown = table.pick("point", "class", "image", "isis_line", "isis_sample", *pairs)
+    units = {"isis_line": "px", "isis_sample": "px"}
+    columns = (replace(column, unit=units.get(column.key, column.unit)) for column in shown.columns)
+    return replace(table, title="Image measures that fit worst", columns=(*columns, *more), note=note)
+
+
+def _points(solution: Solution) -> Table:
+    chosen = _weakest(solution)
+    table = points_table(solution, chosen)
+    which = "those that nothing determines and those of the largest sigma"
+    note = table.note + cut(len(solution.network.points), chosen.size, which, "the table of points")
+    return replace(table.last("rays_used", "state"), note=note)
+
+
+def _weakest(solution: Solution) -> Index:
+    """Points that are listed, in their own order: all, or those without a place and those of the largest sigma."""
+    size = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
+    return np.sort(np.argsort(-size, kind="stable")[:MOST_ROWS])
+
+
+# --- how it was made
+
+
+def _settings_tables(solution: Solution) -> list[Table]:
+    """Settings of the solver, by the names that a case file has for them; versions, and the time of each stage."""
+    found = dataclasses.asdict(solution.settings)
+    values = ["" if value is None else str(value) for value in found.values()]
+    names = [*solution.versions, *(f"{stage} (s)" for stage in solution.seconds)]
+    more = [*solution.versions.values(), *(f"{seconds:.2f}" for seconds in solution.seconds.values())]
+    return [
+        _pairs("settings", "Settings of the solver", "setting", "value", list(found), values),
+        _pairs("versions", "Versions and wall time", "what", "value", names, more),
+    ]
+
+
+def _inputs_table(inputs: Mapping[str, str | None]) -> Table:
+    """Files and their checksums."""
+    sums = [checksum or "could not be read" for checksum in inputs.values()]
+    return _pairs("inputs", "Files that this page was made from", "file", "SHA-256", list(inputs), sums)
+
+
+def _pairs(name: str, title: str, first: str, second: str, names: list[str], values: list[str]) -> Table:
+    return Table(name, title, (Column(first, names, page="s"), Column(second, values, page="s")))

@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.flight import StripReport, strip_reports
+from mgsgraph.analysis.flight import strip_reports
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
@@ -28,14 +28,13 @@ from mgsgraph.network import (
 )
 from mgsgraph.network.finding import mounting_angles
 from mgsgraph.network.support import support
-from mgsgraph.text import many, some, span, three
-from mgsgraph.units import DEG, KM, MGON, MRAD
+from mgsgraph.results.section import Section
+from mgsgraph.text import many, some, span
+from mgsgraph.units import DEG, MGON, MRAD
 
 POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
 """Components of corrections along a pass: m, and rad."""
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
-_ROWS = 24
-"""Passes that are listed."""
 
 
 # --- tables
@@ -49,15 +48,15 @@ def passes_table(solution: Solution) -> Table:
     of_largest, of_sigmas = (
         [tuple(f"{what} {name}" for name in some) for some in heads] for what in ("largest Δ", "σ")
     )
-    return Table("passes", "Passes", (
-        Column("name", [one.name for one in found], head="pass", page="s", label="Passes", text="<22"),
+    return Table("passes", "Passes (sigmas for sigma0 = 1)", (
+        Column("name", [one.name for one in found], head="pass", page="s", text="<22"),
         Column("basis", [one.basis for one in found], page="s"),
         Column("images", [one.images for one in found]),
         Column("number", np.array([len(one.images) for one in found]), head="images", page="s", files=False),
         Column("nodes", np.array([one.nodes for one in found]), page="s", text=">5"),
-        Column("spacing", numbers(found, "spacing"), "s", "on the average", page=".3f", label="every s", text=">8.2f"),
+        Column("spacing", numbers(found, "spacing"), "s", "on the average", page=".3f", label="every", text=">8.2f"),
         Column("spacing_lines", numbers(found, "lines"), label="lines", text=">7.0f"),
-        Column("spacing", numbers(found, "ground"), "km", "over ground", label="km", text=">6.1f"),
+        Column("spacing", numbers(found, "ground"), "km", "over ground", label="", text=">6.1f"),
         Column("largest_correction", largest[:, :3], "m", "at a node", m, of_largest[0], ".2f"),
         Column("largest_roll_pitch_yaw", largest[:, 3:], "mgon", "at a node", mgon, of_largest[1], ".2f"),
         Column("mean_sigma", sigmas[:, :3], "m", "of the nodes", m, of_sigmas[0], ".2f", "mean sigma [m]", ">5", 3),
@@ -82,7 +81,7 @@ def nodes_table(solution: Solution) -> Table:
         turns = [Column(f"{part}_{{}}", of[:, 3:], unit, what, ROTATION) for unit in ("mgon", "arcsec")]
         return [Column(f"{part}_{{}}", of[:, :3], "m", what, POSITION), *turns]
 
-    return Table("nodes", "Orientation images", (
+    return Table("passes", "Orientation images", (
         Column("pass", [name for name, series in found for _ in range(series.times.size)], meaning="its name"),
         Column("node", np.concatenate([np.arange(1, series.times.size + 1) for _, series in found]), meaning="from 1"),
         Column("time_tdb", [calendar(time) for time in times.tolist()], meaning="calendar date"),
@@ -102,37 +101,26 @@ def calendar(time: float) -> str:
 # --- words
 
 
-def passes_statements(solution: Solution) -> list[str]:
-    """A sentence or two about each pass."""
-    found = strip_reports(solution)
-    more = [f"{many(len(found) - _ROWS, 'more pass')}: see solution.json."] if len(found) > _ROWS else []
-    return [_words(one) for one in found[:_ROWS]] + more
+def passes_section(solution: Solution) -> Section:
+    """How trajectories were corrected."""
+    table = passes_table(solution)
+    csv = [nodes_table(solution)] if len(table) else []
+    return Section("passes", tables=[table], csv=csv, numbers=table.records())
 
 
-def _words(one: StripReport) -> str:
-    return (
-        f"Pass {one.name} ({many(len(one.images), 'image')}): {one.nodes} orientation images ({one.basis}), one every "
-        f"{one.spacing:.3g} s, {one.lines:.0f} lines or {one.ground / KM:.3g} km on the ground. They correct the "
-        f"trajectory by up to {three(one.largest[:3])} m along, across and radially and by up to "
-        f"{three(one.largest[3:] / MGON)} mgon in roll, pitch and yaw, with mean sigmas of "
-        f"{three(one.mean_sigmas[:3])} m and {three(one.mean_sigmas[3:] / MGON)} mgon."
-    )
-
-
-def passes_inventory(network: Network) -> str:
+def passes_inventory(network: Network) -> Section:
     """Passes of a network: images, mountings, nodes, and what is known of their trajectories beforehand."""
-    lines = ["Passes"]
+    said = []
     for one in network.passes:
         start, stop = one.nodes.coverage
         names = [network.images[j].name for j in one.images.tolist()]
-        lines += [
-            f"  {one.name}: {some(names, len(names))}",
-            f"    {len(one.nodes)} orientation images ({one.nodes.basis}), one every {one.nodes.spacing:.4g} s of "
-            f"{stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
-            f"    a-priori sigmas: {_prior_words(one.prior)}",
-            *(f"    {line}" for line in _mounting_words(network, one)),
+        said += [
+            f"{one.name} ({some(names, len(names))}): {len(one.nodes)} orientation images ({one.nodes.basis}), one "
+            f"every {one.nodes.spacing:.4g} s of {stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
+            f"{one.name}: a-priori sigmas {_prior_words(one.prior)}",
+            *_mounting_words(network, one),
         ]
-    return "\n".join(lines)
+    return Section("", "Passes" if said else "", said)
 
 
 def _mounting_words(network: Network, one: Pass) -> list[str]:

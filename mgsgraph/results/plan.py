@@ -1,46 +1,46 @@
 """A plan in words, as a table for the terminal, and as files: plan.csv, plan.json and a figure."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mgsgraph.files.output.csv_json import plain, write_json
-from mgsgraph.files.output.folders import PLAN, PROGRAM, fresh_folder
+from mgsgraph.files.output.folders import PLAN
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan
 from mgsgraph.planning.targets import Sigmas
+from mgsgraph.results.section import Section, write_sections
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
-_SHOWN = 30
-"""Rows of the ranking that are printed; the files have all."""
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
 
 
-def plan_table(plan: Plan) -> str:
-    """The ranking, and what is chosen step by step: sigma of the targets before and after, the latter eastward,
-    northward and upward, too.
-    """
-    lines = ["Each by itself", *judged_table(plan.ranking[:_SHOWN]).text(units=True)]
-    if len(plan.ranking) > _SHOWN:
-        lines.append(f"... and {len(plan.ranking) - _SHOWN} more")
-    if plan.chosen:
-        lines += ["", "Chosen one after the other", *judged_table(plan.chosen).text(units=True)]
-    return "\n".join(lines)
+def plan_section(plan: Plan) -> Section:
+    """The ranking, and what is chosen step by step: sigmas of the targets before and after."""
+    plain = [plan.plain] if plan.plain else []
+    table = judged_table({"ranking": plan.ranking, "chosen": plan.chosen, "first of ranking": plain})
+    ends = np.cumsum([0, len(plan.ranking), len(plan.chosen)])
+    shown = [
+        replace(table.take(np.arange(first, last)), title=title)
+        for first, last, title in zip(ends, ends[1:], ("Each by itself", "Chosen one after the other"), strict=False)
+    ]
+
+    def sheets() -> "list[Sheet]":
+        from mgsgraph.results.figures.plan import plan_sheet  # matplotlib takes its time
+
+        return [plan_sheet(plan)]
+
+    return Section("plan", "", statements(plan), shown, plan_json(plan), [table], sheets=sheets)
 
 
-def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists: Sequence[str] = ()) -> Table:
-    """One row per candidate: what it would do to the sigmas of the targets.
-
-    Parameters
-    ----------
-    judged : sequence of Evaluation
-        Candidates in their order.
-    ranks, lists : sequence, optional
-        Place of each, and the list that it is of; one after the other when absent.
-    """
+def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
+    """One row per candidate and list that it is of, in their order: what it would do to the sigmas of the targets."""
+    judged = [one for some in lists.values() for one in some]
+    ranks = [k + 1 for some in lists.values() for k in range(len(some))]
     sigmas = {"before": [one.before for one in judged], "after": [one.after for one in judged]}
     ways = ("total", "east", "north", "up")
     pairs = [
@@ -53,21 +53,21 @@ def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists:
         )
     ]  # fmt: skip
     return Table("plan", "Candidates", (
-        Column("list", list(lists) or [""] * len(judged), meaning="ranking, chosen, or first of ranking together"),
-        Column("rank", np.array(ranks or range(1, len(judged) + 1), dtype=np.int64), meaning="in its list", label="",
-               text=">4"),
+        Column("list", [name for name, some in lists.items() for _ in some],
+               meaning="ranking, chosen, or first of ranking together"),
+        Column("rank", np.array(ranks, dtype=np.int64), meaning="in its list", label="", text=">4"),
         Column("candidate", [one.name for one in judged], text="<28"),
         Column("kind", [one.kind for one in judged], text="<13"),
         Column("reason", [one.reason for one in judged], meaning="why it is worth nothing"),
         *pairs,
-        Column("drop", np.array([one.drop for one in judged]), "percent", "of the sigma", text=">7.3g"),
-        Column("bits", np.array([one.bits for one in judged]), "bits", "of information gained", label="gain",
+        Column("drop", numbers(judged, "drop"), "percent", "of the sigma", text=">7.3g"),
+        Column("bits", numbers(judged, "bits"), "bits", "of information gained", label="gain",
                text=">9.3f"),
         Column("measures", np.array([one.measures for one in judged]), text=">8", files=False),
-        Column("image_measures", np.array([float(one.rays) for one in judged])),
-        Column("ranges", np.array([float(one.ranges) for one in judged])),
+        Column("image_measures", numbers(judged, "rays")),
+        Column("ranges", numbers(judged, "ranges")),
         Column("images", np.array([float(len(one.images)) for one in judged]), text=">6.0f"),
-        Column("overlap", np.array([one.overlap if math.isfinite(one.overlap) else math.nan for one in judged]), "km2"),
+        Column("overlap", numbers(judged, "overlap"), "km2"),
     ), instead={
         k: ("sigma_before", f"worthless: {one.reason}") for k, one in enumerate(judged) if one.reason
     })  # fmt: skip
@@ -115,22 +115,13 @@ def write_plan(plan: Plan, folder: str | Path, figures: bool = True) -> list[str
     InputError
         If the folder holds anything but an earlier plan, or can't be written.
     """
-    with fresh_folder(folder, PLAN) as aside:
-        write_json(aside / PLAN, plan_json(plan))
-        _csv(plan, aside / "plan.csv")
-        names = [PLAN, "plan.csv"]
-        if figures:
-            from mgsgraph.results.figures.plan import plan_sheet  # matplotlib takes its time
-            from mgsgraph.results.figures.sheet import save
-
-            names += save([plan_sheet(plan)], aside)
-    return names
+    section = plan_section(plan)
+    return write_sections([section], section.numbers, folder, PLAN, figures)
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
     """All that the plan says; lengths in m, areas in km^2."""
     return {
-        "program": PROGRAM,
         "name": plan.name,
         "targets": list(plan.targets.wanted),
         "targets_number": len(plan.targets),
@@ -151,20 +142,8 @@ def _sigmas_json(one: Sigmas) -> dict[str, Any]:
 
 
 def _judged_json(one: Evaluation) -> dict[str, Any]:
-    found = {
+    return {
         "name": one.name, "kind": one.kind, "before": _sigmas_json(one.before), "after": _sigmas_json(one.after),
         "drop_percent": 100.0 * one.drop, "bits": one.bits, "image_measures": one.rays, "ranges": one.ranges,
         "images": list(one.images), "overlap_km2": one.overlap / KM**2, "reason": one.reason or None,
     }  # fmt: skip
-    cleaned: dict[str, Any] = plain(found)
-    return cleaned
-
-
-def _csv(plan: Plan, path: Path) -> None:
-    """One row per candidate and list (ranking, chosen), in order."""
-    lists: Sequence[tuple[str, Sequence[Evaluation]]] = (
-        ("ranking", plan.ranking), ("chosen", plan.chosen), ("first of ranking", [plan.plain] if plan.plain else []),
-    )  # fmt: skip
-    rows = [(which, k + 1, one) for which, some in lists for k, one in enumerate(some)]
-    which, ranks, judged = zip(*rows, strict=True)
-    judged_table(judged, ranks, which).write_csv(path)

@@ -11,19 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.files.output.csv_json import plain, write_json
-from mgsgraph.files.output.folders import PROGRAM, REGISTRATION, fresh_folder
+from mgsgraph.files.output.folders import REGISTRATION, fresh_folder
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import Misregistration
-from mgsgraph.registration.case import (
-    CaseRegistration,
-    ProfileRegistration,
-    five_steps_difference,
-    registration_statements,
-)
-from mgsgraph.text import root_mean_square
+from mgsgraph.registration.case import CaseRegistration, ProfileRegistration, five_steps_difference
+from mgsgraph.results.section import Section, write_sections_into
+from mgsgraph.text import listed, many, root_mean_square
 from mgsgraph.units import DEG, ISIS_OFFSET
 
 FORMAT = 1
@@ -55,10 +50,8 @@ def write_registration(registration: CaseRegistration, folder: str | Path, figur
 
 def write_registration_into(registration: CaseRegistration, folder: Path, figures: bool = True) -> list[str]:
     """Write tables and figures into a folder that exists, file by file."""
-    write_json(folder / REGISTRATION, registration_json(registration))
-    registration_table(registration).write_csv(folder / "registration.csv")
-    discrepancy_table(registration).write_csv(folder / "discrepancy.csv")
-    names = [REGISTRATION, "registration.csv", "discrepancy.csv"]
+    section = registration_section(registration)
+    names = write_sections_into([section], section.numbers, folder, REGISTRATION)
     if not figures:
         return names
     from mgsgraph.results.figures import write_registration_figures  # only those who draw wait for matplotlib
@@ -66,10 +59,11 @@ def write_registration_into(registration: CaseRegistration, folder: Path, figure
     return names + write_registration_figures(registration, folder)
 
 
-def registration_json(registration: CaseRegistration) -> dict[str, Any]:
-    """All figures of a registration, as plain values for strict JSON: what isn't a number is None."""
-    record: dict[str, Any] = plain({
-        "program": PROGRAM,
+def registration_section(registration: CaseRegistration) -> Section:
+    """Where shots fall, and by how much images contradict each other about them, before and after."""
+    said = [_falls(profile) for profile in registration.before]
+    said += [*(_methods(state, profiles) for state, profiles in registration.states()), *registration.warnings]
+    record = {
         "format": FORMAT,
         "name": registration.name,
         "images": [
@@ -79,9 +73,65 @@ def registration_json(registration: CaseRegistration) -> dict[str, Any]:
             state: [_profile_json(profile) for profile in profiles] for state, profiles in registration.states()
         },
         "counting": _COUNTING,
-        "statements": registration_statements(registration),
-    })
-    return record
+        "statements": said,
+    }
+    csv = [registration_table(registration), discrepancy_table(registration)]
+    return Section("registration", "", said, [_agreement_table(registration)], record, csv)
+
+
+def _falls(profile: ProfileRegistration) -> str:
+    """How many shots fall in each image."""
+    found = profile.found
+    seeing = [
+        (int(inside.sum()), f"in {image.name}{' (taken at the same time)' if np.any(same) else ''}")
+        for image, inside, same in zip(found.images, found.inside, found.simultaneous, strict=True)
+        if np.any(inside | same)
+    ]
+    if not seeing:
+        return f"None of {many(found.shots.times.size, 'shot')} of {profile.name} falls in an image."
+    (first, place), *others = seeing
+    where = listed([f"{first} fall{'s' * (first == 1)} {place}", *(f"{count} {other}" for count, other in others)])
+    return f"Of {many(found.shots.times.size, 'shot')} of {profile.name}, {where}."
+
+
+def _methods(state: str, profiles: tuple[ProfileRegistration, ...]) -> str:
+    """The largest difference between Newton's method and the five steps."""
+    every = [five_steps_difference(one.found, j) for one in profiles for j in range(len(one.found.images))]
+    line, sample = np.max(every, axis=0)
+    return (
+        f"Newton's method and the five steps with linear orientation differ by at most {line:.2g} lines and "
+        f"{sample:.2g} samples ({state} orientation)."
+    )
+
+
+def _discrepancies(registration: CaseRegistration) -> list[tuple[str, ProfileRegistration, Misregistration]]:
+    return [
+        (state, profile, one)
+        for state, profiles in registration.states() for profile in profiles for one in profile.discrepancies
+    ]  # fmt: skip
+
+
+def _agreement_table(registration: CaseRegistration) -> Table:
+    """One row per orientation, profile and pair of images: mean and rms of their contradiction on the ground."""
+    every = _discrepancies(registration)
+    found, ways = [discrepancy_json(one) for _, _, one in every], ("along", "across")
+
+    def of(unit: str, figure: str) -> Array:
+        return np.array([[row[f"{way}_{unit}"][figure] for way in ways] for row in found]).reshape(-1, 2)
+
+    return Table("agreement", "Images against each other at laser footprints, along and across the flight", (
+        Column("orientation", [state for state, _, _ in every], page="s", text="<11"),
+        Column("profile", [profile.name for _, profile, _ in every], page="s", text="<16"),
+        Column("image", [row["image"] for row in found], page="s", text="<16"),
+        Column("against", [row["against"] for row in found], page="s", text="<16"),
+        Column("footprints", np.array([row["footprints"] for row in found], dtype=np.int64), page="s", text=">10"),
+        *(
+            Column(f"{key}_{{}}", of(unit, figure), unit, parts=ways, head=f"{key} {{}}", page=".2f",
+                   label=f"{key} ({unit})", text=">8.3g")
+            for key, unit, figure in
+            (("mean", "m", "mean"), ("rms", "m", "rms"), ("σ", "m", "mean_sigma"), ("rms", "px", "rms"))
+        ),
+    ), "In the image minus transferred from the other; σ: predicted for one footprint.")  # fmt: skip
 
 
 def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
@@ -162,10 +212,7 @@ def registration_table(registration: CaseRegistration) -> Table:
 
 def discrepancy_table(registration: CaseRegistration) -> Table:
     """One row per orientation, pair of images and footprint that both see: by how much they contradict."""
-    found = [
-        (state, profile, one)
-        for state, profiles in registration.states() for profile in profiles for one in profile.discrepancies
-    ]  # fmt: skip
+    found = _discrepancies(registration)
 
     def words(of: Callable[[str, ProfileRegistration, Misregistration], str]) -> list[str]:
         return [of(*row) for row in found for _ in range(row[2].shots.size)]

@@ -2,31 +2,34 @@
 coregistration.json, one row per profile, one per shot, and the misfits of all shifts that were searched.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mgsgraph.adjustment.graph.shared import crossover_differences
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.files.output.csv_json import plain, write_json
-from mgsgraph.files.output.folders import COREGISTRATION, PROGRAM, fresh_folder
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.csv_json import picked
+from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
+from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.registration.minima import Minimum
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
+from mgsgraph.results.section import Section, write_sections_into
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
 
 FORMAT = 1
 """Version of coregistration.json's layout."""
 _MOST_MINIMA = 10
 """Of a cost surface that are written, best first."""
 _MOST_PROFILES = 5
-"""That have sentences of their own; more are summed up."""
+"""With several minima that are named."""
 _WAYS = ("east", "north")
 
 
@@ -75,30 +78,23 @@ def write_coregistration_into(
 ) -> list[str]:  # fmt: skip
     """The same into a folder that exists, file by file."""
     names = write_into(registration.solution, folder, figures, case, networks)
-    write_json(folder / COREGISTRATION, coregistration_json(registration))
-    profiles_table(registration).write_csv(folder / "profiles.csv")
-    relief_shots_table(registration).write_csv(folder / "shots.csv")
-    costs_table(registration).write_csv(folder / "costs.csv")
-    names += [COREGISTRATION, "profiles.csv", "shots.csv", "costs.csv"]
-    if not figures:
-        return names
-    from mgsgraph.results.figures.relief import relief_sheets  # only those who draw wait for matplotlib
-    from mgsgraph.results.figures.sheet import save
-
-    return names + save(relief_sheets(registration), folder)
+    section = coregistration_section(registration)
+    return names + write_sections_into([section], section.numbers, folder, COREGISTRATION, figures)
 
 
-# --- the record
-
-
-def coregistration_json(registration: ReliefRegistration) -> dict[str, Any]:
-    """All figures of a registration by relief, as plain values for strict JSON: what isn't a number is None."""
-    network, settings = registration.solution.network, registration.settings
+def coregistration_section(registration: ReliefRegistration) -> Section:
+    """How far profiles and terrain models lay from the stereo surface, and lie now."""
+    network, settings, profiles = registration.solution.network, registration.settings, profiles_table(registration)
     assert network.stereo is not None
     pairs = [[network.images[j].name for j in pair] for pair in network.stereo.images.tolist()]
-    rows = profiles_table(registration).records()
-    record: dict[str, Any] = plain({
-        "program": PROGRAM,
+
+    def sheets() -> "Iterable[Sheet]":
+        from mgsgraph.results.figures.relief import relief_sheets  # only those who draw wait for matplotlib
+
+        return relief_sheets(registration)
+
+    said = relief_statements(registration)
+    record = {
         "format": FORMAT,
         "name": registration.name,
         "status": "converged" if registration.solution.converged else "not converged",
@@ -115,12 +111,13 @@ def coregistration_json(registration: ReliefRegistration) -> dict[str, Any]:
                 "minima_before": _minima_json(one.before),
                 "minima_after": _minima_json(one.after),
             }
-            for row, one in zip(rows, registration.profiles, strict=True)
+            for row, one in zip(profiles.records(), registration.profiles, strict=True)
         ],
         "crossovers": _crossovers_json(registration.solution),
-        "statements": relief_statements(registration),
-    })  # fmt: skip
-    return record
+        "statements": said,
+    }  # fmt: skip
+    csv = [profiles, relief_shots_table(registration), costs_table(registration)]
+    return Section("coregistration", "", said, [profiles], record, csv, sheets=sheets)
 
 
 def _crossovers_json(solution: Solution) -> dict[str, Any]:
@@ -152,15 +149,22 @@ def profiles_table(registration: ReliefRegistration) -> Table:
     shifts = registration.solution.network.shifts
     assert shifts is not None
 
-    def numbers(of: Callable[[ReliefProfile], Any], width: int = 0) -> Array:
-        return np.array([of(one) for one in profiles], dtype=np.float64).reshape((-1, width) if width else -1)
+    def of(value: Callable[[ReliefProfile], Any], width: int = 0) -> Array:
+        return np.array([value(one) for one in profiles], dtype=np.float64).reshape((-1, width) if width else -1)
 
-    def vector(key: str, values: Array, meaning: str, label: str) -> Column:
-        return Column(key, values, "m", meaning, _WAYS, label=label, text=">+8.1f", gap=2)
+    def misplacement(when: str, meaning: str) -> list[Column]:
+        states = [getattr(one, when) for one in profiles]
+        moved = np.array([state.misplacement for state in states]).reshape(-1, 2)
+        sigma = [np.sqrt(np.diag(state.misplacement_covariance)) for state in states]
+        key = f"misplacement_{when}_{{}}"
+        return [
+            Column(key, moved, "m", meaning, _WAYS, label=f"{when} (m)", text=">+8.1f", gap=2),
+            Column(f"sigma_{key}", np.array(sigma).reshape(-1, 2), "m", "for sigma0 = 1", _WAYS, label="sigma",
+                   text=">6.1f"),
+        ]  # fmt: skip
 
-    def sigma(key: str, covariances: Callable[[ReliefProfile], Array]) -> Column:
-        values = numbers(lambda one: np.sqrt(np.diag(covariances(one))), 2)
-        return Column(key, values, "m", "for sigma0 = 1", _WAYS, label="sigma", text=">6.1f")
+    def minimum(k: int, name: str) -> Array:  # of the k-th best minimum after; NaN where there is none
+        return of(lambda one: getattr(one.after.cost.minima[k], name) if len(one.after.cost.minima) > k else np.nan)
 
     return Table("profiles", "Laser profiles, terrain models and the stereo surface", (
         Column("profile", [one.name for one in profiles], text="<16"),
@@ -174,42 +178,20 @@ def profiles_table(registration: ReliefRegistration) -> Table:
         ),
         Column("tied", np.array([one.after.cost.tied for one in profiles]), meaning="relief ties the profile at all"),
         Column("clear", np.array([one.after.cost.clear for one in profiles]), meaning="and at one place only"),
-        vector(
-            "misplacement_before_{}", numbers(lambda one: one.before.misplacement, 2),
-            "by which the profile had to move onto the surface; unknown where relief does not tie it", "before (m)",
+        *misplacement(
+            "before", "by which the profile had to move onto the surface; unknown where relief does not tie it"
         ),
-        sigma("sigma_misplacement_before_{}", lambda one: one.before.misplacement_covariance),
-        vector(
-            "misplacement_after_{}", numbers(lambda one: one.after.misplacement, 2),
-            "the same after the adjustment with stereo rows", "after (m)",
-        ),
-        sigma("sigma_misplacement_after_{}", lambda one: one.after.misplacement_covariance),
-        Column("misfit", numbers(lambda one: _misfit(one, 0)), meaning="of the likeliest shift, after"),
-        Column("runner_up_misfit", numbers(lambda one: _misfit(one, 1)), meaning="of the second-likeliest, after"),
-        Column(
-            "runner_up_weight", numbers(lambda one: _of_minimum(one, 1, lambda found: found.weight)),
-            meaning="its probability, all shifts being alike beforehand",
-        ),
-        Column("rms_before", numbers(lambda one: one.rms_before), "m", "of shot minus surface", label="rms (m)",
+        *misplacement("after", "the same after the adjustment with stereo rows"),
+        Column("misfit", minimum(0, "misfit"), meaning="of the likeliest shift, after"),
+        Column("runner_up_misfit", minimum(1, "misfit"), meaning="of the second-likeliest, after"),
+        Column("runner_up_weight", minimum(1, "weight"), meaning="its probability, all shifts being alike beforehand"),
+        Column("rms_before", numbers(profiles, "rms_before"), "m", "of shot minus surface", label="rms (m)",
                text=">8.2f", gap=2),
-        Column("rms_after", numbers(lambda one: one.rms_after), "m", "of shot minus surface", label="after",
-               text=">6.2f"),
-        Column("shift_{}", numbers(lambda one: one.shift, 2), "m", "adjusted, to be added to the footprints", _WAYS),
-        Column(
-            "sigma_shift_{}", numbers(lambda one: np.sqrt(np.diag(one.covariance)), 2), "m", "for sigma0 = 1", _WAYS
-        ),
+        Column("rms_after", numbers(profiles, "rms_after"), "m", "of shot minus surface", label="after", text=">6.2f"),
+        Column("shift_{}", of(lambda one: one.shift, 2), "m", "adjusted, to be added to the footprints", _WAYS),
+        Column("sigma_shift_{}", of(lambda one: np.sqrt(np.diag(one.covariance)), 2), "m", "for sigma0 = 1", _WAYS),
         Column("apriori_sigma_shift", shifts.sigmas, "m", "eastward and northward alike"),
     ))  # fmt: skip
-
-
-def _of_minimum(profile: ReliefProfile, k: int, of: Callable[[Minimum], float]) -> float:
-    """A number of the k-th best minimum after; NaN where there is none."""
-    found = profile.after.cost.minima[k : k + 1]
-    return of(found[0]) if found else float("nan")
-
-
-def _misfit(profile: ReliefProfile, k: int) -> float:
-    return _of_minimum(profile, k, lambda found: found.misfit)
 
 
 def relief_shots_table(registration: ReliefRegistration) -> Table:
@@ -262,10 +244,10 @@ def costs_table(registration: ReliefRegistration) -> Table:
     shifts = [
         np.stack(np.meshgrid(cost.shifts, cost.shifts, indexing="ij"), axis=2).reshape(-1, 2) for _, _, cost in found
     ]
-    sizes = [len(one) for one in shifts]
+    rows = np.repeat(np.arange(len(found)), [len(one) for one in shifts])
     return Table("costs", "Cost surfaces", (
-        Column("profile", [name for (name, _, _), n in zip(found, sizes, strict=True) for _ in range(n)]),
-        Column("state", [state for (_, state, _), n in zip(found, sizes, strict=True) for _ in range(n)]),
+        Column("profile", picked([name for name, _, _ in found], rows)),
+        Column("state", picked([state for _, state, _ in found], rows)),
         Column("shift_{}", np.concatenate(shifts), "m", "of the footprints of this state", _WAYS),
         Column(
             "misfit", np.concatenate([cost.misfits.ravel() for _, _, cost in found]),
@@ -278,18 +260,23 @@ def costs_table(registration: ReliefRegistration) -> Table:
 
 
 def relief_statements(registration: ReliefRegistration) -> list[str]:
-    """What was found, in sentences with numbers and units."""
-    profiles, solution = registration.profiles, registration.solution
-    if len(profiles) <= _MOST_PROFILES:
-        shifts = solution.network.shifts
-        assert shifts is not None
-        found = [
-            sentence
-            for one, prior in zip(profiles, shifts.sigmas.tolist(), strict=True)
-            for sentence in _of_profile(one, prior, registration.settings.reach)
-        ]
-    else:
-        found = _of_many(registration)
+    """What was found, in sentences with numbers and units; the table of profiles has each by itself."""
+    profiles, solution, reach = registration.profiles, registration.solution, registration.settings.reach
+    taken = [one for one in profiles if np.any(one.taken)]
+    tied = [one for one in taken if one.after.cost.tied]
+    found, several = _agreement(tied), [one for one in tied if not one.after.cost.clear and one.after.cost.reached]
+    for which, words in (
+        ([one for one in tied if one.after.cost.clear], f"have one clear minimum within {reach:.0f} m"),
+        (several, "have several possible minima, and heights that count as those of level ground"),
+        ([one for one in tied if not one.after.cost.reached],
+         "keep off their best shift in adjustments, and have heights that count as those of level ground"),
+        ([one for one in taken if not one.after.cost.tied], "are not tied by relief"),
+        ([one for one in profiles if not np.any(one.taken)], "have too few shots on the surface to take part"),
+    ):
+        if which:
+            names = some([one.name for one in which], len(which))
+            found.append(f"{len(which)} of {len(profiles)} profiles {words} ({names}).")
+    found += [_several(one) for one in several[:_MOST_PROFILES]]
     if solution.network.considered:
         named = some(solution.network.considered, len(solution.network.considered))
         found.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
@@ -304,97 +291,31 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
     return found
 
 
-def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
-    """Sentences about one profile; `prior` is the a-priori sigma of its shift in m."""
-    on = int(one.taken.sum())
-    if not on:
-        return [f"{one.name}: none of {many(one.mine.size, one.unit)} takes part; too few lie on the stereo surface."]
-    carried = (
-        f"{on} of {many(one.mine.size, one.unit)} of {one.name} lie on the stereo surface: rms of {one.unit} minus "
-        f"surface {one.rms_before:.2g} m before, {one.rms_after:.2g} m after."
+def _agreement(tied: list[ReliefProfile]) -> list[str]:
+    """By how much profiles and images disagreed, and disagree."""
+    known = [one for one in tied if one.before.cost.tied]
+    if not known:
+        return []
+    before, after = (
+        root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in known]))
+        for state in ("before", "after")
     )
-    adjusted = float(np.sqrt(np.trace(one.covariance) / 2.0))
-    found = f"the sigma of its shift is {adjusted:.3g} m, a-priori {prior:.3g} m"
-    if not one.after.cost.tied:
-        return [f"{one.name}: relief does not tie it; {found}.", carried]
-    if not one.after.cost.reached:
-        off = _east_north(one.after.misplacement)
-        where = f"{one.name}: adjustments do not come to the best shift, which is {off} away"
-        return [f"{where}; {found}; its heights count as those of level ground.", carried]
-    if not one.after.cost.clear:
-        return [_several(one), f"{one.name}: {found}; its heights count as those of level ground.", carried]
-    return [_disagreement(one), _uniqueness(one, reach), carried]
-
-
-def _disagreement(one: ReliefProfile) -> str:
-    """By how much profile and images disagreed, and disagree."""
-    off, what = one.before.misplacement, "terrain model" if one.of_posts else "profile"
-    known = f"by {np.linalg.norm(off):.0f} m ({_east_north(off)})" if one.before.cost.tied else "by an unknown amount"
-    words = f"Before, {what} {one.name} and the images disagreed {known}; after, "
-    left, sigma = np.linalg.norm(one.after.misplacement), np.sqrt(np.trace(one.after.misplacement_covariance))
-    return words + f"by {left:.1f} +- {sigma:.1f} m."
-
-
-def _east_north(shift: Array) -> str:
-    """A shift (2,) in m, in words."""
-    east, north = (round(part) for part in shift.tolist())
-    return f"{east:+d} m east, {north:+d} m north"
-
-
-def _uniqueness(one: ReliefProfile, reach: float) -> str:
-    """How much worse the second-best minimum fits, within the shifts that were searched, `reach` m at most."""
-    minima, reach = one.after.cost.minima, min(reach, float(one.after.cost.shifts[-1]))
-    if len(minima) == 1:
-        return f"{one.name}: one minimum within {reach:.0f} m."
-    return (
-        f"{one.name}: one clear minimum within {reach:.0f} m; the second best fits "
-        f"{minima[1].misfit / minima[0].misfit:.2g} times worse."
-    )
+    sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in known])
+    return [
+        f"Before, {many(len(known), 'profile')} and the images disagreed by {before:.0f} m (rms); after, by "
+        f"{after:.1f} m (median sigma {sigma:.1f} m)."
+    ]
 
 
 def _several(one: ReliefProfile) -> str:
     """Which minima may be the right one."""
     possible = one.after.cost.possible
-    where = "; ".join(f"{100.0 * found.weight:.2g} % at {_east_north(found.shift)}" for found in possible)
+    where = "; ".join(
+        f"{100.0 * found.weight:.2g} % at {round(found.shift[0]):+d} m east, {round(found.shift[1]):+d} m north"
+        for found in possible
+    )
     sigma = np.sqrt(np.trace(one.after.misplacement_covariance))
     return (
         f"{one.name}: {len(possible)} minima may be the right one: {where}; over all of them the first is right to "
         f"{sigma:.0f} m."
     )
-
-
-def _of_many(registration: ReliefRegistration) -> list[str]:
-    """Sentences about many profiles together."""
-    profiles = registration.profiles
-    taken = [one for one in profiles if np.any(one.taken)]
-    tied = [one for one in taken if one.after.cost.tied]
-    found = []
-    if known := [one for one in tied if one.before.cost.tied]:
-        before, after = (
-            root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in known]))
-            for state in ("before", "after")
-        )
-        sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in known])
-        found.append(
-            f"Before, {len(known)} profiles and the images disagreed by {before:.0f} m (rms); after, by {after:.1f} m "
-            f"(median sigma {sigma:.1f} m)."
-        )
-    for which, words in (
-        ([one for one in tied if one.after.cost.clear], "have one clear minimum"),
-        ([one for one in tied if not one.after.cost.clear], "have several possible minima"),
-        ([one for one in taken if not one.after.cost.tied], "are not tied by relief"),
-        ([one for one in profiles if not np.any(one.taken)], "have too few shots on the surface to take part"),
-    ):
-        if which:
-            names = some([one.name for one in which], len(which))
-            found.append(f"{len(which)} of {len(profiles)} profiles {words} ({names}).")
-    states = [
-        np.concatenate([_known(state)[one.taken] for one, state in zip(taken, some_states, strict=True)])
-        for some_states in ([one.before for one in taken], [one.after for one in taken])
-    ]
-    rms = [root_mean_square(values) for values in states]
-    found.append(
-        f"{states[0].size} shots lie on the stereo surface: rms of shot minus surface {rms[0]:.2g} m before, "
-        f"{rms[1]:.2g} m after; profiles.csv has each profile."
-    )
-    return found

@@ -10,6 +10,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.separability import mixtures, separations
 from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
 from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.results.section import Section
 from mgsgraph.text import some
 
 _CORRELATED = 0.9
@@ -18,19 +19,12 @@ _ALIKE = 0.99
 """Likeness from which the measures count as unable to tell two unknowns apart."""
 
 
-IN_TEXT = ("text", "value", "sigma", "prior_sigma", "unit", "correlation_with_pitch", "likeness_to_pitch")
-ON_PAGE = ("name", "kind", "axis", "unit", "value", "sigma", "prior_sigma", "image", "correlation_with_pitch",
-           "likeness_to_pitch")  # fmt: skip
-"""Columns of the table of shared unknowns for the terminal and on the page."""
-
-
 def shared_table(solution: Solution) -> Table:
     """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
     found, apart = shared_estimates(solution), separations(solution)
     units = [one.unit for one in found]
     return Table("shared", "Unknowns that images share", (
-        Column("text", [f"{one.name[:34]} {one.axis}".strip() for one in found], label="Shared unknowns", text="<38",
-               files=False),
+        Column("text", [f"{one.name[:34]} {one.axis}".strip() for one in found], label="", text="<38", files=False),
         Column("name", [one.name for one in found], meaning="of the unknown", page="s"),
         Column("kind", [one.kind.value for one in found], meaning="as the case file names it", page="s"),
         Column("axis", [one.axis for one in found], meaning="of the camera, of a boresight or lever arm", page="s"),
@@ -57,38 +51,31 @@ def shared_table(solution: Solution) -> Table:
     ))  # fmt: skip
 
 
-def shared_statements(solution: Solution) -> list[str]:
-    """Some sentences about each column, and one about each mixture of them that is determined."""
-    both = zip(shared_estimates(solution), separations(solution), strict=True)
-    each = [" ".join([_value(one), apart.sentence, *_warnings(one)]) for one, apart in both]
-    return each + [f"Of shared unknowns together is determined: {one.words}." for one in mixtures(solution)]
-
-
-def _value(one: SharedEstimate) -> str:
-    parts = (one.kind if one.name != one.kind else "", f"axis {one.axis}" if one.axis else "")
-    what = f" ({', '.join(part for part in parts if part)})" if any(parts) else ""
-    return (
-        f"{one.name[0].upper()}{one.name[1:]}{what}: {one.value:+.3g} {one.unit}, sigma {one.sigma:.2g} {one.unit} "
-        f"(beforehand {one.prior_sigma:.2g} {one.unit})."
-    )
+def shared_section(solution: Solution) -> Section:
+    """Verdict on each column, and a sentence about each mixture of them that is determined."""
+    table, both = shared_table(solution), zip(shared_estimates(solution), separations(solution), strict=True)
+    said = [
+        f"{one.name[0].upper()}{one.name[1:]}{f', axis {one.axis}' if one.axis else ''}: "
+        + " ".join([apart.sentence, *_warnings(one)])
+        for one, apart in both
+    ]  # fmt: skip
+    said += [f"Of shared unknowns together is determined: {one.words}." for one in mixtures(solution)]
+    return Section("shared", sentences=said, tables=[table], csv=[table] if solution.network.shared else [],
+                   numbers=table.drop("unit").records())  # fmt: skip
 
 
 def _warnings(one: SharedEstimate) -> list[str]:
-    found = []
-    ground = "" if np.isnan(one.ground) else f" 1 {one.unit} of it is {one.ground:.0f} m on the ground there."
-    figures = f"likeness {one.likeness:.2f}, correlation {one.correlation:.2f}"
-    if one.likeness > _ALIKE:
+    """What the measurements do not tell."""
+    found, several = [], one.likeness <= _ALIKE and abs(one.correlation) <= _CORRELATED
+    if one.likeness > _ALIKE or abs(one.correlation) > _CORRELATED or one.together > _ALIKE:
+        pitch = f"constant pitches of {some(one.mixture, len(one.mixture))} together (most like: {one.image}, "
+        pitch = pitch if several else f"a constant pitch of image {one.image} ("
+        alone = several or one.likeness > _ALIKE
+        hardly = "The priors alone separate it from" if alone else "It is highly correlated with"
+        ground = "" if np.isnan(one.ground) else f" 1 {one.unit} of it is {one.ground:.0f} m on the ground there."
         found.append(
-            f"The measures cannot tell it apart from a constant pitch of image {one.image} ({figures}): only what is "
-            f"known of the two beforehand does.{ground}"
-        )
-    elif abs(one.correlation) > _CORRELATED:
-        found.append(f"It can hardly be told apart from a constant pitch of image {one.image} ({figures}).{ground}")
-    elif one.together > _ALIKE:
-        found.append(
-            f"The measures cannot tell it apart from constant pitches of {some(one.mixture, len(one.mixture))} "
-            f"together: only what is known of them beforehand does (most like: {one.image}, {figures}).{ground}"
+            f"{hardly} {pitch}likeness {one.likeness:.2f}, correlation {one.correlation:.2f}).{ground}"
         )
     if one.sigma > _CORRELATED * one.prior_sigma:
-        found.append("The measures say hardly anything about it.")
+        found.append("The measurements say hardly anything about it.")
     return found

@@ -3,11 +3,9 @@
 The GeoTIFF has four bands in metres, on the body's sphere, planetocentric degrees.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,36 +18,11 @@ from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.results.section import Section
 from mgsgraph.units import DEG
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """One part of an analysis."""
-
-    key: str
-    """Its key in analysis.json."""
-    text: str
-    """Lines for a person."""
-    record: Any
-    """What analysis.json holds of it, with units in the keys."""
-    files: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
-    """What writes its files but for the figure, by their names."""
-    sheet: Callable[[], "Sheet"] | None = None
-    """What draws its figure."""
-
-    def write(self, folder: Path, figures: bool) -> list[str]:
-        """Write its files into a folder, with the figure or without; their names."""
-        for name, write in self.files.items():
-            write(folder / name)
-        if not figures or self.sheet is None:
-            return list(self.files)
-        from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
-
-        return [*self.files, *save([self.sheet()], folder)]
 
 
 def _file_of(posterior: Posterior, image: str) -> str:
@@ -68,19 +41,19 @@ def curve_section(posterior: Posterior, image: str) -> Section:
         Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
         for unit, values, axes in units for k, axis in enumerate(axes)
     ]  # fmt: skip
-    table = Table("sigmas", "Sigmas along an image", (
+    file = _file_of(posterior, image)
+    table = Table(file, f"Sigmas along image {image}", (
         Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
     ))  # fmt: skip
-    file = _file_of(posterior, image)
 
-    def sheet() -> "Sheet":
+    def sheets() -> "list[Sheet]":
         from mgsgraph.results.figures.sigmas import curve_sheet
 
-        return curve_sheet(poses, file)
+        return [curve_sheet(poses, file)]
 
-    text = "\n".join([f"Sigmas along image {image} (m; mrad)", *table.take(np.arange(0, lines.size, 10)).text()])
     record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
-    return Section("curves", text, record, {f"{file}.csv": table.write_csv}, sheet)
+    shown = table.take(np.arange(0, lines.size, 10))
+    return Section("curves", tables=[shown], numbers=record, csv=[table], sheets=sheets)
 
 
 def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | None, sigma: float) -> Section:
@@ -88,10 +61,10 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
     grid = sigma_grid(posterior, images, cell, sigma)
     body = posterior.network.images[0].body
 
-    def sheet() -> "Sheet":
+    def sheets() -> "list[Sheet]":
         from mgsgraph.results.figures.sigmas import raster_sheet
 
-        return raster_sheet(grid, "sigma_map")
+        return [raster_sheet(grid, "sigma_map")]
 
     _, rows, columns = grid.values.shape
     record = {
@@ -99,8 +72,9 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
         "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
         "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
     }  # fmt: skip
-    text = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
-    return Section("raster", text, record, {"sigmas.tif": partial(write_sigma_raster, grid, body)}, sheet)
+    said = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
+    files = {"sigmas.tif": partial(write_sigma_raster, grid, body)}
+    return Section("raster", sentences=[said], numbers=record, files=files, sheets=sheets)
 
 
 def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:

@@ -1,24 +1,28 @@
 """A study of orientation images in words, and as files: nodes.json, CSV files of all numbers, and figures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mgsgraph.analysis.spacing.choice import Choice
 from mgsgraph.analysis.spacing.corrections import AXES
 from mgsgraph.analysis.spacing.densify import Densified
-from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
+from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS
 from mgsgraph.analysis.spacing.study import NodeStudy
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import plain, write_json
-from mgsgraph.files.output.folders import NODES, PROGRAM, fresh_folder
+from mgsgraph.files.output.csv_json import picked
+from mgsgraph.files.output.folders import NODES
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Array
+from mgsgraph.results.section import Section, write_sections
 from mgsgraph.text import many, some
 from mgsgraph.units import ARCSEC, MGON
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
 
 _CONTRADICTED = 3.0
 """Times the prior's sigma that a vibration may have before the prior counts as wrong."""
@@ -35,31 +39,23 @@ def seconds_of(text: str) -> list[float]:
     return found
 
 
-def spacing_table(choice: Choice) -> str:
-    """Candidates and how well they predict rays held out; noise is 1, or what rays do scatter."""
-    head = (
-        "Misfits of rays held out, in sigmas that they have when orientation is known (rms, median; worse: mean square "
-        "less that of the best)"
-    )
-    return "\n".join([head, *candidates_table(choice).text(units=True)])
-
-
 def candidates_table(choice: Choice) -> Table:
     """One row per candidate spacing."""
     several = choice.candidates
     state = ["chosen" if k == choice.chosen else "best" if k == choice.best else "" for k in range(len(several))]
     nodes, refused = [one.nodes for one in several], [one.refused for one in several]
-    return Table("spacings", "Spacings of orientation images", (
+    return Table("spacings", "Misfits of rays held out, in their sigmas for known orientation (worse: than the best)", (
         Column("standing", ["refused" if why else state for why, state in zip(refused, state, strict=True)]),
-        Column("reason", refused),
+        Column("reason", refused, json="refused"),
         Column("spacing", numbers(several, "spacing"), "s", text=">9g"),
         Column("nodes", np.array(nodes, dtype=np.float64), text=">6.0f"),
-        Column("longest", numbers(several, "longest"), "s", "largest interval", text=">8.4g"),
+        Column("longest", numbers(several, "longest"), "s", "largest interval", text=">8.4g",
+               json="longest_interval_s"),
         Column("rms", numbers(several, "rms"), text=">8.4f"),
         Column("rms_error", np.asarray(choice.rms_errors), label="+-", text=">7.4f"),
         Column("median", numbers(several, "median"), text=">8.4f"),
         Column("median_error", numbers(several, "median_error"), label="+-", text=">7.4f"),
-        Column("worse", np.asarray(choice.worse), text=">9.4f"),
+        Column("worse", np.asarray(choice.worse), text=">9.4f", json="worse_than_best"),
         Column("worse_error", np.asarray(choice.worse_errors), label="+-", text=">8.4f"),
         Column("sigma0", numbers(several, "sigma0"), text=">8.4f"),
         Column("mark", state, label="", text="<", files=False),
@@ -71,55 +67,38 @@ def node_statements(study: NodeStudy) -> list[str]:
     choice = study.choice
     chosen, best = choice.candidates[choice.chosen], choice.candidates[choice.best]
     found = [
-        f"{many(chosen.squares.size, 'ray')} held out, one of a point each, are predicted best (rms {best.rms:.3f} of "
-        f"their sigmas) by nodes every {best.spacing:g} s"
-        + (
-            "." if choice.chosen == choice.best
-            else f", and no worse, within one standard error, by nodes every {chosen.spacing:g} s (rms "
-            f"{chosen.rms:.3f}), the coarsest of which that can be said."
-        )
-        + f" Chosen: {chosen.spacing:g} s, {many(chosen.nodes, 'node')}."
-    ]  # fmt: skip
+        f"{many(chosen.squares.size, 'ray')} held out, one of a point each, are predicted best by nodes every "
+        f"{best.spacing:g} s. Chosen: {chosen.spacing:g} s, {many(chosen.nodes, 'node')}, the coarsest within one "
+        "standard error of the best."
+    ]
     good = [one for one in choice.candidates if not one.refused]
     if chosen is good[0] or chosen is good[-1]:
         end, other = ("closest", "closer") if chosen is good[0] else ("widest", "wider")
         found.append(f"That is the {end} candidate that could be adjusted: a {other} one may be better.")
-    found += _put_aside(choice)
+    closest = choice.candidates[choice.closest].spacing
+    for count, why in (
+        (choice.rejected, f"rejected as blunders, with nodes every {closest:g} s, took part with no candidate"),
+        (choice.blunders, "held out that no candidate can predict (blunders) don't count"),
+        (choice.unjudged, "held out have no prediction (no other rays place their points) and don't count"),
+    ):
+        found += [f"{many(count, 'ray')} {why}."] if count else []
     found.append(_scatter(choice))
-    for known, spectrum, peak in _vibrations(study):
-        found.append(_vibration(peak, spectrum))
-        if peak.amplitude > _CONTRADICTED * known:
-            found.append(
-                f"Its amplitude is {peak.amplitude / known:.3g} times what the prior expects of departures there "
-                f"({_amount(known, spectrum.unit)}), which holds nodes back from following it: give it a wider sigma."
-            )
+    for one in study.strips:
+        for known, spectrum in zip(one.corrections.known.tolist(), one.spectra, strict=True):
+            most = max((peak.amplitude for peak in spectrum.vibrations), default=0.0)
+            if most > _CONTRADICTED * known:
+                found.append(
+                    f"{spectrum.strip}, {spectrum.axis}: a vibration's amplitude is {most / known:.3g} times what the "
+                    "prior expects of departures, which holds nodes back from following it: give it a wider sigma."
+                )
     quiet = [one.corrections.strip for one in study.strips if not any(spectrum.vibrations for spectrum in one.spectra)]
     if quiet:
         found.append(
-            f"No vibration stands out in {some(quiet, len(quiet))}: what is above noise there "
-            f"({100.0 * FALSE_ALARMS:g} % false alarms per axis) is no more than the prior expects of that axis, or of "
-            "another one that explains it better."
+            f"No vibration found in {some(quiet, len(quiet))} beyond noise ({100.0 * FALSE_ALARMS:g} % false alarms "
+            "per axis) and what the prior expects."
         )
     if study.densified is not None:
         found += _closer(study.densified)
-    return found
-
-
-def _put_aside(choice: Choice) -> list[str]:
-    """Rays that don't count, and why."""
-    found, closest = [], choice.candidates[choice.closest]
-    if choice.rejected:
-        found.append(
-            f"{many(choice.rejected, 'ray')} rejected as blunders, with nodes every {closest.spacing:g} s, took part "
-            "with no candidate."
-        )
-    if choice.blunders:
-        found.append(f"{many(choice.blunders, 'ray')} held out that no candidate can predict (blunders) don't count.")
-    if choice.unjudged:
-        found.append(
-            f"{many(choice.unjudged, 'ray')} held out could not be judged and don't count: the other rays of their "
-            "points don't place these, or they lie beyond an image."
-        )
     return found
 
 
@@ -127,39 +106,15 @@ def _scatter(choice: Choice) -> str:
     """How much rays scatter."""
     scatter = choice.scatter
     if not math.isfinite(scatter.error):
-        return "There are too few rays to tell how much they scatter: their stated sigmas are taken at their word."
-    said = (
-        f"Rays of one line within a moment, which no orientation tells apart, scatter {scatter.factor:.3f} +- "
-        f"{scatter.error:.3f} times their stated sigmas"
-    )
+        return "There are too few rays to tell how much they scatter: their stated sigmas are used."
+    times = f"{scatter.factor:.3f} +- {scatter.error:.3f} times"
+    said = f"Rays of one line within a moment scatter {times} their stated sigmas"
     if not scatter.contradicts:
         return f"{said}: noise in spectra and residuals is taken as that."
     return (
-        f"{said}, WHICH ARE WRONG, unless blunders are among them. Noise in spectra and residuals, and the rms of rays "
-        "held out that means noise, are taken as that; but rays are weighed against priors as stated: correct the "
-        "sigmas of rays."
+        f"{said}, WHICH ARE WRONG, unless blunders are among them. Noise in spectra and residuals is taken as that, "
+        "but rays are weighed against priors as stated: correct the sigmas of rays."
     )
-
-
-def _vibrations(study: NodeStudy) -> Iterator[tuple[float, Spectrum, Peak]]:
-    """Each with the prior's sigma of departures along its axis."""
-    for one in study.strips:
-        for known, spectrum in zip(one.corrections.known.tolist(), one.spectra, strict=True):
-            for peak in spectrum.vibrations:
-                yield known, spectrum, peak
-
-
-def _vibration(peak: Peak, spectrum: Spectrum) -> str:
-    chance = f"probability {peak.probability:.1g}" if peak.probability > 1e-12 else "probability below 1e-12"
-    return (
-        f"{spectrum.strip}, {spectrum.axis}: a vibration of {_amount(peak.amplitude, spectrum.unit)} +- "
-        f"{_amount(peak.sigma, spectrum.unit)} at {peak.frequency:.4g} Hz ({1.0 / peak.frequency:.3g} s); noise shows "
-        f"one like it with {chance}. Nodes tell frequencies up to {spectrum.nyquist:.3g} Hz; faster ones appear folded."
-    )
-
-
-def _amount(value: float, unit: str) -> str:
-    return f"{value:.3g} m" if unit == "m" else f"{value / MGON:.3g} mgon ({value / ARCSEC:.3g} arcsec)"
 
 
 def _closer(densified: Densified) -> list[str]:
@@ -173,6 +128,22 @@ def _closer(densified: Densified) -> list[str]:
     ]
 
 
+def nodes_section(study: NodeStudy) -> Section:
+    """Candidates and what was found."""
+    candidates = candidates_table(study.choice)
+
+    def sheets() -> "Iterable[Sheet]":
+        from mgsgraph.results.figures.spacing import node_sheets  # matplotlib takes its time
+
+        return node_sheets(study)
+
+    peaks = peaks_table(study)
+    seen = [k for k, row in enumerate(peaks.records()) if row["beyond_prior"] and row["echo_of"] is None]
+    csv = [candidates, _course_table(study), *([_spectra_table(study)] if study.strips else [])]
+    return Section("nodes", "", node_statements(study),
+                   [candidates, peaks.take(np.array(seen, dtype=np.int64))], nodes_json(study), csv, sheets=sheets)
+
+
 def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> list[str]:
     """Write a study to a folder that appears whole or not at all; the names of the files.
 
@@ -181,36 +152,14 @@ def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> l
     InputError
         If the folder holds anything but an earlier study of nodes, or can't be written.
     """
-    with fresh_folder(folder, NODES) as aside:
-        write_json(aside / NODES, nodes_json(study))
-        candidates_table(study.choice).write_csv(aside / "spacings.csv")
-        _course_table(study).write_csv(aside / "course.csv")
-        names = [NODES, "spacings.csv", "course.csv"]
-        if study.strips:
-            _spectra_table(study).write_csv(aside / "spectra.csv")
-            names.append("spectra.csv")
-        if figures:
-            from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
-            from mgsgraph.results.figures.spacing import node_sheets
-
-            names += save(node_sheets(study), aside)
-    return names
+    section = nodes_section(study)
+    return write_sections([section], section.numbers, folder, NODES, figures)
 
 
 def nodes_json(study: NodeStudy) -> dict[str, Any]:
     """The record: choice, vibrations, closer nodes; s, Hz, m and rad."""
     choice, densified = study.choice, study.densified
-    candidates = [
-        {
-            "spacing_s": one.spacing, "nodes": one.nodes, "longest_interval_s": one.longest, "rms": one.rms,
-            "rms_error": choice.rms_errors[k], "median": one.median, "median_error": one.median_error,
-            "worse_than_best": choice.worse[k], "worse_error": choice.worse_errors[k], "sigma0": one.sigma0,
-            "refused": one.refused or None,
-        }
-        for k, one in enumerate(choice.candidates)
-    ]  # fmt: skip
-    found = {
-        "program": PROGRAM,
+    return {
         "name": study.name,
         "rays_held_out": choice.candidates[choice.best].squares.size,
         "blunders_held_out": choice.blunders,
@@ -221,18 +170,10 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
             "factor": choice.scatter.factor, "error": choice.scatter.error, "redundancy": choice.scatter.freedom,
             "contradicts_stated": choice.scatter.contradicts,
         },
-        "candidates": candidates,
+        "candidates": candidates_table(choice).drop("standing").records(),
         "best_s": choice.candidates[choice.best].spacing,
         "chosen_s": choice.spacing,
-        "peaks": [
-            {
-                "strip": spectrum.strip, "axis": spectrum.axis, "frequency_hz": peak.frequency,
-                f"amplitude_{spectrum.unit}": peak.amplitude, f"sigma_{spectrum.unit}": peak.sigma,
-                "chi_square": peak.test, "probability": peak.probability, "beyond_prior": peak.beyond_prior,
-                "echo_of": peak.echo_of or None,
-            }
-            for one in study.strips for spectrum in one.spectra for peak in spectrum.peaks
-        ],
+        "peaks": peaks_table(study).records(),
         "closer": None if densified is None else {
             "message": densified.message,
             "rounds": [
@@ -244,44 +185,61 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
             },
         },
     }  # fmt: skip
-    cleaned: dict[str, Any] = plain(found)
-    return cleaned
+
+
+def peaks_table(study: NodeStudy) -> Table:
+    """One row per peak above noise; vibrations are those that the prior doesn't expect, and no echo of others."""
+    every = [(spectrum, peak) for one in study.strips for spectrum in one.spectra for peak in spectrum.peaks]
+    spectra, peaks = [spectrum for spectrum, _ in every], [peak for _, peak in every]
+    units, shown = [one.unit for one in spectra], [1.0 if one.unit == "m" else ARCSEC for one in spectra]
+    return Table("peaks", "Vibrations (nodes tell frequencies up to the highest; faster ones appear folded)", (
+        Column("strip", [one.strip for one in spectra], text="<16"),
+        Column("axis", [one.axis for one in spectra], text="<16"),
+        Column("frequency", numbers(peaks, "frequency"), "hz", text=">9.4g"),
+        Column("highest", numbers(spectra, "nyquist"), "hz", text=">9.3g", files=False),
+        Column("amplitude", numbers(peaks, "amplitude"), units),
+        Column("sigma", numbers(peaks, "sigma"), units),
+        Column("shown", numbers(peaks, "amplitude") / shown, label="amplitude", text=">9.3g", files=False),
+        Column("shown_sigma", numbers(peaks, "sigma") / shown, label="sigma", text=">8.2g", files=False),
+        Column("unit", ["m" if unit == "m" else "arcsec" for unit in units], text="<6", files=False),
+        Column("chi_square", numbers(peaks, "test")),
+        Column("probability", numbers(peaks, "probability"), label="p (noise)", text=">9.1g"),
+        Column("beyond_prior", np.array([one.beyond_prior for one in peaks], dtype=bool)),
+        Column("echo_of", [one.echo_of for one in peaks]),
+    ))  # fmt: skip
 
 
 def _course_table(study: NodeStudy) -> Table:
     """Corrections of all strips at the nodes of the spacing chosen."""
     found = study.corrections
-    columns = [
+    values, sigmas = (np.concatenate([getattr(one, name) for one in found]) for name in ("values", "sigmas"))
+    stems = [(axis.replace(" position", "").replace("-", "_"), "m" if k < 3 else "mgon") for k, axis in enumerate(AXES)]
+    return Table("course", "Corrections along the strips", (
         Column("strip", [one.strip for one in found for _ in range(one.times.size)]),
         Column("node", np.concatenate([np.arange(1, one.times.size + 1) for one in found])),
         Column("time_et", np.concatenate([one.epoch + one.times for one in found]), "s", "TDB past J2000"),
-    ]
-    for k, axis in enumerate(AXES):
-        stem, unit = axis.replace(" position", "").replace("-", "_"), "m" if k < 3 else "mgon"
-        columns += [
-            Column(stem, np.concatenate([one.values[:, k] for one in found]), unit),
-            Column(f"{stem}_sigma", np.concatenate([one.sigmas[:, k] for one in found]), unit),
-        ]
-    return Table("course", "Corrections along the strips", tuple(columns))
+        *(
+            Column(f"{stem}{part}", of[:, k], unit)
+            for k, (stem, unit) in enumerate(stems) for part, of in (("", values), ("_sigma", sigmas))
+        ),
+    ))  # fmt: skip
 
 
 def _spectra_table(study: NodeStudy) -> Table:
     """One row per frequency of each axis of each strip; amplitudes in `unit`."""
     every = [spectrum for one in study.strips for spectrum in one.spectra]
-    sizes = [one.frequencies.size for one in every]
-    scale = np.repeat([1.0 if one.unit == "m" else MGON for one in every], sizes)
+    rows = np.repeat(np.arange(len(every)), [one.frequencies.size for one in every])
+    units = ["m" if one.unit == "m" else "mgon" for one in every]
+    scale = np.where(np.isin(units, "m"), 1.0, MGON)[rows]
 
     def of(name: str) -> Array:
         return np.concatenate([getattr(one, name) for one in every])
 
-    def repeated(words: list[str]) -> list[str]:
-        return [word for word, n in zip(words, sizes, strict=True) for _ in range(n)]
-
     return Table("spectra", "Spectra", (
-        Column("strip", repeated([one.strip for one in every])),
-        Column("axis", repeated([one.axis for one in every])),
-        Column("unit", repeated(["m" if one.unit == "m" else "mgon" for one in every])),
-        Column("above_level", np.concatenate([one.amplitudes > one.level for one in every])),
+        Column("strip", picked([one.strip for one in every], rows)),
+        Column("axis", picked([one.axis for one in every], rows)),
+        Column("unit", picked(units, rows)),
+        Column("above_level", of("amplitudes") > of("level")),
         Column("frequency", of("frequencies"), "hz"),
         *(Column(name.removesuffix("s"), of(name) / scale) for name in ("amplitudes", "floor", "level", "wander")),
     ))  # fmt: skip

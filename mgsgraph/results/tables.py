@@ -13,9 +13,6 @@ from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.analysis.statistics import (
     PLACES,
     local_sigmas,
-    orientation_statistics,
-    point_statistics,
-    ray_statistics,
     rejected_points,
     used_ray_counts,
 )
@@ -30,63 +27,6 @@ from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.units import DEG, ISIS_OFFSET
 
 _REMARKS = ("bridge", "overlap without common points", "common points without overlap")
-
-
-def images_table(solution: Solution) -> Table:
-    """One row per image: measures, residuals, corrections; in text and on the page."""
-    network, rays = solution.network, ray_statistics(solution)
-    found = [orientation_statistics(solution, j) for j in range(len(network.images))]
-    mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
-    sigma = np.where(network.held[:, None], np.nan, sigma)
-    passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
-    return Table("images", "Images", (
-        Column("image", [image.name for image in network.images], page="s", label="Images", text="<26"),
-        Column("pass", passes, page="s"),
-        Column("lines", np.array([image.lines for image in network.images]), "px", page="s"),
-        Column("samples", np.array([image.samples for image in network.images]), "px", page="s"),
-        Column("measures", rays.total, page="s", label="rays", text=">6"),
-        Column("used", rays.count.sum(axis=1), page="s", text=">6"),
-        Column("residual_{}", rays.rms_of_images, "px", "rms of the measures used, measured minus predicted",
-               ("line", "sample"), "residual {}", ".2f", "residuals [px]", ">7", gap=2),
-        Column("correction_{}", mean[:, :3], "m", "adjusted minus nominal, body-fixed, mean over the lines",
-               ("X", "Y", "Z"), "Δ{}", ".1f", "mean correction [m]", ">7", gap=2),
-        Column("sigma_{}", sigma[:, :3], "m", "of the adjusted position; none of a held image",
-               ("X", "Y", "Z"), "σ {}", ".1f"),
-        Column("turn_{}", mean[:, 6:], "arcsec", "the same about the camera's own axes", ("x", "y", "z"), "turn {}",
-               ".1f", "camera axes [arcsec]", ">7", gap=2),
-        Column("sigma_turn_{}", sigma[:, 6:], "arcsec", "of the adjusted attitude", ("x", "y", "z"), "σ turn {}",
-               ".1f"),
-    ), instead=dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}")))  # fmt: skip
-
-
-def classes_table(solution: Solution) -> Table:
-    """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
-    found = [point_statistics(solution, c) for c in solution.network.classes]
-    sigma, median, high, mean, rms = (
-        np.array([getattr(one, name) for one in found])
-        for name in ("mean_sigma", "median_sigma", "high_sigma", "mean_correction", "rms_correction")
-    )
-    axes, capital = ("x", "y", "z"), "XYZ"
-    return Table("classes", "Ground points by kind", (
-        Column("kind", [c.name.lower() for c in solution.network.classes], page="s", label="Points", text="<10"),
-        Column("count", np.array([one.count for one in found]), head="points", page="s", label="count", text=">8"),
-        Column("rejected", np.array([one.rejected for one in found]), page="s", text=">9"),
-        Column("weak", np.array([one.weak for one in found]), meaning="sigma over ten times the median: parallel rays",
-               page="s", text=">5"),
-        Column("median_sigma_{}", median, "m", "for sigma0 = 1, body-fixed", axes,
-               tuple(f"median σ {a}" for a in capital), ".2f", "median sigma [m]", ">9", gap=2),
-        Column("high_sigma_{}", high, "m", "95 % of the points have this at most", axes,
-               tuple(f"95 % σ {a}" for a in capital), ".2f"),
-        Column("mean_sigma_{}", sigma, "m", "the mean, which weak points dominate", axes,
-               tuple(f"mean σ {a}" for a in capital), ".2f"),
-        Column("scaled_sigma_{}", median * solution.sigma0, "m", "median, times sigma0", axes,
-               tuple(f"σ {a} × σ₀" for a in capital), ".2f", files=False),
-        Column("mean_correction_{}", mean, "m", "adjusted minus before", axes),
-        Column("rms_correction_{}", rms, "m", "the same", axes, tuple(f"rms Δ{a}" for a in capital), ".2f",
-               "rms correction [m]", ">9", gap=2),
-    ), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
-       "Corrections are adjusted minus before.",
-    )  # fmt: skip
 
 
 def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table:

@@ -14,19 +14,20 @@ from mgsgraph.case.scene import read_scene
 from mgsgraph.files.output.csv_json import picked, write_json
 from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder, require_replaceable
 from mgsgraph.files.output.geotiff import geotiff
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.progress import Progress, no_progress
-from mgsgraph.registration.dem.checking import HeightChecks, check_figures, check_profiles
+from mgsgraph.registration.dem.checking import check_figures, check_profiles
 from mgsgraph.registration.dem.gridding import HeightGrid
 from mgsgraph.registration.dem.map import MapGrid
 from mgsgraph.registration.dem.model import Dem, DemSettings, dem_of, ortho_grid, require_reference
 from mgsgraph.registration.dem.ortho import ortho_tiles
 from mgsgraph.registration.dem.scene import adjusted_names, adjusted_scene, densely_matched, expected_ground
+from mgsgraph.results.section import Section
 from mgsgraph.results.stac_item import write_item
-from mgsgraph.text import many, some
+from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
 
 FORMAT = 2
@@ -118,59 +119,63 @@ def write_dem(
     write_item(dem, grid, BANDS, images, folder / STAC_ITEM, sorted(path.name for path in folder.iterdir()))
 
 
-def dem_statements(dem: Dem) -> list[str]:
-    """What the terrain model is and how good, in sentences."""
+def dem_section(dem: Dem) -> Section:
+    """What the terrain model is and how good."""
     grid, there = dem.model.map, np.isfinite(dem.heights)
-    found = [
-        f"{' and '.join(one.images)}: {one.matched} of {one.posts} posts every {dem.spacing:.3g} m matched "
-        f"({100.0 * one.matched / max(one.posts, 1):.0f} %); their rays miss each other by {one.miss:.2g} m (rms), "
-        f"{_explained(one.miss, one.miss_sigma)}."
-        for one in dem.pairs
-    ]
     low, high = (float(value) for value in (np.nanmin(dem.heights), np.nanmax(dem.heights)))
-    found.append(
-        f"The terrain model has {grid.rows} x {grid.columns} posts every {grid.post:.3g} m, of which "
-        f"{int(there.sum())} have a height ({dem.covered / KM**2:.4g} km^2): {low:.0f} to {high:.0f} m above "
-        f"{dem.reference}."
-    )
     whole, matching, orientation = (
         float(np.median(band[there])) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
     )
-    found.append(
+    offered = sum(one.shots.times.size for one in dem.profiles)
+    said = [
+        f"The terrain model has {grid.rows} x {grid.columns} posts every {grid.post:.3g} m, of which "
+        f"{int(there.sum())} have a height ({dem.covered / KM**2:.4g} km^2): {low:.0f} to {high:.0f} m above "
+        f"{dem.reference}.",
         f"Sigma of a height (median, for sigma0 = 1): {whole:.3g} m, of which {matching:.3g} m by matching and relief, "
-        f"independent beyond {dem.window:.0f} m, and {orientation:.3g} m by the orientation, common to neighbours."
-    )
-    return [*found, *_check_statements(dem)]
-
-
-def _explained(miss: float, sigma: float) -> str:
-    """What makes rays miss each other."""
-    if miss <= _UNEXPLAINED * sigma:
-        return f"as matching explains ({sigma:.2g} m)"
-    rest = "the rest is the orientation's, by its sigmas or by motion that the adjustment doesn't follow"
-    return f"of which matching explains {sigma:.2g} m; {rest}"
-
-
-def _check_statements(dem: Dem) -> list[str]:
-    """What the laser shots say."""
-    checks, offered = dem.checks, sum(one.shots.times.size for one in dem.profiles)
+        f"independent beyond {dem.window:.0f} m, and {orientation:.3g} m by the orientation, common to neighbours.",
+    ]
+    if odd := [" and ".join(one.images) for one in dem.pairs if one.miss > _UNEXPLAINED * one.miss_sigma]:
+        said.append(
+            f"Rays of {some(odd, len(odd))} miss each other by more than matching explains: the rest is the "
+            "orientation's, by its sigmas or by motion that the adjustment doesn't follow."
+        )
     if not dem.profiles:
-        return ["Not checked by laser shots: there are none that took no part in the adjustment."]
-    if not len(checks):
-        return [f"Not checked by laser shots: of {offered} that took no part none lies on the terrain model."]
-    found = [f"{many(len(checks), 'laser shot')} that took no part: {_compared(checks, np.ones(len(checks), bool))}."]
-    for k, one in enumerate(dem.profiles):
-        if len(dem.profiles) > 1 and np.any(mine := checks.profile == k):
-            found.append(f"Of {one.name}, {int(mine.sum())}: {_compared(checks, mine)}.")
-    return found
+        said.append("Not checked by laser shots: there are none that took no part in the adjustment.")
+    elif not len(dem.checks):
+        said.append(f"Not checked by laser shots: of {offered} that took no part none lies on the terrain model.")
+    return Section("dem", "", said, [_pairs_table(dem), _checks_table(dem)])
 
 
-def _compared(checks: HeightChecks, mine: Mask) -> str:
-    off = check_figures(checks, mine)
-    return (
-        f"model minus shot {off['mean_m']:+.2g} m on the average, {off['rms_m']:.3g} m rms, "
-        f"{off['rms_by_sigma']:.2f} times what is stated; {100.0 * off['beyond_3_sigma']:.1f} % beyond three sigmas"
-    )
+def _pairs_table(dem: Dem) -> Table:
+    """One row per pair of images."""
+    pairs = dem.pairs
+    return Table("pairs", "Dense matches, and by how much their rays miss each other (rms)", (
+        Column("pair", [" and ".join(one.images) for one in pairs], text="<40", files=False),
+        Column("images", [list(one.images) for one in pairs]),
+        Column("matches", np.array([one.matched for one in pairs]), text=">9"),
+        Column("posts", np.array([one.posts for one in pairs]), text=">9"),
+        Column("rays_miss", numbers(pairs, "miss"), "m", label="miss", text=">8.2g"),
+        Column("rays_miss_by_matching", numbers(pairs, "miss_sigma"), "m", label="by matching", text=">11.2g"),
+    ))  # fmt: skip
+
+
+def _checks_table(dem: Dem) -> Table:
+    """One row per profile with shots on the model, and one for all of them."""
+    names = [*(one.name for one in dem.profiles), "all"]
+    members = [*(dem.checks.profile == k for k in range(len(dem.profiles))), np.ones(len(dem.checks), dtype=bool)]
+    rows = [(name, check_figures(dem.checks, mine)) for name, mine in zip(names, members, strict=True) if np.any(mine)]
+
+    def of(key: str) -> Array:
+        return np.array([figures[key] for _, figures in rows], dtype=np.float64)
+
+    return Table("checks", "Model minus laser shots that took no part in the adjustment", (
+        Column("profile", [name for name, _ in rows], text="<16"),
+        Column("shots", of("shots"), text=">7.0f"),
+        Column("mean", of("mean_m"), "m", text=">+8.2g"),
+        Column("rms", of("rms_m"), "m", text=">8.3g"),
+        Column("rms_by_sigma", of("rms_by_sigma"), label="over sigma", text=">10.2f"),
+        Column("beyond", of("beyond_3_sigma"), label="beyond 3 sigmas", text=">15.3f"),
+    ))  # fmt: skip
 
 
 def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
@@ -190,13 +195,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
             "ortho_pixel_m": settings.ortho_pixel, "images": list(settings.images),
             "mola": [str(path) for path in settings.mola],
         },
-        "pairs": [
-            {
-                "images": list(one.images), "matches": one.matched, "posts": one.posts, "rays_miss_m": one.miss,
-                "rays_miss_by_matching_m": one.miss_sigma,
-            }
-            for one in dem.pairs
-        ],
+        "pairs": _pairs_table(dem).records(),
         "coordinate_system": grid.crs,
         "heights_above": dem.reference,
         "post_m": grid.post,
@@ -219,7 +218,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
             for k, one in enumerate(dem.profiles)
         ],
         "all_checks": check_figures(checks, np.ones(len(checks), dtype=bool)) if len(checks) else {"shots": 0},
-        "statements": dem_statements(dem),
+        "statements": dem_section(dem).sentences,
     }  # fmt: skip
 
 

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import prior_covariance
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import prior_covariance
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution

@@ -21,10 +21,9 @@ from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
-from mgsgraph.project.adjustment_cache import KeptAdjustment
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
-from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.project import KeptAdjustment, Project, open_project
 from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.results.archive import ARCHIVE, read_solution
 from mgsgraph.studio.block import Block

@@ -111,7 +111,9 @@ def _answer(posterior: Posterior | None, point: str) -> dict[str, Any]:
         found = [] if posterior is None else list(answered(posterior, Questions(points=(point,))))
     except InputError:
         found = []
-    return {"answer": found[0].text, "ellipsoid": found[0].record["ellipsoid"]} if found else {"answer": None}
+    if not found:
+        return {"answer": None}
+    return {"answer": "\n".join(found[0].sentences), "ellipsoid": plain(found[0].numbers["ellipsoid"])}
 
 
 def tests_of(opened: Opened, point: str) -> dict[str, Any]:

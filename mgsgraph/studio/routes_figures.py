@@ -126,7 +126,7 @@ class Figures:
     # --- of the solution: the sheets that results have
 
     def _of_solution(self, view: str) -> "Sheet":
-        from mgsgraph.results.figures.adjacency import links_sheet
+        from mgsgraph.results.figures.connectivity import links_sheet
         from mgsgraph.results.figures.minima import minima_sheets
         from mgsgraph.results.figures.orientation import orientation_sheets
         from mgsgraph.results.figures.page import correction_sheets

@@ -111,9 +111,9 @@ def comparison(opened: Opened, other: Path) -> dict[str, Any]:
     mine = first[thinned(first.size, _MOST_MOVED)]
     ids = opened.solution.network.points.ids
     return {
-        "other": str(other), "sentences": found.sentences,
+        "other": str(other), "sentences": found.section.sentences,
         "tables": [{"name": one.name, "title": one.title, "note": one.note, "headings": one.headings, "rows": one.rows}
-                   for one in found.tables],
+                   for one in found.section.tables],
         "names": [ids[i] for i in points.rows[0][mine].tolist()],
         "places": np.round(opened.map_places(points.places[mine]), 2).tolist(),
         "moved": np.round(points.moved[mine], 4).tolist(),

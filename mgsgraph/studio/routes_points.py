@@ -11,6 +11,7 @@ from starlette.routing import Route
 from mgsgraph.analysis.posterior import Pixel
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import json_object
+from mgsgraph.files.output.csv_json import plain
 from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.next_measures import next_measures
@@ -116,7 +117,10 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         found = questions_of(wanted)
         if not found:
             raise InputError("questions", "none", "points, pairs, poses, projections or pixels")
-        return [{"text": one.text, "record": one.record} for one in answered(opened.posterior(), found)]
+        return [
+            {"text": "\n".join(one.sentences), "record": plain(one.numbers)}
+            for one in answered(opened.posterior(), found)
+        ]
 
     def planned(_: Request) -> Response:
         return JSONResponse(opened.once("next measures", lambda: next_measures(opened, views.linked)))

@@ -8,10 +8,10 @@ import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.covariances import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph, lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shared_vector, variable_key
 from mgsgraph.adjustment.nominal import predict
-from mgsgraph.adjustment.posterior import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.rounds import everything, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings

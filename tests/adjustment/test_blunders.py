@@ -10,6 +10,8 @@ from scipy.stats import chi2, kstest, norm
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import critical_value, judged, observed_tests, squared_unit
+from mgsgraph.adjustment.linearised import PointRows
+from mgsgraph.adjustment.redundancy import closure
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
@@ -79,6 +81,21 @@ def test_tests_of_good_rays_are_chi_square() -> None:
         assert set(dimensions[first].tolist()) == {1, 2}
         chances.append(chi2.sf(tests[first], dimensions[first]))
     assert kstest(np.concatenate(chances), "uniform").pvalue > 1e-3
+
+
+def test_closures_of_good_rows_are_chi_square() -> None:
+    """Of as many degrees of freedom as rows are chosen beyond the point's coordinates."""
+    rng, m, r = np.random.default_rng(8), 400, 7
+    by_point, by_shared = rng.standard_normal((m, r, 3)), rng.standard_normal((m, r, 4))
+    root = 2.0 * rng.standard_normal((4, 4))
+    off = np.einsum("mrc,cd,md->mr", by_shared, root, rng.standard_normal((m, 4)))
+    off += np.einsum("mrk,mk->mr", by_point, 100.0 * rng.standard_normal((m, 3))) + rng.standard_normal((m, r))
+    rows = PointRows((0,), off, by_point, by_shared, np.arange(r), np.zeros(r, dtype=np.int64), False)
+    chosen = np.ones((m, r), dtype=bool)
+    chosen[::2, 0] = False
+    tests, dimensions = closure(rows, chosen, root @ root.T)
+    assert dimensions.tolist() == [3, 4] * (m // 2)
+    assert kstest(chi2.sf(tests, dimensions), "uniform").pvalue > 1e-3
 
 
 def test_clean_data_stay() -> None:

@@ -113,6 +113,16 @@ def test_places_of_sweeps_that_are_still_wanted(source: Source, layout: Layout) 
     assert states is not None
 
 
+def test_what_an_order_says_is_new_holds_for_those_that_follow(source: Source, layout: Layout) -> None:
+    x, weight = np.zeros(layout.columns), 0.5 * source.rows.weight
+    carry_out(Order("a", COSTS, x, source))
+    expected = reduce(source.rows._replace(weight=weight), *source.system[1:], x, COSTS).cost
+    for changes in ({"weight": weight}, {}):
+        costs = carry_out(Order("a", COSTS, x, changes=changes))[0]
+        assert costs is not None
+        assert costs.sum() == pytest.approx(expected, rel=1e-9)
+
+
 def test_what_nobody_asks_for_makes_room(source: Source, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
     x = np.zeros(layout.columns)
     carry_out(Order("a", COSTS, x, source))

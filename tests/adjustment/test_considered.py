@@ -14,7 +14,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import without_terrain
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_orientation import orientation_polynomials
+from mgsgraph.export.bundle_out import orientation_polynomials
 from mgsgraph.export.isis import adjusted_network
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array

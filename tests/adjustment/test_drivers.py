@@ -13,8 +13,8 @@ from once import once
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.driver_search import drivers_of, outstanding
 from mgsgraph.adjustment.drivers import Drivers, Kind, driver_sentences
+from mgsgraph.adjustment.fit import ABSURD, fit
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.posterior import ABSURD, fit
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.squares import squares_of

@@ -17,7 +17,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.network import TERRAIN, Network
-from mgsgraph.results.minima import minima_json, minima_statements, minima_table
+from mgsgraph.results.control import minima_section
 from mgsgraph.results.results import solution_json
 from mgsgraph.results.summary import statements
 
@@ -96,12 +96,11 @@ def test_they_are_said() -> None:
     assert minima is not None
     assert minima.several
     record = solution_json(solved())["minima"]
-    assert record["number"] == len(minima.each) == len(minima_table(minima))
+    assert record["number"] == len(minima.each) == len(minima_section(minima).tables[0])
     assert [one["weight"] for one in record["each"]] == [one.weight for one in minima.each]
-    assert minima_statements(minima)[0] in statements(solved())
-    assert minima_json(None) is None
-    assert not minima_statements(None)
-    assert not len(minima_table(None))
+    assert minima_section(minima).sentences[0] in statements(solved())
+    assert minima_section(None).numbers is None
+    assert not minima_section(None).sentences
 
 
 def test_without_a_shift_to_be_estimated_there_are_none() -> None:

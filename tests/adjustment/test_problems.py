@@ -10,8 +10,8 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration, levenberg_marquardt
+from mgsgraph.adjustment.covariances import orientation_covariance, shared_marginals
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.posterior import orientation_covariance, shared_marginals
 from mgsgraph.adjustment.problems import FactorEquations
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError

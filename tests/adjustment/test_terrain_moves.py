@@ -29,7 +29,7 @@ from mgsgraph.kernel.rows import SURFACE, one_observation
 from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
 from mgsgraph.results.archive import read_solution, write_archive
-from mgsgraph.results.control import control_json, control_statements, surface_heights
+from mgsgraph.results.control import control_section, surface_heights
 from mgsgraph.units import ARCSEC, DEG, MRAD
 
 RADIUS = 3.39e6
@@ -118,7 +118,7 @@ def test_any_of_them_may_be_unknown_alone() -> None:
     assert np.all(lifted.shift_covariance(0) == 0.0)
     assert lifted.lift is not None
     assert abs(lifted.lift[0] - 30.0) < 5.0
-    assert "rose by" in " ".join(control_statements(lifted))
+    assert "rose by" in " ".join(control_section(lifted).sentences)
     tilted = adjust_network(control(1, ("tilt_sigma", "middle")), SolverSettings())
     assert [term.unit for term in tilted.network.shift_terms[0]] == ["rad", "rad"]
 
@@ -184,14 +184,14 @@ def test_the_answer_is_a_stationary_point() -> None:
 
 def test_it_is_told_in_words_and_numbers() -> None:
     solution = solved()
-    record = control_json(solution)["shifts"][0]
+    record = control_section(solution).numbers["shifts"][0]
     assert solution.lift is not None
     assert record["up_m"] == solution.lift[0]
     np.testing.assert_allclose(record["tilt_about_east_north_mrad"], solution.lift[1:] / MRAD)
     sigmas = np.sqrt(np.diag(solution.shift_spread(0)))
     np.testing.assert_allclose(record["sigma_tilt_about_east_north_mrad"], sigmas[3:] / MRAD)
     assert record["sigma_up_m"] == sigmas[2]
-    words = " ".join(control_statements(solution))
+    words = " ".join(control_section(solution).sentences)
     assert f"It rose by {solution.lift[0]:+.1f} m" in words
     assert "through the middle of the points" in words
 

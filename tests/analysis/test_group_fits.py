@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
+from scipy.stats import chi2
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -13,7 +14,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import group_fits as module
 from mgsgraph.analysis.group_fits import group_fits
 from mgsgraph.network import ImageRays, Network, PointClass
-from mgsgraph.results.group_fits import fits_json, group_fits_table, weight_unit
+from mgsgraph.results.group_fits import fits_section, group_fits_table, weight_unit
 from mgsgraph.results.results import solution_json
 from mgsgraph.results.summary import statements, summary_table
 
@@ -77,7 +78,7 @@ def test_every_surface_says_it(behind: Solution) -> None:
     assert row["sigma0"] > high > 1.0 > low
     assert row["state"].startswith("WORSE")
     assert TIES in summary_table(behind)
-    assert fits_json(behind) == record["fits"]
+    assert fits_section(behind).numbers == record["fits"]
 
 
 def test_right_sigmas_name_nothing_and_wrong_ones_always() -> None:
@@ -97,6 +98,17 @@ def test_groups_that_little_checks_are_not_judged() -> None:
         assert not one.judged or one.low < 1.0 < one.high
 
 
+def test_all_groups_share_one_probability_of_a_false_alarm(behind: Solution) -> None:
+    """What lies beyond all bands together, of chi-square with their redundancies."""
+    judged = [one for one in group_fits(behind) or () if one.judged]
+    beyond = [
+        chi2.cdf(one.redundancy * one.low**2, one.redundancy) + chi2.sf(one.redundancy * one.high**2, one.redundancy)
+        for one in judged
+    ]
+    assert len(judged) > 2
+    np.testing.assert_allclose(beyond, module.ODDS / len(judged), rtol=1e-6)
+
+
 def test_rejection_and_losses_are_allowed_for(behind: Solution) -> None:
     """Tails that rejection takes lower the squares; a robust loss makes of them no chi-square at all."""
     net = network(pair(ties=60, shots=60, seed=8))
@@ -114,7 +126,7 @@ def test_nothing_is_said_where_nobody_looked(monkeypatch: pytest.MonkeyPatch) ->
     solution = adjusted(net)
     assert group_fits(solution) is None
     assert len(group_fits_table(None)) == 0
-    assert fits_json(solution) is None
+    assert fits_section(solution).numbers is None
     assert group_fits(replace(solution, converged=False)) is None
     assert summary_table(solution)
 

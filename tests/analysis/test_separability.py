@@ -74,14 +74,15 @@ def test_what_priors_tell_apart_is_not_named() -> None:
     network = replace(rig(), passes=(replace(one, prior=firm),), shared=())
     solution = adjust_network(network, SolverSettings())
     assert not found(solution)
-    (section,) = (part for part in analysed(Posterior.of(solution), Wanted(weak=1), "rig") if part.key[:3] == "sep")
-    assert "are told apart" in section.text
-    assert section.record == []
+    (section,) = (part for part in analysed(Posterior.of(solution), Wanted(weak=1), "rig") if part.name[:3] == "sep")
+    assert "are separable" in section.text()
+    assert section.numbers == []
 
 
 def test_the_report_has_the_words() -> None:
     (section,) = (part for part in analysed(Posterior.of(adjusted_rig()), Wanted(weak=1), "rig")
-                  if part.key == "separability")  # fmt: skip
-    assert section.text.startswith("Across-track position of pass one pass (sigma 122 m) and roll of pass one pass")
-    assert section.record[0]["quantities"][1]["unit"] == "mrad"
-    assert "380 m/mrad x roll of pass one pass, to 3.1" in section.text
+                  if part.name == "separability")  # fmt: skip
+    said = section.sentences[0]
+    assert said.startswith("Across-track position of pass one pass (sigma 122 m) and roll of pass one pass")
+    assert section.numbers[0]["quantities"][1]["unit"] == "mrad"
+    assert "380 m/mrad x roll of pass one pass, to 3.1" in section.text()

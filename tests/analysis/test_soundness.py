@@ -9,8 +9,8 @@ from networks import network, pair
 from sharing import shared
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.fit import ABSURD
 from mgsgraph.adjustment.implausible import IMPOSSIBLE
-from mgsgraph.adjustment.posterior import ABSURD
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.soundness import MOST, Kind, is_result, soundness
@@ -20,7 +20,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.results.inventory import inventory
 from mgsgraph.results.results import solution_json
-from mgsgraph.results.soundness import soundness_statements, state_of
+from mgsgraph.results.soundness import soundness_section, state_of
 from mgsgraph.results.summary import statements, summary_table
 
 
@@ -45,7 +45,7 @@ def parallel(only_ties: bool = False) -> Network:
 def test_a_good_solution_is_a_result(good: Solution) -> None:
     assert is_result(good)
     assert not soundness(good).losses
-    assert not soundness_statements(good)
+    assert not soundness_section(good).sentences
     assert state_of(good) == "converged"
     assert solution_json(good)["soundness"]["sound"] is True
     assert not is_result(replace(good, converged=False))
@@ -76,7 +76,7 @@ def test_parallel_rays_are_said_in_one_line_without_warnings() -> None:
     """Warnings are errors here; `nan` is no figure."""
     said = inventory(Case("x", Path("x"), parallel(), SolverSettings()))
     assert "nan" not in said
-    assert said.count("nothing determines the place of any of them") == 1
+    assert said.count("points have parallel rays, and stay out") == 1
 
 
 def lost(solution: Solution, kind: Kind, share: float) -> Solution:
@@ -129,10 +129,10 @@ def test_orientations_that_no_sigma_allows(good: Solution) -> None:
     near, far = moved(good, 0.99 * IMPOSSIBLE), moved(good, 1.01 * IMPOSSIBLE)
     assert near.strained
     assert is_result(near)
-    assert not soundness_statements(near)
+    assert not soundness_section(near).sentences
     assert not is_result(far)
     (one,) = soundness(far).impossible
-    (sentence,) = soundness_statements(far)
+    (sentence,) = soundness_section(far).sentences
     name = far.network.images[one.image].name
     assert name in sentence
     record = solution_json(far)["soundness"]
@@ -162,5 +162,5 @@ def test_a_sigma0_that_no_sigma_makes(good: Solution) -> None:
     freedom = good.fit.degrees_of_freedom
     wild = replace(good, fit=replace(good.fit, squares=1.01 * ABSURD**2 * freedom))
     assert not is_result(wild)
-    assert len(soundness_statements(wild)) == 1
+    assert len(soundness_section(wild).sentences) == 1
     assert is_result(replace(good, fit=replace(good.fit, squares=0.99 * ABSURD**2 * freedom)))

@@ -10,8 +10,7 @@ from strip_files import STRIPS, block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.case.node_prior import NodePriorInput
-from mgsgraph.case.nodes import NodesInput
+from mgsgraph.case.nodes import NodePriorInput, NodesInput
 from mgsgraph.case.reading import adjust
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError

@@ -66,6 +66,17 @@ def test_a_profile_whose_ranges_are_kilometres(case_file: Path) -> None:
         mgsgraph.read_case(case_file)
 
 
+def test_every_so_many_th_shot_is_a_check_point(case_file: Path) -> None:
+    """Of every three the third: the others are points of the network, in their order."""
+    text = with_profile(case_file).read_text(encoding="utf-8")
+    every = list(mgsgraph.read_case(case_file).network.points.ids)
+    profile = [name for name in every if name.startswith("profile:")]
+    case_file.write_text(text.replace("[[shots]]\n", "[[shots]]\ncheck_every = 3\n"), encoding="utf-8")
+    left = list(mgsgraph.read_case(case_file).network.points.ids)
+    assert len(profile) > 3
+    assert left == [name for name in every if name not in profile[2::3]]
+
+
 def test_profiles_of_one_file_have_a_shift_each(case_file: Path) -> None:
     path = with_profile(case_file).with_name("profile.csv")
     lines = path.read_text(encoding="utf-8").splitlines()

@@ -20,7 +20,7 @@ from mgsgraph.network.observations import nominal_ground
 from mgsgraph.network.posts import posts_of
 from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.project.campaign.inputs import checksums
-from mgsgraph.results.control import control_json, control_statements
+from mgsgraph.results.control import control_section
 from mgsgraph.results.inventory import inventory
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.mars import MARS
@@ -116,9 +116,9 @@ def test_height_and_tilt_may_be_unknown_and_are_said(case_file: Path) -> None:
     assert "20 points lie on it" in text
     assert "upward shift 30 m, tilt about east 0.1 mrad, tilt about north 0.1 mrad" in text
     solution = mgsgraph.adjust(mgsgraph.read_case(path))
-    assert "It rose by" in " ".join(control_statements(solution))
+    assert "It rose by" in " ".join(control_section(solution).sentences)
     assert "leaves out" not in text
-    assert "doesn't cover" not in " ".join(control_statements(solution))
+    assert "doesn't cover" not in " ".join(control_section(solution).sentences)
 
 
 def test_ties_beside_it_and_over_holes_are_counted(case_file: Path) -> None:
@@ -142,11 +142,11 @@ def test_ties_beside_it_and_over_holes_are_counted(case_file: Path) -> None:
     assert re.search(r"of 20 tie points it leaves out \d+ outside the model \(points .* E, .* N; model ", text)
     assert re.search(r"and \d+ over missing posts: these have no such row", text)
     solution = mgsgraph.adjust(mgsgraph.read_case(path))
-    record = control_json(solution)["surface"]
+    record = control_section(solution).numbers["surface"]
     assert record["outside"] > 0
     assert record["over_missing_posts"] > 0
     assert 18 <= record["count"] + record["outside"] + record["over_missing_posts"] <= 20
-    assert "doesn't cover, and doesn't hold" in " ".join(control_statements(solution))
+    assert "doesn't cover, and doesn't hold" in " ".join(control_section(solution).sentences)
 
 
 def test_a_model_of_other_ground_is_an_error_with_both_boxes(case_file: Path) -> None:

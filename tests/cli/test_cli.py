@@ -1,6 +1,7 @@
 """The command line as a person uses it, in processes of its own: exit status, one line on stderr, nothing left over."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -78,8 +79,9 @@ def test_check_tells_what_is_there(case_file: Path, tmp_path: Path) -> None:
     before = sorted(path.name for path in case_file.parent.iterdir())
     done = run("check", case_file, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    for said in ("SIM/A", "SIM/B", "20 tie points", "8 laser points", "8 laser ranges", "Connections", "Weak spots"):
+    for said in ("SIM/A", "SIM/B", "8 laser ranges", "Connections", "Weak spots"):
         assert said in done.stdout
+    assert re.findall(r"^  (tie|laser) +(\d+)", done.stdout, re.MULTILINE) == [("tie", "20"), ("laser", "8")]
     assert sorted(path.name for path in case_file.parent.iterdir()) == before
 
 
@@ -129,6 +131,7 @@ def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) ->
     assert not (tmp_path / "result").exists()
 
 
+@pytest.mark.program("bash")
 def test_a_full_disk(case_file: Path, tmp_path: Path) -> None:
     """/dev/full answers every write with ENOSPC; a file size limit does the same to any file."""
     limited = f"ulimit -f 8; exec {' '.join(COMMAND)} adjust {case_file} --out {tmp_path / 'result'} --no-figures"
@@ -163,7 +166,7 @@ def test_check_tells_the_rest_of_a_weak_network(case_file: Path) -> None:
     case_file.write_text(text, encoding="utf-8")
     done = run("check", case_file, "--no-laser")
     assert done.returncode == 0, done.stderr
-    assert "20 tie points" in done.stdout
+    assert re.search(r"^  tie +20 ", done.stdout, re.MULTILINE)
     assert "too weak to solve" in done.stdout
 
 
@@ -266,6 +269,7 @@ def test_names_that_are_no_text_are_refused(tmp_path: Path) -> None:
     assert "no UTF-8" in done.stderr
 
 
+@pytest.mark.program("bash")
 def test_too_little_memory_for_the_libraries_is_said_before_they_are_loaded(case_file: Path) -> None:
     """With 512 MB, OpenBLAS or numba would spin, and heed no signal."""
     command = ["bash", "-c", 'ulimit -v 512000; exec "$@"', "bash", *COMMAND, "check", str(case_file)]

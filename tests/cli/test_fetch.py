@@ -35,7 +35,7 @@ def call(*arguments: str | Path) -> int:
 
 
 def command(*arguments: str | Path) -> list[str]:
-    return [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)]
+    return [sys.executable, "-m", "mgsgraph", *map(str, arguments)]
 
 
 def test_fetch_and_verify(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,6 @@
 """`mgsgraph shots` as a person uses it: a profile found, written, and taken by the case in place of the archive's."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -84,3 +85,21 @@ def test_results_and_projects_show_their_shots_as_adjusted(
         samples = view.image.ground_to_image(shots.footprints, view.correction)[0][:, 1]
         off.append(float(np.abs(samples - 500.0).mean()))
     assert off[0] < 0.5 * off[1]
+
+
+def test_noise_is_left_out_unless_it_is_asked_for(case_file: Path, tmp_path: Path) -> None:
+    case, found = profiles.with_profile(case_file), tmp_path / "found.csv"
+    call("shots", case.with_name("profile.csv"), "--case", case, "--out", found)
+    with found.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows[:7]:
+        row["ground"] = "0"
+    with (tmp_path / "noisy.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    sizes = []
+    for k, more in enumerate([(), ("--quality", "all")]):
+        call("shots", tmp_path / "noisy.csv", "--case", case, *more, "--out", tmp_path / f"{k}.csv")
+        sizes.append(read_shots(tmp_path / f"{k}.csv").times.size)
+    assert sizes == [len(rows) - 7, len(rows)]

@@ -4,7 +4,7 @@ import io
 
 from tqdm import tqdm
 
-from mgsgraph.cli.streams import PrintableStream
+from mgsgraph.cli.options import PrintableStream
 
 
 def test_one_bar_in_another_moves_up() -> None:

@@ -1,4 +1,4 @@
-"""Exports as a whole: written, read back and said so, whole or not at all."""
+"""Exports as a whole: written whole or not at all, noted in the solution, and verified where asked."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.export import Target
+from mgsgraph.export import Target, spice_back
 from mgsgraph.export import solution_export as exports
 from mgsgraph.export.solution_export import Exported, ExportSettings, export_solution, target_of
 from mgsgraph.results.results import write_results
@@ -38,17 +38,24 @@ def solution(_made: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("target", list(Target))
-def test_what_is_written_comes_back(target: Target, solution: Path, tmp_path: Path) -> None:
+def test_an_export_is_noted(target: Target, solution: Path, tmp_path: Path) -> None:
     done = export_solution(solution, target, tmp_path / "out")
 
     there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert there == {"export.json", *done.files}
-    if target != Target.GIS:
-        assert done.measures > 50
-        assert done.largest < FINE
+    assert done.sentence == f"{len(done.files)} files for {target.value}."
     noted = json.loads((solution / "solution.json").read_text())["exports"][target.value]
-    assert noted["largest_difference_px"] == (None if np.isnan(done.largest) else done.largest)
-    assert json.loads((tmp_path / "out" / "export.json").read_text())["measures"] == done.measures
+    assert noted == {"target": target.value, "folder": str(tmp_path / "out")}
+    assert json.loads((tmp_path / "out" / "export.json").read_text())["files"] == list(done.files)
+
+
+def test_kernels_are_verified_where_asked(solution: Path, tmp_path: Path) -> None:
+    done = export_solution(solution, "spice", tmp_path / "out", ExportSettings(verify=True))
+    assert done.measures > 50
+    assert done.largest < FINE
+    assert "read back by SPICE alone" in done.sentence
+    noted = json.loads((solution / "solution.json").read_text())["exports"]["spice"]
+    assert (noted["measures"], noted["largest_difference_px"]) == (done.measures, done.largest)
 
 
 def test_an_earlier_export_is_replaced_and_noted_beside_others(solution: Path, tmp_path: Path) -> None:
@@ -112,6 +119,7 @@ def test_a_solution_that_cannot_be_noted_in_is_exported(
         ("csm", ExportSettings(scaled=True), "scaled"),
         ("gis", ExportSettings(scaled=True), "scaled"),
         ("csm", ExportSettings(raster=True), "raster.*gis"),
+        ("csm", ExportSettings(verify=True), "verify.*spice alone"),
         ("isis", ExportSettings(support={}), "case.*csm or asp"),
         ("asp", ExportSettings(support={"OTHER": Path("other.isd")}), "file of OTHER: no image"),
     ],
@@ -122,17 +130,6 @@ def test_settings_that_would_do_nothing_are_refused(
     with pytest.raises(InputError, match=found):
         export_solution(solution, target, tmp_path / "out", settings)
     assert not (tmp_path / "out").exists()
-
-
-def test_adjusted_points_of_a_network_are_compared(
-    solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from mgsgraph.export import isis
-
-    true = isis._places
-    monkeypatch.setattr(isis, "_places", lambda places: true(places + 1.0))
-    with pytest.raises(InputError, match="don't come back"):
-        export_solution(solution, "isis", tmp_path / "out")
 
 
 def test_a_full_disk_is_said_of_the_folder_that_was_asked_for(
@@ -149,22 +146,19 @@ def test_a_full_disk_is_said_of_the_folder_that_was_asked_for(
 
 
 def test_what_to_beware_of_is_said() -> None:
-    fine = Exported(Target.CSM, Path("out"), ("a.json",), 8, 0.001)
+    fine = Exported(Target.SPICE, Path("out"), ("a.tm",), 8, 0.001)
     assert fine.sentence.endswith("where the solution has them.")
     assert "farther off" in fine._replace(largest=0.02).sentence
     assert "NOT converge" in fine._replace(converged=False).sentence
-    assert "no measure" in fine._replace(measures=0, largest=np.nan).sentence
-    assert "no geometry" in fine._replace(target=Target.GIS, measures=0, largest=np.nan).sentence
 
 
 @pytest.mark.parametrize("bad", [np.inf, np.nan])
 def test_what_does_not_come_back_is_not_there(
     bad: float, solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lost = np.array([0.0, bad])
-    monkeypatch.setitem(exports._WRITERS, Target.CSM, lambda *_: ([], lambda solution, folder: lost, ()))
+    monkeypatch.setattr(spice_back, "spice_differences", lambda *_: np.array([0.0, bad]))
     with pytest.raises(InputError, match="1 measures don't come back"):
-        export_solution(solution, "csm", tmp_path / "out")
+        export_solution(solution, "spice", tmp_path / "out", ExportSettings(verify=True))
     assert not (tmp_path / "out").exists()
     assert "exports" not in json.loads((solution / "solution.json").read_text())
 
@@ -176,8 +170,9 @@ def test_targets_by_name() -> None:
 
 
 def test_the_command(solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    group(["export", str(solution), "--to", "isis", "--out", str(tmp_path / "out")], standalone_mode=False)
-    assert "read back by code of its own" in capsys.readouterr().out
+    command = ["export", str(solution), "--to", "spice", "--verify", "--out", str(tmp_path / "out")]
+    group(command, standalone_mode=False)
+    assert "read back by SPICE alone" in capsys.readouterr().out
     case = tmp_path / "case.toml"
     labels = '[[images]]\nname = "A"\nlabel = "a.img"\n[[images]]\nname = "B"\nlabel = "b.img"\n'
     case.write_text(f'format = 1\nname = "labels"\n{labels}[ties]\nnetwork = "network.pvl"\n')

@@ -12,17 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from networks import network, pair
 from strip_files import block
+from usgscsm import csm_differences, ground_to_image, isd_differences, lagrange, state_differences
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.export import csm_back
 from mgsgraph.export.csm import STATE, write_csm
-from mgsgraph.export.csm_back import csm_differences, ground_to_image, isd_differences, state_differences
-from mgsgraph.export.csm_tables import refined_tables
-from mgsgraph.export.round_trip import Reprojection, reprojection
+from mgsgraph.export.csm_state import refined_tables
+from mgsgraph.export.reprojection import Reprojection, reprojection
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry import rotation
@@ -137,14 +136,14 @@ def test_eight_nodes_hold_polynomials_of_degree_seven(coefficients: list[float],
         return np.asarray(np.polynomial.polynomial.polyval(x / 8.0, coefficients))
 
     nodes, where = course(np.arange(16.0)), np.array([place])
-    found = csm_back.lagrange(nodes.tolist(), 1, -4.0, 0.5, -4.0 + 0.5 * where, 8)
+    found = lagrange(nodes.tolist(), 1, -4.0, 0.5, -4.0 + 0.5 * where, 8)
     assert found[:, 0] == pytest.approx(course(where), abs=1e-10)
 
 
 @pytest.mark.parametrize(("place", "degree"), [(0.3, 1), (1.3, 3), (2.3, 5), (14.7, 1), (13.7, 3), (12.7, 5)])
 def test_near_the_ends_fewer_nodes_do(place: float, degree: int) -> None:
     for power, close in ((degree, True), (degree + 1, False)):
-        found = csm_back.lagrange((np.arange(16.0) ** power).tolist(), 1, 0.0, 1.0, np.array([place]), 8)
+        found = lagrange((np.arange(16.0) ** power).tolist(), 1, 0.0, 1.0, np.array([place]), 8)
         assert np.isclose(found[0, 0], place**power, rtol=1e-12, atol=0.0) == close
 
 
@@ -295,20 +294,6 @@ def test_faults_are_seen(
         (tmp_path / state_path.name).write_text(json.dumps(state))
     assert isd_differences(tmp_path, export.wanted).max() > 0.3
     assert state_differences(tmp_path, export.wanted).max() > 0.3
-
-
-def test_a_missing_or_damaged_file_is_named(tables: Written, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no file of image"):
-        csm_differences(tmp_path, tables.wanted)
-    for path in tables.folder.glob("*_state.json"):
-        state = json.loads(path.read_text().split("\n", 1)[1])
-        del state["m_t0Quat"]
-        (tmp_path / path.name).write_text(json.dumps(state))
-    with pytest.raises(InputError, match="m_t0Quat"):
-        csm_differences(tmp_path, tables.wanted)
-    (tmp_path / path.name).write_text("{ not JSON }")
-    with pytest.raises(InputError, match="malformed or truncated JSON"):
-        csm_differences(tmp_path, tables.wanted)
 
 
 # --- what is in the files

@@ -1,7 +1,6 @@
 """GIS layers in GDAL's hands: points in their places, the coordinate system, names; the file whole or not at all."""
 
 import json
-import shutil
 import sqlite3
 import sys
 from dataclasses import replace
@@ -28,7 +27,7 @@ from mgsgraph.simulation.mars import MARS
 from mgsgraph.units import DEG
 
 pyogrio = pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")
-gdal = pytest.mark.skipif(shutil.which("ogr2ogr") is None, reason="GDAL's tools (gdal-bin) are not installed")
+gdal = pytest.mark.program("ogr2ogr")
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ from mgsgraph.adjustment.graph.observations import measurement, observation_fact
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors import collinearity
+from mgsgraph.factors.laser_range import Range
 from mgsgraph.factors.priors import zero_prior
 from mgsgraph.geometry.body import east_north, from_planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -125,6 +126,19 @@ def test_range(seed: int, shot: int) -> None:
     instrument = image.trajectory.pose(since).position[0] + correction[:3]
     expected = ranges.values[k] - np.linalg.norm(place - instrument)
     assert factor.unwhitenedError(values)[0] == pytest.approx(expected, abs=1e-8)
+
+
+def test_a_range_bias_lengthens_what_is_measured() -> None:
+    """From 4 m away, with 0.5 m too much, 4.5 m are measured; derivatives as by differences."""
+    one = Range(4.5, (1.0, 2.0, 3.0))
+
+    def at(state: np.ndarray) -> Any:
+        return one(lambda _: (tuple(state.tolist()), (0.0,) * 4), (1.0, 2.0, 7.0))
+
+    exact, step = np.array([0.0, 0.0, 0.0, 0.5]), 1e-4
+    assert at(exact).residual == pytest.approx([0.0], abs=1e-12)
+    by_state = [(at(exact + step * way).residual - at(exact - step * way).residual) / (2.0 * step) for way in np.eye(4)]
+    np.testing.assert_allclose(at(exact).by_state, np.array(by_state).T, atol=1e-8)
 
 
 @pytest.mark.parametrize("moving", [True, False])

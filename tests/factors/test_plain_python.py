@@ -1,4 +1,6 @@
-"""The kernel as plain Python (NUMBA_DISABLE_JIT=1), on one thread and on two says the same as compiled here."""
+"""The kernel as plain Python (NUMBA_DISABLE_JIT=1) is dense algebra, and says the same as compiled here, on one thread
+and on two.
+"""
 
 import json
 import os
@@ -10,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+import mgsgraph
 
 CODE = """
 import numpy as np
@@ -33,6 +37,47 @@ sweep._threads = lambda count: started.append(count) or threads(count)
 print(json.dumps([found, started]))
 """
 
+DENSE = """
+import warnings
+import numpy as np
+from networks import network, pair, with_shift_and_surface
+from normals import assert_bundle_is_explicit, of_layout
+from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.kernel.reduction import reduce
+from mgsgraph.kernel.rows import partition
+from mgsgraph.kernel.sweep import SYSTEM
+warnings.simplefilter("ignore")
+for line, share in (("measured", 1e-11), ("predicted", 1e-8)):
+    layout = lay_out(with_shift_and_surface(network(pair(ties=4, shots=2))), SolverSettings(line=line))
+    system = of_layout(layout)
+    x = np.random.default_rng(3).standard_normal(system.columns) * system.sigmas
+    whole, parts = assert_bundle_is_explicit(system, x, share), len(layout.rows.piece)
+    assert parts > 1
+    found = np.zeros(system.columns)
+    for k in range(parts):
+        first, count = layout.rows.piece[k, 1:3].tolist()
+        rows, points = partition(layout.rows, k, k + 1), whole.points[first : first + count]
+        found += reduce(rows, system.groups, system.blocks.target, system.model, x, SYSTEM, points).gradient
+    unit = np.abs(whole.gradient * system.sigmas).max()
+    np.testing.assert_allclose(found * system.sigmas, whole.gradient * system.sigmas, rtol=0.0, atol=1e-6 * unit)
+"""
+
+
+def alone(code: str, how: dict[str, str]) -> str:
+    """What a process of its own prints, with the package that is tested here."""
+    paths = Path(__file__).resolve().parents[1], Path(mgsgraph.__file__).parents[1]
+    known = {"PYTHONPATH": os.pathsep.join(map(str, paths))}
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, env=os.environ | known | how, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_kernel_is_dense_algebra_of_the_explicit_factors() -> None:
+    """Also by parts of its points; without a compiler, which would take a minute."""
+    alone(DENSE, {"NUMBA_DISABLE_JIT": "1"})
+
 
 @pytest.mark.parametrize(
     ("how", "threads"),
@@ -41,11 +86,7 @@ print(json.dumps([found, started]))
 )
 def test_the_same_numbers(how: dict[str, str], threads: list[int] | None) -> None:
     """And as many threads are started as numba is told to use."""
-    paths = {"PYTHONPATH": str(Path(__file__).resolve().parents[1])}
-    done = subprocess.run(
-        [sys.executable, "-c", ALONE], capture_output=True, text=True, check=True, env=os.environ | paths | how
-    )
-    other, started = json.loads(done.stdout)
+    other, started = json.loads(alone(ALONE, how))
     here: dict[str, Any] = {}
     with warnings.catch_warnings(action="ignore"):
         exec(CODE, here)

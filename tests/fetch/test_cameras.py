@@ -13,10 +13,10 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import dates_in
-from mgsgraph.fetch.cameras import CTX, HRSC, LROC_NAC, CameraProduct
 from mgsgraph.fetch.download import RetryPolicy
 from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots, survey
 from mgsgraph.fetch.lock import Lock, verify
+from mgsgraph.fetch.needs import CTX, HRSC, LROC_NAC, CameraProduct
 from mgsgraph.files.spice.kernel_contents import members
 
 QUICK = RetryPolicy(tries=2, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)

@@ -33,9 +33,8 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch import part as parts
-from mgsgraph.fetch.download import NotInArchive, Remote, RetryPolicy
+from mgsgraph.fetch.download import NotInArchive, Remote, RetryPolicy, led_to
 from mgsgraph.fetch.part import RemoteSource
-from mgsgraph.fetch.redirects import led_to
 from mgsgraph.fetch.store import limit_of, require_content
 
 CONTENT = np.random.default_rng(1).bytes(200_000)
@@ -539,6 +538,14 @@ def test_planted_links_lead_nowhere(archive: Flaky, tmp_path: Path, linked: str,
     assert whole(folder)
     assert victim.read_bytes() == b"precious"
     assert not (folder / "big.img").is_symlink()
+
+
+def test_a_weak_etag_is_no_condition() -> None:
+    """RFC 9110, 13.1.5: bytes of two files with one weak ETag may differ."""
+    date = "Sat, 28 Nov 2026 07:28:00 GMT"
+    assert RemoteSource("u", 3, '"a"', date).validator == '"a"'
+    assert RemoteSource("u", 3, 'W/"a"', date).validator == date
+    assert RemoteSource("u", 3, 'W/"a"', "").validator == ""
 
 
 @pytest.mark.parametrize("said", [

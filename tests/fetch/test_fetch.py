@@ -289,7 +289,7 @@ def entry(name: str, size: object, url: str = "http://x.org/a") -> str:
 @pytest.mark.parametrize(
     "text",
     ["", "{", "[]", "{}", '{"format": 9}', '{"format": 1, "files": {"a": 3}, "images": {}}', entry("index/a.tab", "1"),
-     entry("../a.tab", 1), entry("index/../a.tab", 1), entry("index/a.tab", 1, "ftp://x.org/a")],
+     entry("../a.tab", 1), entry("index/../a.tab", 1), entry("index/a/../../a.tab", 1), entry("index/a.tab", 1, "ftp://x.org/a")],
 )
 def test_a_lock_that_is_none(archive: Flaky, tmp_path: Path, text: str) -> None:
     (tmp_path / "fetch.lock").write_text(text)

@@ -130,6 +130,18 @@ def test_a_file_that_is_swept_before_it_is_locked_is_made_anew(tmp_path: Path, m
     assert names(tmp_path) == ["out"]
 
 
+def test_whoever_reads_the_old_file_reads_it_to_its_end(tmp_path: Path) -> None:
+    """A new file takes the place of the old one, and does not go into it: a reader would see half of each."""
+    path = tmp_path / "out"
+    write_file(path, "old")
+    os.link(path, tmp_path / "same")
+    with path.open() as reading:
+        write_file(path, "new text")
+        assert reading.read() == "old"
+    assert (tmp_path / "same").read_text() == "old"
+    assert path.read_text() == "new text"
+
+
 def test_names_of_asides() -> None:
     assert is_aside(beside(Path("a/b.txt")).name)
     assert not is_aside("b.txt")

@@ -38,7 +38,7 @@ def reader(name: str) -> Reader:
 
 def _marks(finding: dict[str, Any]) -> list[Any]:
     """Sound files that take seconds to make: a site with its kernels, results, projects and exports of a pair."""
-    beginnings = ("mgsgraph ", "project", "result", "exported", "campaign", "text kernel", "binary kernel",
+    beginnings = ("mgsgraph ", "project", "result", "campaign", "text kernel", "binary kernel",
     "meta-kernel")
     return [pytest.mark.slow] if finding["reader"].startswith(beginnings) else []
 

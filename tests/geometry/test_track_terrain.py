@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.pedr_text import read_pedr_text
+from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
@@ -128,7 +128,7 @@ SITES = ("insight", "opportunity", "curiosity", "perseverance")
 @pytest.mark.parametrize("site", SITES)
 def test_real_tracks_against_the_archives_own_grid(shared_data: Path, site: str) -> None:
     """MEGDR's posts at 4 per degree are means over cells; so are ours, averaged: medians of -12 to 3 m were found."""
-    grid = track_terrain([read_pedr_text(shared_data / "mola_pedr_ode" / f"{site}_topography.csv", version="L")])
+    grid = track_terrain([read_shots(shared_data / "mola_pedr_ode" / f"{site}_topography.csv", version="L")])
     megdr = read_megdr(shared_data / "mola_megdr" / "megr90n000cb.img")
     longitude, latitude = posts(grid)
     cell = [np.floor(x / megdr.longitude_step) for x in (longitude, latitude)]
@@ -146,7 +146,7 @@ def test_real_tracks_against_the_archives_own_grid(shared_data: Path, site: str)
 @pytest.mark.parametrize("site", SITES)
 def test_real_orbits_left_out_lie_within_the_sigmas(shared_data: Path, site: str) -> None:
     """Rms of error over sigma is 0.26 to 1.3: the rule is a rough one, and Gale's wall is the worst of it."""
-    shots = read_pedr_text(shared_data / "mola_pedr_ode" / f"{site}_topography.csv", version="L")
+    shots = read_shots(shared_data / "mola_pedr_ode" / f"{site}_topography.csv", version="L")
     orbits, count = np.unique(shots.orbits, return_counts=True)
     off = []
     for orbit in orbits[np.argsort(-count)][:4]:

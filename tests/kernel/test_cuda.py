@@ -34,6 +34,7 @@ def test_the_simulated_device_gives_the_cpus_answers_whatever_the_network(name: 
     assert_near(simulated_gpu.differences(name)[name])
 
 
+@pytest.mark.program("ptxas", by_ci=False)
 def test_the_compiler_takes_the_kernels_and_keeps_them_in_registers() -> None:
     """The simulator takes what a compiler refuses."""
     program = Path(__file__).resolve().parents[2] / "scripts" / "gpu_code.py"

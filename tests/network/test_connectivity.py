@@ -1,4 +1,4 @@
-"""How images hang together: against plain graph searches, and overlaps against points."""
+"""How images are connected: against plain graph searches, and overlaps against points."""
 
 from dataclasses import replace
 

@@ -92,7 +92,7 @@ def test_counts_and_undetermined_points() -> None:
 
 
 def test_islands() -> None:
-    """Images 0-2-4 hang together in a chain, 1-3 in a pair, 5 is alone."""
+    """Images 0-2-4 are connected in a chain, 1-3 in a pair, 5 is alone."""
     net = network([(0, 0), (0, 2), (1, 2), (1, 4), (2, 1), (2, 3), (3, 5)], among=6)
 
     assert islands(net) == [[0, 2, 4], [1, 3], [5]]

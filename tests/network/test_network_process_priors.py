@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import gamma, kv
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
@@ -93,6 +94,15 @@ def test_a_spline_s_values_are_the_process() -> None:
     apart = np.abs(nodes.inner[:, None] - nodes.inner)
     want = SIZE[0] ** 2 * one.covariance(apart, 0.0 * apart, 0.0)
     np.testing.assert_allclose(values, want, atol=1e-9 * SIZE[0] ** 2)
+
+
+@pytest.mark.parametrize(("kind", "order"), [("gauss-markov", 0.5), ("matern-3/2", 1.5), ("matern-5/2", 2.5)])
+def test_covariances_are_those_of_matern(kind: ProcessKind, order: float) -> None:
+    """Against the general formula with Bessel's functions (Rasmussen & Williams 2006, 4.14)."""
+    apart = np.linspace(0.01, 30.0, 200)
+    scaled = np.sqrt(2.0 * order) * apart / process(kind).correlation_time
+    want = 2.0 ** (1.0 - order) / gamma(order) * scaled**order * kv(order, scaled)
+    np.testing.assert_allclose(process(kind).covariance(apart, 0.0 * apart, 0.0), want, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2", "jitter"])

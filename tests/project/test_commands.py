@@ -76,7 +76,8 @@ def test_looking_at_a_project_loads_no_solver(project: Path, case_file: Path) ->
         assert "mgsgraph.project.store" in there
         assert {name.split(".")[0] for name in there} & HEAVY == needed
         assert not [name for name in there if name.startswith(("mgsgraph.kernel", "mgsgraph.results.figures"))]
-        assert {name for name in there if name.startswith("mgsgraph.adjustment.")} == {"mgsgraph.adjustment.settings"}
+        solver = {name for name in there if name.startswith("mgsgraph.adjustment.")}
+        assert solver == {f"mgsgraph.adjustment.{name}" for name in ("settings", "incremental", "incremental.state")}
 
 
 def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> None:
@@ -90,7 +91,7 @@ def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> No
     assert {name for name in there if name.startswith("mgsgraph.results")} == {
         "mgsgraph.results", "mgsgraph.results.archive_arrays"
     }  # fmt: skip
-    batch = ("adjust", "cluster", "solution", "starts", "held", "linearity")
+    batch = ("adjust", "cluster", "solution", "multistart", "conditional", "linearity")
     assert not there & {f"mgsgraph.adjustment.{name}" for name in batch}
     assert not [name for name in there if name.startswith(("mgsgraph.results.figures", "mgsgraph.analysis"))]
 
@@ -344,7 +345,7 @@ def test_a_result_that_nobody_knows_of_is_swept(project: Path) -> None:
 
 def test_bad_input_is_one_line_and_status_2(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", "status", str(tmp_path)],
+        [sys.executable, "-m", "mgsgraph", "status", str(tmp_path)],
         capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "110"},
     )  # fmt: skip
     assert done.returncode == 2

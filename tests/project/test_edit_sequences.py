@@ -35,10 +35,9 @@ from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project import edits
 from mgsgraph.project.addition import unknown_alone
-from mgsgraph.project.adjustment_cache import KeptAdjustment
 from mgsgraph.project.changes import remove, solve
 from mgsgraph.project.journal import Measure, PointState, all_set_aside, last_state
-from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.project import KeptAdjustment, Project, open_project
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
 from mgsgraph.project.status import status
 from mgsgraph.units import MRAD

@@ -15,18 +15,16 @@ import numpy as np
 import pytest
 from projects import StopHere, change, digest, images, interrupted
 
+from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.project.checksum import checksum
 from mgsgraph.project.connection import WRITER
-from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.project import KeptAdjustment, Project, open_project
 from mgsgraph.project.schema import FORMAT
 from mgsgraph.project.settings import ProjectSettings, read_settings
 from mgsgraph.project.status import status
-
-FORMAT_1 = Path(__file__).with_name("format_1.sql")
-"""Dump of a project as the first format wrote it."""
 
 
 @pytest.fixture
@@ -36,6 +34,17 @@ def folder(tmp_path: Path) -> Path:
         change(project.store, 1)
         project.record("init", "by the test", {})
     return path
+
+
+def test_an_adjustment_is_kept_until_another_process_changes_the_project() -> None:
+    settings, store, kept = SolverSettings(), InMemory(), KeptAdjustment()
+    first = kept.resumed("before", settings, store)
+    kept.noted("ours")
+    assert kept.resumed("ours", settings, store) is first
+    assert kept.resumed("ours", settings, store) is not first  # a change that was begun, and never noted
+    second = kept.resumed("ours", settings, store)
+    kept.noted("ours, too")
+    assert kept.resumed("another's", settings, store) is not second
 
 
 def state(folder: Path) -> str:
@@ -367,48 +376,12 @@ def test_a_newer_format_is_refused(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("write", [False, True])
-def test_an_older_format_becomes_this_one(tmp_path: Path, write: bool) -> None:
-    old = tmp_path / "old"
-    old.mkdir()
-    made = sqlite3.connect(old / "project.sqlite")
-    made.executescript(FORMAT_1.read_text(encoding="utf-8"))
-    made.close()
-    with open_project(old, write) as project:
-        last = project.last_solution()
-        assert last is not None
-        assert (last.kind, last.converged, last.cost, last.folder) == ("batch", True, 12.5, "solutions/0001")
-        assert project.name == "an old one"
-    with Project.create(tmp_path / "new", "new", ProjectSettings()):
-        pass
-    assert columns(old) == columns(tmp_path / "new")
-    made = sqlite3.connect(old / "project.sqlite")
-    assert made.execute("SELECT value FROM meta WHERE key = 'format'").fetchone() == (str(FORMAT),)
-    made.close()
-
-
-def test_a_migration_that_fails_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    old = tmp_path / "old"
-    old.mkdir()
-    made = sqlite3.connect(old / "project.sqlite")
-    made.executescript(FORMAT_1.read_text(encoding="utf-8"))
-    made.close()
-    before = (old / "project.sqlite").read_bytes()
-    monkeypatch.setitem(
-        __import__("mgsgraph.project.schema", fromlist=["MIGRATIONS"]).MIGRATIONS, 1,
-        ("ALTER TABLE solution ADD COLUMN kind TEXT", "ALTER TABLE nothing ADD COLUMN x"),
-    )  # fmt: skip
-    with pytest.raises(InputError), open_project(old, write=True):
-        pass
-    assert (old / "project.sqlite").read_bytes() == before
-
-
-def columns(folder: Path) -> dict[str, set[tuple[object, ...]]]:
-    """Columns of each table, with their types and rules."""
-    made = sqlite3.connect(folder / "project.sqlite")
-    names = [name for (name,) in made.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")]
-    found = {name: {tuple(row[1:5]) for row in made.execute(f"PRAGMA table_info({name})")} for name in names}
-    made.close()
-    return found
+def test_an_older_format_is_refused_with_what_to_do(folder: Path, write: bool) -> None:
+    _edit(folder, f"UPDATE meta SET value = '{FORMAT - 1}' WHERE key = 'format'")
+    before = (folder / "project.sqlite").read_bytes()
+    said = rf"format {FORMAT - 1}; expected format {FORMAT}; read it with mgsgraph 0\.2\.0, or build it anew"
+    refused(folder, said, write)
+    assert (folder / "project.sqlite").read_bytes() == before
 
 
 def test_a_planted_name_of_the_writer_leads_nowhere(folder: Path, tmp_path: Path) -> None:

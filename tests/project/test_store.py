@@ -1,6 +1,5 @@
 """The store in a file does what the one in memory does, bit for bit, whatever the changes."""
 
-import lzma
 import sqlite3
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,20 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from networks import pair
-from projects import ODD, StopHere, apart, bundle_of, change, contents, differences, four_images, images
-from stereo_pair import stereo_network
+from projects import ODD, StopHere, bundle_of, change, contents, differences, four_images, images
 
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Members, bundles, joined, part, with_images
 from mgsgraph.project.columns import packed, unpacked
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.results.archive_arrays import pack
 
 
 @pytest.fixture(scope="module")
@@ -191,58 +186,6 @@ def test_sql_and_numpy_alone_read_it(folder: Path, tmp_path: Path) -> None:
     assert all(np.all(np.frombuffer(cell, "<f8") > 0.0) for _, cell in cells)
     assert "m, body-fixed" in plain.execute("SELECT sql FROM sqlite_master WHERE name = 'point_columns'").fetchone()[0]
     plain.close()
-
-
-def old_project(folder: Path) -> Path:
-    """The file that the version with format 6 wrote after four random changes."""
-    path = folder / "project.sqlite"
-    path.write_bytes(lzma.decompress((Path(__file__).parent / "format_6.sqlite.xz").read_bytes()))
-    return path
-
-
-def test_rows_of_an_older_format_are_packed(tmp_path: Path) -> None:
-    """They say what the store in memory says after the same changes, but for rounding of what is simulated here."""
-    memory = InMemory()
-    for seed in range(4):
-        change(memory, seed)
-    old_project(tmp_path)
-    with open_project(tmp_path, thorough=True) as project:
-        assert apart(memory, project.store, 1e-11) == []
-        assert project._connection.execute("PRAGMA foreign_key_check").fetchall() == []
-
-
-def test_heights_of_an_older_format_are_packed(tmp_path: Path) -> None:
-    old = sqlite3.connect(old_project(tmp_path), isolation_level=None)
-    old.execute("PRAGMA user_version = 0")
-    bundle, first, size = old.execute("SELECT id, first_point, points FROM bundle ORDER BY points DESC").fetchone()
-    a, b = (row[0] for row in old.execute("SELECT image FROM bundle_image WHERE bundle = ? LIMIT 2", (bundle,)))
-    old.execute(
-        "UPDATE point SET kind = 1, x = 3.4e6 + id, y = id, z = 0, covariance = ? WHERE bundle = ?",
-        (np.eye(3).tobytes(), bundle),
-    )
-    record = pack(stereo_surface())
-    old.execute("INSERT INTO stereo_surface VALUES (7, 'digest', ?, ?, ?)", (a, b, record))
-    rows = [(first + k, 7, 0.5 + k, k == 1, k == size - 1) for k in range(size)]
-    old.executemany("INSERT INTO stereo_height VALUES (?, ?, ?, ?, ?)", rows)
-    old.close()
-    with open_project(tmp_path) as project:
-        members = next(m for m in project.store.members() if len(project.store.bundle(m).network.points) == size)
-        control = project.store.bundle(members).network.stereo
-    assert control is not None
-    assert control.rejected is not None
-    assert control.level is not None
-    k = np.arange(size)
-    assert np.array_equal(control.surface, 0 * k)
-    assert np.array_equal(control.sigmas, 0.5 + k)
-    assert np.array_equal(control.rejected, k == 1)
-    assert np.array_equal(control.level, k == size - 1)
-    assert pack(control.surfaces[0]) == record
-
-
-def stereo_surface() -> StereoSurface:
-    net = stereo_network(pair(24, 24))
-    assert net.stereo is not None
-    return net.stereo.surfaces[0]
 
 
 @given(st.lists(st.sampled_from([*ODD, np.inf, -np.inf, np.nan]), max_size=6), st.integers(1, 3))

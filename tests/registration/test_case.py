@@ -16,12 +16,13 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.case.reading import adjust as adjust_case
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.csv_json import plain
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network.footprints import discrepancy, misregistration
-from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results.figures.overlay import averaged, pixels_of
-from mgsgraph.results.registration import registration_json, write_registration
+from mgsgraph.results.registration import registration_section, write_registration
 from mgsgraph.simulation.files import write_pair
 
 PITCH = 6e-4
@@ -132,12 +133,12 @@ def test_a_solution_of_another_case_is_refused(case: Case, solution: Solution) -
 def test_images_without_ties_in_common_are_named_not_compared(case: Case) -> None:
     found = register_case(replace(case, ties=None))
     assert found.before[0].discrepancies == ()
-    assert any("0 tie points in common" in sentence for sentence in registration_statements(found))
+    assert any("0 tie points in common" in sentence for sentence in registration_section(found).sentences)
 
 
 def test_an_adjustment_that_failed_is_no_result(case: Case, solution: Solution) -> None:
     found = register_case(case, replace(solution, converged=False, message="Stopped."))
-    assert any("NOT CONVERGED" in sentence for sentence in registration_statements(found))
+    assert any("NOT CONVERGED" in sentence for sentence in registration_section(found).sentences)
 
 
 # --- words
@@ -145,16 +146,15 @@ def test_an_adjustment_that_failed_is_no_result(case: Case, solution: Solution) 
 
 def test_statements_hold_the_figures(case: Case, solution: Solution) -> None:
     found = register_case(case, solution)
-    sentences = registration_statements(found)
+    sentences = registration_section(found).sentences
     one = found.before[0].discrepancies[0]
     inside = found.before[0].found.inside.sum(axis=1)
     count = case.profiles[0].times.size
     assert sentences[0].startswith(f"Of {count} shots of profile, {inside[0]} fall in SIM/A (taken")
     mean, rms = one.metres[:, 0].mean(), math.sqrt((one.metres[:, 0] ** 2).mean())
-    assert f"{mean:+.1f} (rms {rms:.1f}) m" in sentences[1]
-    assert "lines" in sentences[1]
-    assert "MOLA spacings" in sentences[1]
-    assert [("nominal" in s, "adjusted" in s) for s in sentences[1:3]] == [(True, False), (False, True)]
+    first, second = registration_section(found).tables[0].rows
+    assert first[5::2][:2] == [f"{mean:.2f}", f"{rms:.2f}"]
+    assert (first[0], second[0]) == ("nominal", "adjusted")
     assert any("five steps" in sentence for sentence in sentences)
 
 
@@ -164,8 +164,7 @@ def sparse(shots: AltimeterShots) -> AltimeterShots:
 
 def test_an_unknown_spacing_is_left_out(case: Case, tmp_path: Path) -> None:
     found = register_case(replace(case, profiles=(sparse(case.profiles[0]),)))
-    assert "MOLA spacings" not in registration_statements(found)[1]
-    record = registration_json(found)["orientations"]["nominal"][0]
+    record = plain(registration_section(found).numbers)["orientations"]["nominal"][0]
     assert record["spacing_m"] is None
     assert record["discrepancies"][0]["along_spacings"]["mean"] is None
     write_registration(found, tmp_path / "out", figures=False)
@@ -226,7 +225,7 @@ def test_discrepancy_table_is_the_discrepancy(written: tuple[CaseRegistration, P
 def test_the_record_is_strict_json_and_agrees_with_the_table(written: tuple[CaseRegistration, Path]) -> None:
     found, folder = written
     record = json.loads((folder / "registration.json").read_text(encoding="utf-8"))
-    assert record.items() > registration_json(found).items()
+    assert record.items() > plain(registration_section(found).numbers).items()
     for state in ("nominal", "adjusted"):
         rows = [row for row in rows_of(folder / "discrepancy.csv") if row["orientation"] == state]
         one = record["orientations"][state][0]["discrepancies"][0]
@@ -281,9 +280,10 @@ def test_one_footprint_and_none(case: Case, tmp_path: Path) -> None:
     away = replace(case.profiles[0], footprints=-case.profiles[0].footprints, spacecraft=-case.profiles[0].spacecraft)
     found = register_case(replace(case, profiles=(away,)))
     assert write_registration(found, tmp_path / "none") == list(OTHERS)
-    assert registration_statements(found)[0].endswith("0 fall in SIM/A (taken at the same time).")
+    assert registration_section(found).sentences[0].endswith("0 fall in SIM/A (taken at the same time).")
     asleep = replace(away, times=away.times + 1e4)
-    assert registration_statements(register_case(replace(case, profiles=(asleep,))))[0].startswith("None of 60 shots")
+    unseen = registration_section(register_case(replace(case, profiles=(asleep,))))
+    assert unseen.sentences[0].startswith("None of 60 shots")
     assert rows_of(tmp_path / "none" / "discrepancy.csv") == []
 
 

@@ -19,7 +19,7 @@ from mgsgraph.cli import group
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.results.comparison import compare, write_comparison
-from mgsgraph.results.comparison_input import input_differences, setting_differences
+from mgsgraph.results.comparison_input import input_section, settings_section
 from mgsgraph.results.figures.comparison import comparison_sheet
 from mgsgraph.results.figures.sheet import encoded
 from mgsgraph.results.results import write_results
@@ -33,14 +33,15 @@ def named(found: list[Table], name: str) -> Table:
 
 def test_a_solution_and_itself_have_nothing_apart(solution: Solution) -> None:
     found = compare(solution, solution, LABELS)
-    assert {table.name for table in found.tables}.isdisjoint({"settings_compared", "input_compared"})
-    ratios = np.array([[float(text) for text in row[4:]] for row in named(found.tables, "sigmas_compared").rows])
+    assert {table.name for table in found.section.tables}.isdisjoint({"settings_compared", "input_compared"})
+    rows = named(found.section.tables, "sigmas_compared").rows
+    ratios = np.array([[float(text) for text in row[4:]] for row in rows])
     np.testing.assert_array_equal(ratios, 1.0)
 
 
 def test_settings_that_differ_are_listed(solution: Solution) -> None:
     other = replace(solution, settings=replace(solution.settings, loss="huber", loss_width=2.0))
-    table = setting_differences(solution, other, LABELS).table
+    table = settings_section(solution, other, LABELS).tables[0]
     assert table.rows == [["loss", "none", "huber"], ["loss_width", "not set", "2.0"]]
 
 
@@ -54,19 +55,19 @@ def test_measures_that_differ_are_counted(solution: Solution) -> None:
     changed = replace(rays, places=places, sigmas=sigmas).chosen(kept)
     of_measures = {name: getattr(solution, name)[kept] for name in ("residuals", "residuals_before", "rays_used")}
     other = replace(solution, network=replace(network, rays=changed), **of_measures)
-    table = input_differences(solution, other, LABELS).table
+    table = input_section(solution, other, LABELS).tables[0]
     numbers = np.array([[int(text) for text in row[1:5]] for row in table.rows])
     assert (numbers[:, 0] - numbers[:, 1]).sum() == 1
     assert numbers[:, 2:].sum(axis=0).tolist() == [2, 3]
-    assert input_differences(other, solution, LABELS).table.rows[0][5] == "same"
+    assert input_section(other, solution, LABELS).tables[0].rows[0][5] == "same"
 
 
 def test_images_of_other_priors_are_named(solution: Solution) -> None:
     network = solution.network
     loose = (replace(network.priors[0], sigmas=3.0 * network.priors[0].sigmas), *network.priors[1:])
     other = replace(solution, network=replace(network, priors=loose))
-    found = input_differences(solution, other, LABELS)
-    assert [row[0] for row in found.table.rows] == [network.images[0].name]
+    found = input_section(solution, other, LABELS)
+    assert [row[0] for row in found.tables[0].rows] == [network.images[0].name]
     assert any(network.images[0].name in sentence for sentence in found.sentences)
 
 
@@ -77,7 +78,7 @@ def test_the_ratio_of_sigmas_is_that_of_the_measures(solution: Solution) -> None
     )  # fmt: skip
     points = CommonPoints(later, earlier)
     np.testing.assert_allclose(points.ratio[np.isfinite(points.ratio)], 0.25)
-    for row in named(compare(later, earlier, LABELS).tables, "sigmas_compared").rows:
+    for row in named(compare(later, earlier, LABELS).section.tables, "sigmas_compared").rows:
         assert row[4:] == ["0.250", "0.250", "0.250"]
 
 

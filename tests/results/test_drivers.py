@@ -11,10 +11,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.results.archive import read_solution
-from mgsgraph.results.drivers import drivers_json, drivers_statements, drivers_table
-from mgsgraph.results.page_tables import tables
+from mgsgraph.results.drivers import drivers_section, drivers_table
+from mgsgraph.results.page import tables
 from mgsgraph.results.results import solution_json, write_results
-from mgsgraph.results.summary import statements
+from mgsgraph.results.summary import solution_sections, statements
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +35,14 @@ def test_they_are_in_every_form_of_the_results(stopped: Solution, tmp_path: Path
     assert {row["name"] for row in rows if row["kind"] == "image"} <= images
     shares = [float(row["share"]) for row in rows if (row["quantity"], row["kind"]) == ("cost", "image")]
     assert sum(shares) <= 1.0 + 1e-12
-    assert drivers_statements(stopped)[0] in statements(stopped)
-    assert any(table.name == "drivers" for table in tables(stopped))
+    assert drivers_section(stopped).sentences[0] in statements(stopped)
+    assert any(table.name == "drivers" for table in tables(stopped, solution_sections(stopped)))
 
 
 def test_they_are_read_back(stopped: Solution, tmp_path: Path) -> None:
     write_results(stopped, tmp_path / "result", figures=False)
     again = read_solution(tmp_path / "result")
-    assert drivers_json(again) == drivers_json(stopped)
+    assert drivers_section(again).numbers == drivers_section(stopped).numbers
     assert again.drivers is not None
     assert stopped.drivers is not None
     for mine, theirs in zip(stopped.drivers.contributions, again.drivers.contributions, strict=True):
@@ -56,5 +56,5 @@ def test_a_converged_adjustment_has_none(tmp_path: Path) -> None:
     assert solution.converged
     assert "drivers.csv" not in write_results(solution, tmp_path / "result", figures=False)
     assert solution_json(solution)["drivers"] is None
-    assert not drivers_statements(solution)
+    assert not drivers_section(solution).sentences
     assert len(drivers_table(solution)) == 0

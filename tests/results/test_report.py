@@ -25,13 +25,14 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import NONE, Table, fixed
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.registration.case import CaseRegistration, register_case
-from mgsgraph.results import page_tables as report_tables
+from mgsgraph.results import page as report_page
 from mgsgraph.results.comparison import compare, orientation_difference
 from mgsgraph.results.figures import page as report_figures
 from mgsgraph.results.figures.page import local_corrections
 from mgsgraph.results.figures.page_scene import Scene, scenes
+from mgsgraph.results.page import tables as tables_of
 from mgsgraph.results.page import write_report
-from mgsgraph.results.page_tables import tables
+from mgsgraph.results.summary import solution_sections
 from mgsgraph.simulation.files import write_pair
 
 LINES, SAMPLES = (3000, 3400), (100, 250)
@@ -94,6 +95,10 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def text_of(solution: Solution, folder: Path, **wanted: Any) -> str:
     return write_report(solution, folder / "r.html", **wanted).read_text(encoding="utf-8")
+
+
+def tables(solution: Solution) -> list[Table]:
+    return tables_of(solution, solution_sections(solution))
 
 
 def named(found: list[Table], name: str) -> Table:
@@ -199,7 +204,7 @@ def test_without_pixels_the_frame_stands_for_the_image(registration: CaseRegistr
 
 
 def test_a_long_table_is_cut_and_says_so(solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report_tables, "MOST_ROWS", 5)
+    monkeypatch.setattr(report_page, "MOST_ROWS", 5)
     found = named(tables(solution), "points")
     total = len(solution.network.points)
     assert f"5 of {total} are listed, those that nothing determines and those of the largest sigma" in found.note
@@ -222,7 +227,7 @@ def test_undetermined_points_have_dashes(solution: Solution) -> None:
 
 
 def test_every_row_has_every_column(solution: Solution) -> None:
-    for table in [*tables(solution), *compare(solution, solution).tables]:
+    for table in [*tables(solution), *compare(solution, solution).section.tables]:
         assert {len(row) for row in table.rows} == {len(table.headings)}, table.name
 
 
@@ -254,8 +259,8 @@ def test_corrections_are_eastward_northward_upward(solution: Solution) -> None:
 
 def test_against_itself_nothing_moved(solution: Solution) -> None:
     found = compare(solution, solution)
-    assert "differs by at most 0 sigmas" in found.sentences[1]
-    assert "0 new, 0 gone; they moved by 0 m (rms)" in found.sentences[2]
+    assert "differs by at most 0 sigmas" in found.section.sentences[1]
+    assert "0 new, 0 gone; they moved by 0 m (rms)" in found.section.sentences[2]
 
 
 def test_a_known_difference_of_orientation_is_found(solution: Solution) -> None:
@@ -267,8 +272,8 @@ def test_a_known_difference_of_orientation_is_found(solution: Solution) -> None:
     np.testing.assert_allclose(moved, np.tile(step, (len(moved), 1)), rtol=1e-3, atol=1e-9)
     most = np.max(np.abs(moved) / sigmas)
     found = compare(solution, earlier)
-    assert f"differs by at most {most:.2g} sigmas (SIM/A)" in found.sentences[1]
-    row = named(found.tables, "images_compared").rows[0]
+    assert f"differs by at most {most:.2g} sigmas (SIM/A)" in found.section.sentences[1]
+    row = named(found.section.tables, "images_compared").rows[0]
     assert row[:4] == ["SIM/A", "3.00", "4.00", "5.00"]
 
 
@@ -287,16 +292,16 @@ def test_differences_are_in_units_of_the_larger_sigma(solution: Solution) -> Non
 def test_a_solution_without_laser_has_fewer_points_and_observations(case: Case, solution: Solution) -> None:
     other = adjust_case(read_case(case.path, laser=False))
     found = compare(solution, other)
-    assert found.tables[0].note.startswith("The numbers of observations differ")
+    assert found.section.tables[0].note.startswith("The numbers of observations differ")
     names = set(solution.network.points.ids) - set(other.network.points.ids)
-    assert f", {len(names)} new, 0 gone" in found.sentences[2]
+    assert f", {len(names)} new, 0 gone" in found.section.sentences[2]
 
 
 def test_costs_of_other_losses_are_not_compared(solution: Solution) -> None:
     other = replace(solution, settings=replace(solution.settings, loss="huber", loss_width=2.0))
-    found = named(compare(solution, other).tables, "merit_compared")
+    found = named(compare(solution, other).section.tables, "merit_compared")
     assert "The losses differ (huber, width 2; now none)" in found.note
-    assert named(compare(solution, solution).tables, "merit_compared").note == ""
+    assert named(compare(solution, solution).section.tables, "merit_compared").note == ""
 
 
 def test_points_by_their_names(solution: Solution) -> None:
@@ -307,8 +312,8 @@ def test_points_by_their_names(solution: Solution) -> None:
                       network=replace(solution.network, points=replace(points, ids=names)))  # fmt: skip
     found = compare(solution, earlier)
     n = len(names) - 1
-    assert f"{n} points of both, 1 new, 1 gone; they moved by 5 m (rms), 5 m at the most" in found.sentences[2]
-    table = named(found.tables, "points_compared")
+    assert f"{n} points of both, 1 new, 1 gone; they moved by 5 m (rms), 5 m at the most" in found.section.sentences[2]
+    table = named(found.section.tables, "points_compared")
     assert {row[4] for row in table.rows} == {"5.00"}
     size = max(np.linalg.norm(solution.sigmas[1:], axis=1))
     assert min(float(row[5]) for row in table.rows) == pytest.approx(5.0 / size, abs=0.006)

@@ -31,7 +31,7 @@ from mgsgraph.registration.dem.checking import check_profiles, checked
 from mgsgraph.registration.dem.model import Dem, DemSettings, dem_of
 from mgsgraph.results import terrain_model
 from mgsgraph.results.stac_item import item
-from mgsgraph.results.terrain_model import BANDS, dem_statements, make_dem, write_dem
+from mgsgraph.results.terrain_model import BANDS, dem_section, make_dem, write_dem
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
 FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png", "dem.svg"}
@@ -56,12 +56,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_files_and_record(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == FILES
     record = json.loads((folder / DEM).read_text(encoding="utf-8"))
-    assert record["statements"] == dem_statements(made())
+    assert record["statements"] == dem_section(made()).sentences
     assert record["posts_with_heights"] == int(np.isfinite(made().heights).sum())
     assert record["checks"][0]["profile"] == "ap18933l"
     assert any("3396.190 km" in sentence for sentence in record["statements"])
 
 
+@pytest.mark.program("gdalinfo")
 def test_bands_in_gdal_s_hands(folder: Path) -> None:
     told = json.loads(subprocess.check_output(["gdalinfo", "-json", "-checksum", str(folder / "dem.tif")]))
     names = [band["description"] for band in told["bands"]]
@@ -325,6 +326,8 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     wide = checked(model, [replace(one, covariance=np.eye(2) * 1e4)])
     assert np.all(wide.sigmas >= found.sigmas)
     assert np.median(wide.sigmas / found.sigmas) > 1.05
+    rough = checked(model, [replace(one, height_sigma=3.0)])  # variances add up
+    np.testing.assert_allclose(rough.independent**2 - found.independent**2, 8.0, rtol=1e-9)
 
 
 def test_the_table_has_every_shot_on_the_model(folder: Path) -> None:
@@ -340,10 +343,10 @@ def test_the_table_has_every_shot_on_the_model(folder: Path) -> None:
 
 
 def test_words_where_there_is_nothing_to_check_by() -> None:
-    assert dem_statements(replace(made(), profiles=()))[-1].startswith("Not checked by laser shots: there are none")
+    assert "by laser shots: there are none" in dem_section(replace(made(), profiles=())).sentences[-1]
     nothing = checked(made().model, [])
     assert len(nothing) == 0
-    assert "none lies on the terrain model" in dem_statements(replace(made(), checks=nothing))[-1]
+    assert "none lies on the terrain model" in dem_section(replace(made(), checks=nothing)).sentences[-1]
 
 
 # ---- whole or not at all

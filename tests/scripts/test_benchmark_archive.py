@@ -38,6 +38,7 @@ def test_the_page_has_medians_and_exponents() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.program("git")
 def test_an_archive_is_made_and_run_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(archive.JOBS, "block-pvl", archive.Job("block", 8, 300, pvl=True, pages=True, memory_gb=1e-6))
     found = archive.run("block-pvl", tmp_path)

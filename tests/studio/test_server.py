@@ -65,6 +65,7 @@ def test_other_hosts_and_origins_are_refused(running: Studio, browser_: Browser)
     """A page elsewhere, whose name resolves to this machine, or that sends a form."""
     assert browser_.ask("/api/scene", headers={"Host": "evil.example"})[0] == 421
     assert browser_.ask("/api/changes", {"kind": "undo"}, {"Origin": "http://evil.example"})[0] == 403
+    assert browser_.ask("/api/changes", {"kind": "undo"}, {"Origin": ""})[0] == 403
     port = int(running.root.rpartition(":")[2])
     with socket.socket() as outside:
         outside.settimeout(2.0)

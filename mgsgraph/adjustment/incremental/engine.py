@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER, PriorRows, Tree
 from mgsgraph.adjustment.incremental.shared import image_motion
 from mgsgraph.adjustment.incremental.state import (
     NOTICEABLE,
@@ -25,7 +26,6 @@ from mgsgraph.adjustment.incremental.state import (
 )
 from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.incremental.trajectories import expected, prior_rows
-from mgsgraph.adjustment.incremental.tree import TOGETHER, PriorRows, Tree
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.files.tie_points import PointKind

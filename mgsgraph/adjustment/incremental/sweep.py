@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import point_covariances as joint_point_covariances
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.graph.stereo import heights_at, linear_rows
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, stretches
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import point_covariances as joint_point_covariances
 from mgsgraph.adjustment.predicted_lines import NEAR, NEAR_ENOUGH, about_predicted_lines
 from mgsgraph.adjustment.rounds import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.settings import SolverSettings

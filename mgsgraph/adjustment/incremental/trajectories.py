@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.bayes_tree import PriorRows
 from mgsgraph.adjustment.incremental.state import StateStore
-from mgsgraph.adjustment.incremental.tree import PriorRows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage

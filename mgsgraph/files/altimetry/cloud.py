@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.csv_table import CsvTable
 from mgsgraph.files.altimetry.places import by_pauses, positions, require_radii, unit_of_radii
 from mgsgraph.files.altimetry.shots import is_archive_table, shots_of, unpacked
 from mgsgraph.files.altimetry.tables import table_of
+from mgsgraph.files.altimetry.text_table import TextTable
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic
@@ -107,7 +107,7 @@ def _cloud_of(shots: AltimeterShots) -> AltimetryCloud:
 # --- plain CSV
 
 
-def _plain_table(table: CsvTable, body: Ellipsoid | None) -> AltimetryCloud:
+def _plain_table(table: TextTable, body: Ellipsoid | None) -> AltimetryCloud:
     """A plain CSV; an id is the number of the line where there is no column of ids."""
     names = set(table.names)
     heights = [name for name in ("radiusm", "radiuskm", "heightm", "radius") if name in names]
@@ -130,14 +130,14 @@ def _plain_table(table: CsvTable, body: Ellipsoid | None) -> AltimetryCloud:
     return _in_profiles(table.path, ids, points, times, keys, float("nan"))
 
 
-def _utc_times(table: CsvTable) -> Array:
+def _utc_times(table: TextTable) -> Array:
     """Times (n,) in s TDB past J2000 of a column of UTC; NaN where there is none."""
     if "utc" not in table.names:
         return np.full(len(table), np.nan)
     return tdb_of_utc(table.texts("utc"), f"{table.path}, utc")
 
 
-def _profiles(table: CsvTable, times: Array) -> RepeatedNames | Index:
+def _profiles(table: TextTable, times: Array) -> RepeatedNames | Index:
     """Keys (n,) of profiles between pauses: the minute in which the first shot was fired, or numbers from 1."""
     if np.isnan(times[0]):
         return RepeatedNames((_product(table.path),), np.zeros(len(table), dtype=np.int64))

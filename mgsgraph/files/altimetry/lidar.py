@@ -7,6 +7,7 @@ latitude, longitude (rad) and radius (m).
 
 import json
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +15,6 @@ import msgspec
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.lidar_columns import LARGEST_ELEMENT, NUMBERS, TRIANGLE, LidarColumns, lidar_columns
 from mgsgraph.files.decoding import Name, Number, validated
 from mgsgraph.files.opening import LARGEST_TEXT, decoded_text, head_of, json_object, name_of, read_bytes
 from mgsgraph.geometry.altimeters import YEARS
@@ -32,13 +32,20 @@ _HEAD, _TURN, _POLE = 4096, 360.0, 90.0
 """bytes in which JSON begins, and degrees."""
 _LONGEST = 1e9
 """Of whatever unit: nothing that is measured is longer, and squares of more would be no numbers."""
+TRIANGLE, LARGEST_ELEMENT = 6, 1e18
+"""Elements of a covariance's upper triangle, and bound of each."""
+_ONCE = tuple(key.encode() for key in (
+    "id", "range", "sigmaRange", "time", "latitude", "longitude", "radius", "aprioriMatrix", "simultaneousImages",
+    "measures",
+))  # fmt: skip
+"""Keys of each shot."""
 _Length = Annotated[float, msgspec.Meta(gt=0.0, le=_LONGEST)]
 _Element = Annotated[float, msgspec.Meta(ge=-LARGEST_ELEMENT, le=LARGEST_ELEMENT)]
 _Triangle = Annotated[list[_Element], msgspec.Meta(min_length=TRIANGLE, max_length=TRIANGLE)]
 _Latitude = Annotated[float, msgspec.Meta(ge=-_POLE, le=_POLE)]
 
 
-class LidarMeasure(msgspec.Struct, rename="camel"):
+class LidarMeasure(msgspec.Struct, rename="camel", gc=False):
     """A footprint's pixel in an image, as ISIS counts it."""
 
     line: Number
@@ -47,7 +54,7 @@ class LidarMeasure(msgspec.Struct, rename="camel"):
     """Of the image."""
 
 
-class LidarShot(msgspec.Struct, rename="camel", omit_defaults=True, kw_only=True):
+class LidarShot(msgspec.Struct, rename="camel", omit_defaults=True, kw_only=True, gc=False):
     """A laser shot as the file has it: planetocentric degrees, km; sigmas of ranges in m."""
 
     id: Name
@@ -94,76 +101,61 @@ def read_lidar(path: Path) -> LaserProfile:
     """
     if not head_of(path, _HEAD).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
         raise InputError(str(path), "no JSON", "ISIS lidar data", "an altimeter's own file goes into [[shots]]")
-    content = read_bytes(path, LARGEST_TEXT)
-    found = lidar_columns(content.removeprefix(b"\xef\xbb\xbf"))
-    return _profile(found if found and _can_be(found) else _one_by_one(content, path), str(path))
-
-
-def _can_be(shots: LidarColumns) -> bool:
-    """Whether all numbers of shots are within the bounds of `LidarShot`; which isn't is said by `_one_by_one`."""
-    of, years = shots.numbers, YEARS
-    lengths = all(np.all((of[name] > 0.0) & (of[name] <= _LONGEST)) for name in ("range", "sigmaRange", "radius"))
-    angles = np.all(np.abs(of["latitude"]) <= _POLE) and np.all(np.abs(of["longitude"]) <= _TURN)
-    times = np.all((of["time"] >= years[0]) & (of["time"] <= years[1]))
-    return bool(lengths and angles and times and shots.ids.first_repeated is None)
-
-
-def _one_by_one(content: bytes, path: Path) -> LidarColumns:
-    """Shots as records, each of which is looked at: for what `lidar_columns` leaves."""
-    shots = validated(json_object(decoded_text(content, path), str(path)), _LidarData, path).points
+    shots = _shots(read_bytes(path, LARGEST_TEXT).removeprefix(b"\xef\xbb\xbf"), path)
     _require_sound(shots, str(path))
-    numbers = np.array([(one.time, one.range, one.sigma_range, one.longitude, one.latitude, one.radius)
-                        for one in shots])  # fmt: skip
+    return _profile(shots, str(path))
+
+
+def _shots(content: bytes, path: Path) -> list[LidarShot]:
+    """Shots of a JSON text, whose keys and values are checked by their type while it is parsed."""
+    with suppress(msgspec.DecodeError, UnicodeDecodeError):
+        shots = msgspec.json.decode(content, type=_LidarData).points
+        if all(content.count(b'"%b"' % key) == len(shots) for key in _ONCE):  # else a key may be there twice
+            return shots
+    return validated(json_object(decoded_text(content, path), str(path)), _LidarData, path).points
+
+
+def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
+    """Columns of a file in SI units, and pixels counted from its corner."""
+    places = np.array([(shot.longitude * DEG, shot.latitude * DEG, shot.radius * KM) for shot in shots])
+    triangles = np.array([shot.apriori_matrix for shot in shots])
+    jacobian = planetocentric_jacobian(places)
     along = [(k, name) for k, shot in enumerate(shots) for name in shot.simultaneous_images]
     measures = [(k, one) for k, shot in enumerate(shots) for one in shot.measures]
-    return LidarColumns(
-        Names.of(shot.id for shot in shots), dict(zip(NUMBERS, numbers.T, strict=True)),
-        np.array([shot.apriori_matrix for shot in shots]),
-        np.array([k for k, _ in along], dtype=np.int64), RepeatedNames.of([name for _, name in along]),
-        np.array([k for k, _ in measures], dtype=np.int64),
-        RepeatedNames.of([one.serial_number for _, one in measures]),
-        np.array([(one.line, one.sample) for _, one in measures], dtype=np.float64).reshape(-1, 2),
-    )  # fmt: skip
-
-
-def _profile(shots: LidarColumns, source: str) -> LaserProfile:
-    """Columns of a file in SI units, and pixels counted from its corner."""
-    of = shots.numbers
-    places = np.column_stack([of["longitude"] * DEG, of["latitude"] * DEG, of["radius"] * KM])
-    jacobian = planetocentric_jacobian(places)
+    pixels = np.array([(one.line, one.sample) for _, one in measures], dtype=np.float64).reshape(-1, 2)
     return LaserProfile(
         source=source,
-        ids=shots.ids,
-        times=of["time"],
-        ranges=of["range"] * KM,
-        range_sigmas=of["sigmaRange"],
+        ids=Names.of([shot.id for shot in shots]),
+        times=np.array([shot.time for shot in shots]),
+        ranges=np.array([shot.range for shot in shots]) * KM,
+        range_sigmas=np.array([shot.sigma_range for shot in shots]),
         footprints=from_planetocentric(places),
-        covariances=jacobian @ shots.triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
-        simultaneous_shot=shots.simultaneous_shot,
-        simultaneous_image=shots.simultaneous_image,
-        measure_shot=shots.measure_shot,
-        measure_image=shots.measure_image,
-        measures=shots.measures - ISIS_OFFSET,
+        covariances=jacobian @ triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
+        simultaneous_shot=np.array([k for k, _ in along], dtype=np.int64),
+        simultaneous_image=RepeatedNames.of([name for _, name in along]),
+        measure_shot=np.array([k for k, _ in measures], dtype=np.int64),
+        measure_image=RepeatedNames.of([one.serial_number for _, one in measures]),
+        measures=pixels - ISIS_OFFSET,
     )
 
 
 def _require_sound(shots: list[LidarShot], source: str) -> None:
     """Raise InputError for an id twice, an image twice in a shot, or a shot without covariance."""
-    first = dict[str, int]()
+    first, known = dict[str, int](), set[str]()
     for k, shot in enumerate(shots):
-        where = f"{source}, points[{k}] ({shot.id[:60]})"
+        where, images = f"{source}, points[{k}] ({shot.id[:60]})", [measure.serial_number for measure in shot.measures]
         name_of(shot.id, where, "an id")
-        for name in {*shot.simultaneous_images, *(measure.serial_number for measure in shot.measures)}:
-            name_of(name, where, "an image's name")
-        require_years(np.array([shot.time]), where)
+        known |= {name_of(name, where, "an image's name") for name in {*shot.simultaneous_images, *images} - known}
+        if not YEARS[0] <= shot.time <= YEARS[1]:
+            require_years(np.array([shot.time]), where)
         if abs(shot.longitude) > _TURN:
             raise InputError(where, f"longitude {shot.longitude:g} degrees", f"-{_TURN:g} .. {_TURN:g}")
         if first.setdefault(shot.id, k) != k:
             raise InputError(where, f"the id {shot.id!r} twice, first in points[{first[shot.id]}]", "each id once")
         if shot.apriori_matrix is None:
             raise InputError(where, "no key 'aprioriMatrix'", "the covariance of the footprint")
-        images = [measure.serial_number for measure in shot.measures]
-        for image in [image for image in images if images.count(image) > 1][:1]:
+        if len(set(images)) < len(images):
+            image = next(name for name in images if images.count(name) > 1)
             raise InputError(where, f"two measures in image {image}", "one per shot", "remove the worse one")
 
 

@@ -16,9 +16,9 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.csv_table import plain_name
 from mgsgraph.files.altimetry.lola import RECORD, lola_shots
 from mgsgraph.files.altimetry.places import crossings, known_ranges, positions, require_radii, require_records
+from mgsgraph.files.altimetry.text_table import plain_name
 from mgsgraph.files.csv_columns import numbers_of
 from mgsgraph.files.opening import LARGEST_NUMBER, number_of, read_bytes
 from mgsgraph.files.pvl import Block, Document, whole_label

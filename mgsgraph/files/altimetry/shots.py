@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.csv_table import CsvTable
 from mgsgraph.files.altimetry.limits import require_possible_shots
 from mgsgraph.files.altimetry.lola import is_lola_rdr, lola_shots
 from mgsgraph.files.altimetry.pds_table import is_label, read_labelled_shots, require_whole
 from mgsgraph.files.altimetry.pedr import FRAME, pedr_shots
-from mgsgraph.files.altimetry.pedr_text import PEDR_RADII, read_pedr_text
+from mgsgraph.files.altimetry.pedr_text import PEDR_RADII, pedr_text_shots
 from mgsgraph.files.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
+from mgsgraph.files.altimetry.text_table import TextTable
 from mgsgraph.files.opening import read_bytes, unpacked_gzip
 from mgsgraph.geometry.altimetry import AltimeterShots, require_lengths
 
@@ -57,7 +57,7 @@ def read_shots(
 
 def shots_of(
     content: bytes, packed: bool, path: Path, clock_bias: float = 0.0, version: str | None = None,
-    table: CsvTable | None = None,
+    table: TextTable | None = None,
 ) -> AltimeterShots:  # fmt: skip
     """As `read_shots`, of the content of a file, unpacked if it was packed; as a table, where it is one already."""
     shots = _as_read(content, packed, path, clock_bias, version, table)
@@ -70,7 +70,7 @@ def shots_of(
 
 
 def _as_read(
-    content: bytes, packed: bool, path: Path, clock_bias: float, version: str | None, table: CsvTable | None
+    content: bytes, packed: bool, path: Path, clock_bias: float, version: str | None, table: TextTable | None
 ) -> AltimeterShots:  # fmt: skip
     if not content or content.isspace():
         raise InputError(str(path), "an empty file", "laser shots")
@@ -96,10 +96,10 @@ def _as_read(
     if is_selection(table):
         return read_selection(table, clock_bias)
     _require_unpacked(packed, path)
-    return read_pedr_text(path, clock_bias, version)
+    return pedr_text_shots(table, clock_bias, version)
 
 
-def is_archive_table(table: CsvTable) -> bool:
+def is_archive_table(table: TextTable) -> bool:
     """Whether a text is one of an altimeter's archive, or a selection of it, not just a cloud of points."""
     return layout_of(table) is not None or bool(PEDR_RADII & set(table.names)) or "altimeter" in table.names
 

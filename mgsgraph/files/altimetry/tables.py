@@ -16,9 +16,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.csv_table import CsvTable
 from mgsgraph.files.altimetry.lola import INVALID
 from mgsgraph.files.altimetry.places import crossings, known_ranges, positions, unit_of_radii, whole_numbers
+from mgsgraph.files.altimetry.text_table import TextTable
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
@@ -91,12 +91,12 @@ _NOISE_CHANNEL = 5
 """Of MLA, from which on a return is noise (pyXover leaves out chn > 4)."""
 
 
-def table_of(content: bytes, path: Path) -> CsvTable:
+def table_of(content: bytes, path: Path) -> TextTable:
     """A text as a table; LOLA's columns without a header are known by their number."""
-    return CsvTable(content, path, _LOLA_HEADER if _LOLA_ROW.match(content) else None)
+    return TextTable(content, path, _LOLA_HEADER if _LOLA_ROW.match(content) else None)
 
 
-def layout_of(table: CsvTable) -> Layout | None:
+def layout_of(table: TextTable) -> Layout | None:
     """The archive's layout that a header has; None for any other table."""
     if LOLA_CSV.fits(table.names):
         return LOLA_CSV
@@ -195,12 +195,12 @@ _OWN_GAPS = {
 _PLACE = ("spacecraft_x_m", "spacecraft_y_m", "spacecraft_z_m")
 
 
-def is_selection(table: CsvTable) -> bool:
+def is_selection(table: TextTable) -> bool:
     """Whether a table has what a selection of `mgsgraph shots` has, at least: places, times and ranges."""
     return {"longitudedeg", "latitudedeg", "radiusm", "rangem", "times"} <= set(table.names)
 
 
-def read_selection(table: CsvTable, clock_bias: float) -> AltimeterShots:
+def read_selection(table: TextTable, clock_bias: float) -> AltimeterShots:
     """Shots as `selection_columns` has them; lengths are m, empty cells unknown."""
     needed = table.read("longitudedeg", "latitudedeg", "radiusm", "times", *_OWN, "ground")
     n = needed["times"].size
@@ -225,12 +225,12 @@ def read_selection(table: CsvTable, clock_bias: float) -> AltimeterShots:
     )  # fmt: skip
 
 
-def _flags(table: CsvTable, values: Array) -> Mask:
+def _flags(table: TextTable, values: Array) -> Mask:
     """Zeros and ones (n,) as truth values."""
     return np.asarray(whole_numbers(values, lambda k: f"{table.where(k)}, ground", 1.0) == 1)
 
 
-def _altimeter(table: CsvTable) -> Altimeter:
+def _altimeter(table: TextTable) -> Altimeter:
     if "altimeter" not in table.names:
         return ANY
     stated = set(RepeatedNames.of(table.texts("altimeter").arrow).distinct)

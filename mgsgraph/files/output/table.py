@@ -74,6 +74,8 @@ class Column:
     """Whether it is there in files."""
     scale: float | None = None
     """SI units in one of `unit`, where its name doesn't say so: 1 for values that are in that unit already."""
+    json: str = ""
+    """Its key in JSON with the unit, where that differs from what follows from `key`."""
 
     @property
     def vector(self) -> bool:
@@ -95,6 +97,8 @@ class Column:
 
     def json_key(self, row: int) -> str:
         """Name of a value in JSON: a vector's is that of the whole, with the unit that the row has."""
+        if self.json:
+            return self.json
         name = self.name(None if isinstance(self.unit, str) else self.unit[row])
         return name.replace("_{}", "").replace("{}_", "")
 
@@ -270,6 +274,8 @@ class Table:
         """
         rows = len(self) if most is None else min(most, len(self))
         shown = [column for column in self.take(np.arange(rows)).columns if column.text]
+        if not shown:
+            return []
         lines = []
         for k, (first, *others) in enumerate(zip(*(column.titles(units) for column in shown), strict=True)):
             begin = " " * indent + first if k else f"{first.rstrip():<{indent + len(first)}}"

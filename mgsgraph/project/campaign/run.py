@@ -27,7 +27,7 @@ from mgsgraph.files.output.folders import require_replaceable
 from mgsgraph.project.campaign.inputs import checksums, find_cases, result_folders
 from mgsgraph.project.campaign.record import AS_WRITTEN, CampaignEntry, Overrides, Record, open_record
 from mgsgraph.results.results import write_results
-from mgsgraph.results.soundness import soundness_statements
+from mgsgraph.results.soundness import soundness_section
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
@@ -80,7 +80,7 @@ def _adjusted(task: CaseTask) -> dict[str, Any]:
     write_results(solution, target, task.overrides.figures, task.case, case.networks, task.overrides.tables)
     return {
         "status": "not converged" if not solution.converged else "done" if is_result(solution) else "no result",
-        "message": " ".join([*soundness_statements(solution), solution.message]),
+        "message": " ".join([*soundness_section(solution).sentences, solution.message]),
         "converged": solution.converged,
         "sigma0": solution.sigma0 if math.isfinite(solution.sigma0) else None,
         "cost": solution.cost_final,

@@ -16,9 +16,9 @@ from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.measured import registration_discrepancy as registration_discrepancy
 from mgsgraph.registration.measured import registration_offsets as registration_offsets
-from mgsgraph.results.figures.adjacency import links_sheet
 from mgsgraph.results.figures.aggregate import LARGE_BLOCK
 from mgsgraph.results.figures.closeups import closeup_sheets
+from mgsgraph.results.figures.connectivity import links_sheet
 from mgsgraph.results.figures.discrepancy import discrepancy_sheets
 from mgsgraph.results.figures.ground_map import map_sheets
 from mgsgraph.results.figures.minima import minima_sheets

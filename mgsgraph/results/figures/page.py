@@ -20,9 +20,9 @@ from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.measured import thinned
-from mgsgraph.results.figures.adjacency import links_sheet
 from mgsgraph.results.figures.closeups import closeup_sheets
 from mgsgraph.results.figures.comparison import comparison_sheet
+from mgsgraph.results.figures.connectivity import links_sheet
 from mgsgraph.results.figures.discrepancy import discrepancy_sheets
 from mgsgraph.results.figures.ground_map import frame, map_sheets
 from mgsgraph.results.figures.minima import minima_sheets

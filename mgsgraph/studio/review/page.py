@@ -21,7 +21,7 @@ from mgsgraph.units import ISIS_OFFSET
 
 _MARKED = 0.75
 """Chip pixels, shift from which on the best match is marked."""
-_TEMPLATE = "review/templates/review.html"
+_TEMPLATE = "studio/review/templates/review.html"
 
 
 def require_page(path: Path) -> None:

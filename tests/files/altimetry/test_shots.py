@@ -291,6 +291,13 @@ def test_time_scales_are_those_of_spice(shared_data: Path) -> None:
         assert abs((utc_of_tdb(time) - datetime.fromisoformat(f"{text[:26]}Z")).total_seconds()) < 2e-6
 
 
+@pytest.mark.parametrize("year", [1973, 1999, 2006, 2009, 2017])
+def test_a_leap_second_is_a_second(year: int) -> None:
+    """The last one of the year before."""
+    texts = [f"{year - 1}-12-31T23:59:59", f"{year - 1}-12-31T23:59:60", f"{year}-01-01T00:00:00"]
+    np.testing.assert_allclose(np.diff(tdb_of_utc(texts, "here")), 1.0, atol=1e-6)
+
+
 def test_leap_seconds_are_those_of_naif(shared_data: Path) -> None:
     """Every step of the kernel's table, just before it and on it, and the leap second of 2008 itself; to and fro."""
     spiceypy = pytest.importorskip("spiceypy")

@@ -9,14 +9,14 @@ from mgsgraph.files.output.page import page_of, write_page
 from mgsgraph.results.page import require_page as require_report
 from mgsgraph.studio.review.page import require_page as require_review
 
-REPORT, REVIEW = "reports/templates/report.html", "review/templates/review.html"
+REPORT, REVIEW = "results/templates/report.html", "studio/review/templates/review.html"
 
 
 @pytest.mark.parametrize(("template", "other"), [(REPORT, REVIEW), (REVIEW, REPORT)])
 def test_pages_are_known_by_the_head_of_the_template(tmp_path: Path, template: str, other: str) -> None:
     from importlib.resources import files
 
-    head = (files("mgsgraph") / "output/templates/page.html").read_text(encoding="utf-8")
+    head = (files("mgsgraph") / "files/output/templates/page.html").read_text(encoding="utf-8")
     page = tmp_path / "page.html"
     page.write_text(head.replace("{% block generator %}{% endblock %}", Path(template).stem), encoding="utf-8")
     assert page_of(template).known(page)

@@ -13,7 +13,7 @@ from mgsgraph.files.output import folders
 from mgsgraph.files.output.folders import FIGURES, TABLES, fresh_folder, require_replaceable
 
 HOUSE = Path(folders.__file__).parents[2]
-ROOMS = ("demo", "dem", "figures", "matching", "output", "registration", "reports", "review")
+ROOMS = ("files/output", "matching", "registration", "results", "simulation/demo", "studio/review")
 """That write results; `export` says itself what it has made, in export.json."""
 FILE = re.compile(r"[a-z_]+\.(json|csv|txt|npz|tif|png|svg)")
 OTHERS = {"truth.json"}
@@ -36,7 +36,7 @@ def test_every_kind_of_figure_is_known() -> None:
     """What is handed to `new_sheet` and `sheet_name` by name."""
     found = {
         node.args[0].value
-        for path in (HOUSE / "figures").rglob("*.py")
+        for path in (HOUSE / "results" / "figures").rglob("*.py")
         # sheets of the page stand in it, those of the studio's views are handed out one by one
         if not path.stem.startswith("page") and not path.stem.endswith("_views")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))

@@ -1,11 +1,13 @@
 """A table says the same in all its forms: files, values for JSON, aligned text, the page."""
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mgsgraph.files.output.csv_json import quoted
 from mgsgraph.files.output.table import NONE, Column, Table, cut, fixed
 from mgsgraph.units import DEG, MGON
 
@@ -31,6 +33,11 @@ def test_csv_has_units_in_names_and_reads_back(tmp_path: Path) -> None:
     assert (first["count"], first["good"], second["good"]) == ("3", "true", "false")
     assert float(first["angle_deg"]) == 90.0
     assert (second["angle_deg"], second["x_sigma_m"]) == ("", "")
+
+
+@pytest.mark.parametrize("text", ["plain", "a, b", 'the "first"', '"', "two\nlines", ""])
+def test_quoted_fields_read_back(text: str) -> None:
+    assert list(csv.reader(io.StringIO(f"{quoted(text)},{quoted(text)}\n", newline=""))) == [[text, text]]
 
 
 def test_values_for_json_have_the_unit_of_their_row() -> None:

@@ -1,6 +1,5 @@
 """Coordinate systems of bodies in PROJ's and GDAL's hands: names, codes, radii, places, and what a GeoTIFF keeps."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +57,7 @@ def test_the_plane_is_that_of_proj_s_laea_on_the_same_body(
     np.testing.assert_allclose(between.transform(*places), places, rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.skipif(shutil.which("gdalinfo") is None, reason="GDAL's tools (gdal-bin) are not installed")
+@pytest.mark.program("gdalinfo")
 @pytest.mark.parametrize("radii", BODIES)
 def test_a_raster_keeps_the_name(radii: tuple[float, float], tmp_path: Path) -> None:
     grid = MapGrid(175.3, -14.6, radii[0], -1500.0, 1000.0, 10.0, 200, 300)

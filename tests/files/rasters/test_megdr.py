@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.pedr_text import read_pedr_text
+from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.opening import opened
 from mgsgraph.files.rasters import megdr
 from mgsgraph.files.rasters.megdr import read_megdr
@@ -203,7 +203,7 @@ def test_heights_tell_radii_from_topography(shared_data: Path, tmp_path: Path, t
 @pytest.mark.parametrize(("site", "largest"), [("insight", 10.0), ("opportunity", 15.0)])
 def test_real_grid_against_real_shots(shared_data: Path, site: str, largest: float) -> None:
     """On flat ground shots and grid agree to metres, and a grid moved by one post in any direction agrees worse."""
-    shots = read_pedr_text(shared_data / "mola_pedr_ode" / f"{site}_topography.csv")
+    shots = read_shots(shared_data / "mola_pedr_ode" / f"{site}_topography.csv")
     grid = read_megdr(shared_data / "mola_megdr" / "megr90n000cb.img")
     radii = np.linalg.norm(shots.footprints, axis=1)
     longitudes = np.arctan2(shots.footprints[:, 1], shots.footprints[:, 0])
@@ -221,7 +221,7 @@ def test_real_grid_against_real_shots(shared_data: Path, site: str, largest: flo
 
 @pytest.mark.parametrize("site", ["insight", "opportunity"])
 def test_real_areoid_against_real_shots(shared_data: Path, site: str) -> None:
-    shots = read_pedr_text(shared_data / "mola_pedr_ode" / f"{site}_topography.csv")
+    shots = read_shots(shared_data / "mola_pedr_ode" / f"{site}_topography.csv")
     folder = shared_data / "mola_megdr"
     areoid = areoid_grid(read_megdr(folder / "megr90n000cb.img"), read_megdr(folder / "megt90n000cb.img"))
     off = areoid.at(shots.footprints) - shots.areoid_radii

@@ -1,4 +1,4 @@
-"""Ground of 25 pixels of every real line-scan ISD against usgscsm's published algorithm, which `csm_back` has written
+"""Ground of 25 pixels of every real line-scan ISD against usgscsm's published algorithm, which `usgscsm.py` has written
 anew from its interpolation and distortion formulae; nothing of it is shared with the reader or the geometry.
 
 Positions are compared as the files have them: usgscsm takes no light time off. It lays tables out anew in as many even
@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import usgscsm
 
-from mgsgraph.export import csm_back
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.support_data.isd import read_isd
@@ -56,7 +56,7 @@ def laid_out(isd: dict[str, Any]) -> dict[str, Any]:
     tables = {"instrument_position": isd["instrument_position"] | hermite(isd["instrument_position"], times)}
     for key in ("instrument_pointing", "body_rotation"):
         table = isd[key]
-        quaternions = csm_back._arc(np.array(table["ephemeris_times"]), np.array(table["quaternions"]), times)
+        quaternions = usgscsm.great_arc(np.array(table["ephemeris_times"]), np.array(table["quaternions"]), times)
         tables[key] = table | {"ephemeris_times": times, "quaternions": quaternions}
     return isd | tables
 
@@ -81,7 +81,7 @@ def test_ground_is_usgscsms(shared_data: Path, file: str) -> None:
     ground, _ = image.image_to_ground(*places.T)
 
     for content, most in ((laid_out(isd), 1e-3), (isd, 0.15)):
-        seen = csm_back.ground_to_image(csm_back.state_of_support_data(content), ground)
+        seen = usgscsm.ground_to_image(usgscsm.state_of_support_data(content), ground)
         assert np.abs(seen - places).max() < most
 
 
@@ -133,5 +133,5 @@ def test_ground_of_each_camera_is_usgscsms(shared_data: Path, camera: str) -> No
     ground, _ = image.image_to_ground(*places.T)
 
     content = isd if camera == "HRSC" else laid_out(isd)  # HRSC's line periods change
-    seen = csm_back.ground_to_image(csm_back.state_of_support_data(content), ground)
+    seen = usgscsm.ground_to_image(usgscsm.state_of_support_data(content), ground)
     assert np.abs(seen - places).max() < 1e-3

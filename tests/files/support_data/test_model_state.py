@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import usgscsm
 
 from mgsgraph.errors import InputError
-from mgsgraph.export import csm_back
 from mgsgraph.files.labels.image_kinds import image_kind, image_name
 from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry.image import PushbroomImage
@@ -58,7 +58,7 @@ def apart(image: PushbroomImage, content: dict[str, Any]) -> float:
     lines, samples = np.meshgrid(np.linspace(0.5, image.lines - 0.5, 5), np.linspace(0.5, image.samples - 0.5, 5))
     places = np.column_stack([lines.ravel(), samples.ravel()])
     ground, _ = image.image_to_ground(*places.T)
-    return float(np.abs(csm_back.ground_to_image(content, ground) - places).max())
+    return float(np.abs(usgscsm.ground_to_image(content, ground) - places).max())
 
 
 @pytest.mark.parametrize("changes", [
@@ -90,7 +90,7 @@ def test_real_states_are_where_usgscsm_sees_them(shared_data: Path, file: str) -
     image = read_model_state(path, "WV")
 
     assert (image.lines, image.samples) == (294448, 42500)
-    assert apart(image, csm_back._read(path)) < 1e-3
+    assert apart(image, usgscsm.read_content(path)) < 1e-3
 
 
 def test_its_kind_and_name(tmp_path: Path) -> None:

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+import usgscsm
 
 from mgsgraph.errors import InputError
-from mgsgraph.export import csm_back
 from mgsgraph.files.support_data.optics import (
     NUMBERS,
     distortion_of_state,
@@ -49,11 +49,11 @@ def test_there_and_back(optics: models.Distortion) -> None:
 
 @EACH
 def test_usgscsm_applies_what_is_taken_off(optics: models.Distortion) -> None:
-    """Its applyDistortion, in mm, is in `csm_back`, which shares nothing with us."""
+    """Its applyDistortion, in mm, is in `usgscsm.py`, which shares nothing with us."""
     name, coefficients = state_optics(optics, "image")
     state = {"m_distortionType": NUMBERS[name], "m_opticalDistCoeffs": coefficients, "m_focalLength": FOCAL / MM}
 
-    bent = np.column_stack(csm_back._distort(state, *optics.undistort(PLACES)[0].T / MM))
+    bent = np.column_stack(usgscsm.distort(state, *optics.undistort(PLACES)[0].T / MM))
     np.testing.assert_allclose(bent, PLACES / MM, rtol=0, atol=1e-9)
 
 

@@ -1,5 +1,6 @@
 """Which cases a campaign has, where their results go, and what they are made from."""
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -133,6 +134,15 @@ def test_every_file_that_a_case_names_counts(everything: Path) -> None:
         assert checksums(everything).get(name) is None
         path.write_bytes(kept)
     assert checksums(everything) == before
+
+
+def test_a_file_that_changes_and_keeps_its_size_counts(case_file: Path) -> None:
+    """In a process that has read it before, too."""
+    before, network = checksums(case_file), case_file.with_name("network.pvl")
+    content, changed = network.read_bytes(), network.stat().st_mtime_ns
+    network.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    os.utime(network, ns=(changed + 1, changed + 1))
+    assert checksums(case_file)[network.name] not in (None, before[network.name])
 
 
 def test_no_path_of_the_schema_is_forgotten() -> None:

@@ -13,8 +13,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.group_medians import medians, span
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.network import PointClass
-from mgsgraph.results.figures.adjacency import adjacency, joints, links_sheet
 from mgsgraph.results.figures.aggregate import Rows, cell_means, image_rows, limit, means
+from mgsgraph.results.figures.connectivity import adjacency, joints, links_sheet
 from mgsgraph.results.figures.overview import MiddleCorrections, residual_matrix, strangeness
 from mgsgraph.results.figures.overview_map import ground_cells, ground_frame, weak_points
 from mgsgraph.results.figures.sheet import encoded
@@ -148,10 +148,11 @@ def test_cells_of_links_have_the_most_points_of_their_pairs() -> None:
     assert strongest.max() == connected.points.max()
 
 
-def test_many_images_have_cells_and_few_a_graph(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_images_are_named_and_many_share_the_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     solution = adjust_network(block().network, SolverSettings())
     assert links_sheet(solution).vector
-    monkeypatch.setattr("mgsgraph.results.figures.adjacency._MOST_NODES", 2)
+    monkeypatch.setattr("mgsgraph.results.figures.connectivity._NAMED", 2)
+    monkeypatch.setattr("mgsgraph.results.figures.connectivity._NUMBERED", 2)
     sheet = links_sheet(solution)
     assert not sheet.vector
     assert len(encoded(sheet, "png")) > 10_000

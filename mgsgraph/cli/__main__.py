@@ -1,5 +1,0 @@
-"""`python -m mgsgraph.cli`."""
-
-from mgsgraph.cli import main
-
-main()

@@ -1,0 +1,95 @@
+"""A finding, made once: its title, sentences, tables, numbers and figures; and one writer each for the terminal, JSON
+and the files of a folder. The page takes sentences and tables as they are.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mgsgraph.files.output.csv_json import write_json
+from mgsgraph.files.output.folders import PROGRAM, fresh_folder
+from mgsgraph.files.output.table import Table
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
+
+ROWS = 24
+"""Rows of a table that are printed; the files have all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """One finding."""
+
+    name: str
+    """Its key in a record."""
+    title: str = ""
+    """What it is about, where that needs saying."""
+    sentences: Sequence[str] = ()
+    """What was found, in words."""
+    tables: Sequence[Table] = ()
+    """What is shown: columns with a layout in text on the terminal, those with a format of the page there."""
+    numbers: Any = None
+    """What a record holds of it, with units in the keys."""
+    csv: Sequence[Table] = ()
+    """Tables that become files by their names."""
+    files: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
+    """What writes further files, by their names."""
+    sheets: Callable[[], Iterable["Sheet"]] | None = None
+    """What draws its figures."""
+
+    def text(self, most: int | None = ROWS) -> str:
+        """Lines for the terminal, with so many rows of each table at most; None: with all."""
+        found = [*([self.title] if self.title else []), *(f"- {sentence}" for sentence in self.sentences)]
+        for table in self.tables:
+            rows = table.text(most, f"more row: see {table.name}.csv", indent=2, units=True)
+            if len(table) and rows:
+                found += [*([""] if found else []), table.title, *rows]
+        return "\n".join(found)
+
+    def write(self, folder: Path, figures: bool) -> list[str]:
+        """Write its files into a folder, with figures or without; their names."""
+        every = {f"{table.name}.csv": table.write_csv for table in self.csv} | dict(self.files)
+        for name, write in every.items():
+            write(folder / name)
+        if not figures or self.sheets is None:
+            return list(every)
+        from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
+
+        return [*every, *save(self.sheets(), folder)]
+
+
+def write_sections(
+    sections: Iterable[Section], record: Mapping[str, Any], folder: str | Path, kind: str, figures: bool = True
+) -> list[str]:
+    """Write a record and the files of sections to a folder that appears whole or not at all; the names of the files.
+
+    Parameters
+    ----------
+    sections : iterable of Section
+        In the order of their files.
+    record : mapping
+        What the folder's JSON file holds beside the program's name.
+    folder : path
+        Absent, empty, or an earlier result of the same kind, which is replaced.
+    kind : str
+        Name of the JSON file, by which such folders are known.
+    figures : bool
+        False leaves the figures out.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else, or can't be written.
+    """
+    with fresh_folder(folder, kind) as aside:
+        return write_sections_into(sections, record, aside, kind, figures)
+
+
+def write_sections_into(
+    sections: Iterable[Section], record: Mapping[str, Any], folder: Path, kind: str, figures: bool = True
+) -> list[str]:
+    """The same into a folder that exists."""
+    write_json(folder / kind, {"program": PROGRAM, **record})
+    return [kind, *(name for section in sections for name in section.write(folder, figures))]

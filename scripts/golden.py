@@ -1,0 +1,47 @@
+"""Compare golden results with what the program computes now; with --write make them anew, on purpose."""
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.modules.pop("golden", None)  # this file has that name, too
+import golden  # noqa: E402
+
+
+def main() -> int:
+    """Status 1 where something differs and nothing is written."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", choices=[[], *golden.GOLDEN], help="all when absent")
+    parser.add_argument("--write", action="store_true", help="replace the golden results")
+    wanted, differ = parser.parse_args(), False
+    for name in wanted.names or golden.GOLDEN:
+        start = time.perf_counter()
+        with tempfile.TemporaryDirectory() as folder:
+            found = golden.computed(name, Path(folder))
+        print(f"{name}: {time.perf_counter() - start:.1f} s", flush=True)
+        if (golden.RESULTS / f"{name}.json").exists():
+            differ |= show(golden.stored(name), found)
+        if wanted.write:
+            golden.write(name, found)
+    return int(differ and not wanted.write)
+
+
+def show(before: golden.Result, found: golden.Result) -> bool:
+    """Print the largest difference of each kind, and all beyond the tolerances; whether there are any of these."""
+    worst, kind = golden.differences(before, found, golden.tolerances()), before | found
+    for one in golden.TOLERANCES:
+        name = max((name for name in worst if kind[name][0] == one), key=worst.__getitem__, default="")
+        if worst.get(name):
+            print(f"  {one}: {worst[name]:.2g} tolerances at most, {name}")
+    beyond = [name for name, off in worst.items() if off > 1.0]
+    for name in beyond:
+        was, now = (str(one.get(name, "absent"))[:60] for one in (before, found))
+        print(f"  CHANGED by {worst[name]:.3g} tolerances: {name}: {was} -> {now}")
+    return bool(beyond)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
