@@ -49,9 +49,10 @@ _MORE = """
 kind = "range bias"
 sigma_m = 5.0
 
-[[strips]]
+[[passes]]
 name = "A"
 images = ["SIM/A"]
+prior = {}
 
 [solver]
 reject = 4.0

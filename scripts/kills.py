@@ -296,7 +296,8 @@ def _fill(base: Path) -> None:
     (base / "places.csv").write_text("line,sample\n100,20\n500,30\n")
     made = strip(4)
     write_strip(made, base / "strip")
-    tables = "".join(f'\n[[strips]]\nname = "{one.name}"\nimages = ["{one.name}"]\n' for one in made.images)
+    table = '\n[[passes]]\nname = "{0}"\nimages = ["{0}"]\nprior = {{}}\n'
+    tables = "".join(table.format(one.name) for one in made.images)
     with (base / "strip" / "case.toml").open("a", encoding="utf-8") as file:
         file.write(tables)
     _site(base)

@@ -1,4 +1,4 @@
-"""A small simulated block of HRSC as files: support data, a control network, and a case with [[strips]]."""
+"""A small simulated block of HRSC as files: support data, a control network, and a case with [[passes]]."""
 
 from functools import cache
 from pathlib import Path
@@ -11,11 +11,12 @@ from mgsgraph.simulation.hrsc_flight import Readout
 from mgsgraph.simulation.isis_files import json_text, support_data, tie_network_text
 
 STRIPS = """
-[[strips]]
+[[passes]]
 name = "HRSC/00"
 images = ["HRSC/00/S1", "HRSC/00/P1", "HRSC/00/ND", "HRSC/00/P2", "HRSC/00/S2"]
+prior = {}
 
-[[strips]]
+[[passes]]
 name = "HRSC/01"
 nodes = { basis = "lagrange", spacing_s = 10.0 }
 prior = { correlation_time_s = 60.0 }

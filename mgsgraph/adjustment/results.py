@@ -9,8 +9,7 @@ import numpy as np
 
 from mgsgraph.adjustment.covariances import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.driver_search import drivers_of
-from mgsgraph.adjustment.driver_words import driver_sentences
-from mgsgraph.adjustment.drivers import Drivers
+from mgsgraph.adjustment.drivers import Drivers, driver_sentences
 from mgsgraph.adjustment.fit import Fit, fit
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import Sweeper

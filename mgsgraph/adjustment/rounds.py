@@ -9,11 +9,10 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome
-from mgsgraph.adjustment.behind_camera import behind_camera
 from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.driver_search import drivers_of
-from mgsgraph.adjustment.driver_words import driver_sentences
+from mgsgraph.adjustment.drivers import driver_sentences
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.parallel import nearly_parallel
@@ -22,9 +21,9 @@ from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import SolverError, Unsolvable
+from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS
@@ -387,3 +386,28 @@ def without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> 
     out = selection.out.copy()
     out[layout.point_order[(reduction.states == WEAK) | (reduction.states == BEHIND)]] = True
     return replace(selection, out=out)
+
+
+def behind_camera(layout: Layout, behind: Index, point: Array) -> PointBehindCamera:
+    """The error for points (indices in the layout) that lie behind a camera, the first of which is at a place (3,) m:
+    names that point and its image, and the image that sees the most of them.
+    """
+    network, i = layout.network, int(layout.point_order[behind[0]])
+    for k in np.flatnonzero(network.rays.point == i):
+        image = network.images[network.rays.image[k]]
+        pose = image.pose(network.rays.places[[k], 0])
+        if (pose.matrix[0] @ (point - pose.position[0]))[2] <= 0.0:
+            break
+    more = ""
+    if behind.size > 1:
+        seen = network.rays.image[np.isin(network.rays.point, layout.point_order[behind])]
+        number = np.bincount(seen, minlength=len(network.images))
+        most, whole = int(number.argmax()), np.bincount(network.rays.image, minlength=number.size)
+        most = max(np.flatnonzero(number == number[most]).tolist(), key=lambda j: number[j] / whole[j])
+        more = f", as do {behind.size - 1} others; image {network.images[most].name} sees {number[most]} of them all"
+    return PointBehindCamera(
+        f"point {network.points.ids[i]}, image {image.name}",
+        f"the point lies behind the camera{more}",
+        "a point before it",
+        "check the point's a-priori place, the measure and the image's orientation",
+    )

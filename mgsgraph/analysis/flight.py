@@ -6,6 +6,7 @@ across and radial; roll, pitch and yaw. Unknowns that images share are not in th
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +18,14 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.orientation_images import SUPPORT
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.network import Network, NodePrior
+from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.joining import nominal_poses, seconds, straightest
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 _LEVEL = 1e-9
 """Share of the velocity below which its level part says nothing."""
@@ -211,3 +215,40 @@ def _trend(solution: Solution, strip: int) -> tuple[tuple[str, str, float, float
         ("bias" if c < biases else "drift", AXES[component], float(values[c]), float(sigmas[c]))
         for c, component in enumerate(prior.trend_components.tolist())
     )
+
+
+def prior_sigmas(one: Pass, rows: Array) -> Array:
+    """(r,) a-priori sigmas of functions of a pass's nodes; infinite where its prior does not determine all nodes.
+
+    Parameters
+    ----------
+    one : Pass
+        With k nodes; its prior's rows are sparse, and so is what is solved.
+    rows : (r, 6 k)
+        Per m and rad of the nodes, one after another.
+    """
+    from scipy.sparse.linalg import splu
+
+    scales = np.concatenate([np.where(np.isfinite(sigmas), sigmas, 1.0) for sigmas in one.sigmas])
+    root = _root(one, scales)
+    wanted = np.pad(rows, ((0, 0), (0, scales.size - rows.shape[1]))) * scales
+    try:
+        found = splu((root.T @ root).tocsc()).solve(np.ascontiguousarray(wanted.T))
+    except RuntimeError:  # singular: nodes of which nothing is known
+        return np.full(rows.shape[0], np.inf)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("rc,cr->r", wanted, found), 0.0)))
+
+
+def _root(one: Pass, scales: Array) -> "csr_array":
+    """(rows, columns) whitened rows of the prior on nodes and trend, in units of `scales` (columns,)."""
+    from scipy.sparse import csr_array
+
+    first, parts, height = np.concatenate([[0], np.cumsum(one.widths)]), list[tuple[Index, Index, Array]](), 0
+    for factor in one.prior.factors(one.nodes):
+        for unknown, block in zip(factor.unknowns, factor.blocks, strict=True):
+            row, column = np.nonzero(block)
+            place = first[unknown] + column
+            parts.append((height + row, place, block[row, column] * scales[place]))
+        height += factor.blocks[0].shape[0]
+    row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return csr_array((value, (row, column)), shape=(height, scales.size))

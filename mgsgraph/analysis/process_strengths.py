@@ -30,7 +30,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import group_rows
 from mgsgraph.analysis.helmert import group_redundancy
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.pose_combinations import INSEPARABLE, Combination, combinations
+from mgsgraph.analysis.separability import LIMIT, Inseparable, inseparable
 from mgsgraph.analysis.strength_likelihood import Evidence, Member
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
@@ -118,8 +118,8 @@ class EstimatedStrengths(Record):
     """Its standard deviation; 0 where it wasn't asked for."""
     evidence: float
     """Log likelihood of the strengths that were searched for, over that of none of these processes, nats."""
-    combinations: tuple[Combination, ...]
-    """Positions and rotations that can't be told apart."""
+    inseparable: tuple[Inseparable, ...]
+    """Positions, rotations and shared unknowns of passes that can't be separated."""
     converged: bool
     """Whether the last round changed nothing by more than the tolerance."""
     rounds: int
@@ -141,11 +141,11 @@ class EstimatedStrengths(Record):
         lines = [one.sentence for one in self.strengths]
         if self.rays_error:
             lines.append(f"sigmas of tie rays: times {self.rays:.4g} +- {self.rays_error:.2g}")
-        entangled = np.argwhere(np.triu(np.abs(self.correlation) > INSEPARABLE, 1)).tolist()
+        entangled = np.argwhere(np.triu(np.abs(self.correlation) > LIMIT, 1)).tolist()
         for i, k in entangled:
             names = f"{self.strengths[i].name} and {self.strengths[k].name}"
             lines.append(f"{names}: not separable (correlation {self.correlation[i, k]:.3f} of their strengths)")
-        lines += [one.sentence for one in self.combinations]
+        lines += [one.sentence for one in self.inseparable]
         end = "at rest" if self.converged else "NOT at rest"
         return [*lines, f"Strengths {end} after {self.rounds} adjustments."]
 
@@ -219,8 +219,8 @@ def estimated_strengths(
                 searched=i in searched, source=_source(sought, searched, i, now))
         for i, one in enumerate(sought)
     )  # fmt: skip
-    mine = sorted({member.of_pass for one in sought for member in one.members})
-    combined = tuple(one for k in mine for one in combinations(solution, k))
+    joint = at_solution(solution).of_estimator().joint
+    combined = inseparable(solution.network, joint, solution.settings.angles)
     gained = evidence.over_nothing() if searched.size else 0.0
     return EstimatedStrengths(
         network, solution, strengths, logs, total, total * spread, gained, combined, converged, done + 1

@@ -1,37 +1,55 @@
-"""What an adjustment does not tell apart: mounting angles, lever arms and times, attitude and position of a pass.
+"""What an adjustment cannot separate: mounting angles, lever arms and times, attitude and position of a pass.
 
 Of each pass the mean correction of position (along, across, radial) and of attitude (roll, pitch, yaw) over its time
 are compared with each other and with the unknowns that its images share, all in the axes of the flight, by their
 posterior correlations. Where one exceeds a limit, a mixture of the two is known far better than either: the
 eigenvector of the smallest eigenvalue of their correlation matrix. Priors are in the posterior: it is their ratio that
 splits what the measures know of the mixture alone.
+
+Each component k of an unknown that images share is also compared with all other unknowns. With S the posterior
+covariance of all unknowns (points eliminated) and N its inverse:
+
+    gain         sqrt(S_kk) / a-priori sigma                    1: the measures say nothing about it
+    correlation  S_kj / sqrt(S_kk S_jj)                         the largest, over all other unknowns j
+    together     sqrt(1 - 1 / (S_kk N_kk))                      multiple correlation with all others
+
+S_kk N_kk is the variance inflation factor of regression. Both correlations are the posterior's, priors included. The
+determined mixtures are eigenvectors of the posterior of the shared unknowns, each in units of its a-priori sigma: an
+eigenvalue far below one is a combination that the measures determine, whatever its members are.
 """
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import Angles
+from mgsgraph.geometry.orientation import COMPONENTS, Angles
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.record import Record
 from mgsgraph.units import MRAD
 
 LIMIT = 0.95
-"""Correlation above which two quantities are not told apart."""
+"""Correlation above which two quantities are inseparable."""
 _PLACES = 65
 """Times over which a pass's corrections are averaged."""
 _PARTS = ("along-track position", "across-track position", "radial position", "roll", "pitch", "yaw")
 _TURNING = (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT)
 _ARMS = (SharedKind.CAMERA_LEVER_ARM, SharedKind.ALTIMETER_LEVER_ARM)
 _IN_MIXTURE = 0.2
-"""Of the largest, from what share on a quantity belongs to the mixture that another one depends on."""
+"""Of the largest coefficient, from what share on a quantity belongs to a mixture."""
 _LEAST_SHARE = 0.05
 """Of the largest, what a coefficient of a mixture is named from, both in posterior sigmas."""
+FROM_PRIOR = 0.9
+"""Share of the a-priori sigma from which an unknown counts as determined by its prior alone."""
+_DETERMINED = 0.3
+"""Share of the a-priori sigmas up to which a mixture counts as determined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +67,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NotToldApart(Record):
+class Inseparable(Record):
     """Quantities that correlate by more than the limit, two by two or one with the others together, and the mixture of
     them that is known best.
     """
@@ -82,7 +100,7 @@ class NotToldApart(Record):
         listed = f"{', '.join(names[:-1])} and {names[-1]}"
         of = "correlation" if len(names) == 2 else "largest correlation of two"
         return (
-            f"{listed} are not told apart ({of} {self.correlation:+.3f}); determined is {self.mixture}, to "
+            f"{listed} are inseparable ({of} {self.correlation:+.3f}); determined is {self.mixture}, to "
             f"{self.sigma:.3g} {self.quantities[0].unit}."
         )
 
@@ -91,10 +109,10 @@ def _ratio(unit: str, other: str) -> str:
     return "" if unit == other else f"{unit or '1'}/{other or '1'} "
 
 
-def not_told_apart(
+def inseparable(
     network: Network, joint: JointCovariance, angles: Angles, limit: float = LIMIT
-) -> tuple[NotToldApart, ...]:
-    """Groups of quantities of passes and shared unknowns that the posterior does not tell apart.
+) -> tuple[Inseparable, ...]:
+    """Groups of quantities of passes and shared unknowns that the posterior cannot separate.
 
     Parameters
     ----------
@@ -122,7 +140,7 @@ def not_told_apart(
     return tuple(sorted(found, key=lambda one: one.sigma / one.quantities[0].sigma))
 
 
-def _described(mine: list[Quantity], correlation: Array) -> NotToldApart:
+def _described(mine: list[Quantity], correlation: Array) -> Inseparable:
     values, vectors = np.linalg.eigh(correlation)
     sigmas = np.array([one.sigma for one in mine])
     lead = int(np.abs(vectors[:, 0]).argmax()) if abs(vectors[0, 0]) < _LEAST_SHARE else 0
@@ -132,7 +150,7 @@ def _described(mine: list[Quantity], correlation: Array) -> NotToldApart:
     largest = float(off.flat[np.abs(off).argmax()])
     scale = float(coefficients[0])
     sigma = float(np.sqrt(max(values[0], 0.0))) / abs(scale)
-    return NotToldApart(tuple(mine[k] for k in order), largest, coefficients / scale, sigma)
+    return Inseparable(tuple(mine[k] for k in order), largest, coefficients / scale, sigma)
 
 
 def _groups(correlation: Array, limit: float) -> list[Index]:
@@ -215,3 +233,163 @@ def _flight(image: PushbroomImage, turned: bool) -> Array:
     if turned:
         return camera_axes(pose.matrix[0] @ level[0])
     return np.asarray(level @ pose.matrix[0].T)
+
+
+class Verdict(StrEnum):
+    """What can be said of an unknown."""
+
+    SEPARABLE = "separable"
+    """No other unknown, nor all of them together, correlates with it by 0.95."""
+    FROM_PRIOR = "from its prior alone"
+    """Its sigma is what it was beforehand."""
+    NOT_FROM_ONE = "not separable from one other"
+    """One other unknown correlates with it by 0.95 or more."""
+    NOT_FROM_OTHERS = "not separable from others together"
+    """None by itself, but a mixture of the others does."""
+
+
+@dataclass(frozen=True, slots=True)
+class Separation(Record):
+    """What tells one component of a shared unknown apart."""
+
+    name: str
+    """Unknown and component."""
+    gain: float
+    """Posterior over a-priori sigma."""
+    other: str
+    """The unknown with which it correlates most; empty without any other."""
+    correlation: float
+    """With that one, with its sign."""
+    together: float
+    """Multiple correlation with all others, 0 to 1."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What can be said of it."""
+        if self.gain >= FROM_PRIOR:
+            return Verdict.FROM_PRIOR
+        if abs(self.correlation) >= LIMIT:
+            return Verdict.NOT_FROM_ONE
+        return Verdict.NOT_FROM_OTHERS if self.together >= LIMIT else Verdict.SEPARABLE
+
+    @property
+    def sentence(self) -> str:
+        """The verdict, with its figures."""
+        most = f"most like {self.other}, r = {self.correlation:+.2f}" if self.other else "nothing else is unknown"
+        return {
+            Verdict.FROM_PRIOR: f"Determined by its prior alone: {100.0 * self.gain:.0f} % of its sigma are left.",
+            Verdict.NOT_FROM_ONE: f"Not separable from {self.other}: r = {self.correlation:+.3f}.",
+            Verdict.NOT_FROM_OTHERS: f"Not separable from all others together: r = {self.together:.3f} ({most}).",
+            Verdict.SEPARABLE: f"Separable: r = {self.together:.2f} with all other unknowns ({most}).",
+        }[self.verdict]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixture(Record):
+    """A combination of shared unknowns that the measures determine."""
+
+    names: tuple[str, ...]
+    """Its members, two or more."""
+    coefficients: Array
+    """(k,) per a-priori sigma of each, the largest 1 or -1."""
+    gain: float
+    """Its posterior sigma over its a-priori one."""
+
+    @property
+    def words(self) -> str:
+        """As a formula in a-priori sigmas."""
+        terms = [f"{c:+.2g} {name}" for c, name in zip(self.coefficients.tolist(), self.names, strict=True)]
+        return f"{' '.join(terms)} (each per a-priori sigma), to {self.gain:.2g} of what was known of it"
+
+
+def separations(solution: Solution) -> tuple[Separation, ...]:
+    """Of all components of all shared unknowns, in their order."""
+    network, root = solution.network, solution.joint_covariance.square_root
+    own, names = _shared_columns(solution), column_names(network, root)
+    if not own.size:
+        return ()
+    right = np.zeros((root.columns, own.size))
+    right[own, np.arange(own.size)] = 1.0
+    covariance = root.covariance_times(right)
+    sigmas, mine = solution.joint_covariance.sigmas, covariance[own, np.arange(own.size)]
+    correlation = covariance / np.outer(sigmas, np.sqrt(mine))
+    correlation[own, np.arange(own.size)] = 0.0
+    prior = np.concatenate([one.sigmas for one in network.shared])
+    informations = np.diag(information(root, own))
+    others = np.abs(correlation).argmax(axis=0)
+    return tuple(
+        Separation(
+            names[own[k]],
+            float(np.sqrt(mine[k]) / prior[k]),
+            names[other] if root.columns > 1 else "",
+            float(correlation[other, k]),
+            float(np.sqrt(max(0.0, 1.0 - 1.0 / (mine[k] * informations[k])))),
+        )
+        for k, other in enumerate(others.tolist())
+    )
+
+
+def mixtures(solution: Solution) -> tuple[Mixture, ...]:
+    """Combinations of two or more shared unknowns that the measures determine, the best known first; those of a single
+    one are said by its own gain.
+    """
+    own = _shared_columns(solution)
+    if own.size < 2:
+        return ()
+    names = column_names(solution.network, solution.joint_covariance.square_root)
+    first = solution.network.first_shared
+    covariance = solution.joint_covariance.of(range(first, first + len(solution.network.shared)))
+    prior = np.concatenate([one.sigmas for one in solution.network.shared])
+    values, vectors = np.linalg.eigh(covariance / np.outer(prior, prior))
+    found = []
+    for value, vector in zip(values.tolist(), vectors.T, strict=True):
+        size = np.abs(vector) / np.abs(vector).max()
+        members = np.flatnonzero(size >= _IN_MIXTURE)
+        if np.sqrt(max(value, 0.0)) <= _DETERMINED and members.size > 1:
+            scaled = vector[members] / vector[np.abs(vector).argmax()]
+            found.append(Mixture(tuple(names[own[k]] for k in members), scaled, float(np.sqrt(max(value, 0.0)))))
+    return tuple(found)
+
+
+def _shared_columns(solution: Solution) -> Index:
+    """Columns of the shared unknowns, in their order."""
+    first, begins = solution.network.first_shared, solution.joint_covariance.square_root.first
+    parts = [begins[first + k] + np.arange(one.kind.width) for k, one in enumerate(solution.network.shared)]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+
+
+def column_names(network: Network, root: SquareRoot) -> list[str]:
+    """What each column of the unknowns is, as a person calls it."""
+    names = [""] * root.columns
+    for variable in root.adjusted.tolist():
+        for inside in range(int(root.width[variable])):
+            names[int(root.first[variable]) + inside] = _name(network, variable, inside)
+    return names
+
+
+def _name(network: Network, variable: int, inside: int) -> str:
+    if variable < len(network.images):
+        power, component = divmod(inside, 6)
+        term = ("constant", "linear", "quadratic", "cubic")[power] if power < 4 else f"u^{power}"
+        return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}"
+    if variable >= network.first_of_passes[0]:
+        one, unknown = network.of_passes(variable)
+        what, component = one.part(unknown, inside)
+        return f"{COMPONENTS[component]} of {what} of pass {one.name}"
+    if variable < network.first_shared:
+        k = variable - len(network.images)
+        return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}"
+    shared = network.shared[variable - network.first_shared]
+    return f"{shared.name} {shared.kind.components[inside]}".strip()
+
+
+def information(root: SquareRoot, columns: Index) -> Array:
+    """(d, d) of the information on some columns, all others held."""
+    information, place = np.zeros((columns.size,) * 2), np.full(root.columns, -1)
+    place[columns] = np.arange(columns.size)
+    for clique, members in enumerate(root.columns_of):
+        wanted = place[members]
+        there = wanted >= 0
+        rows = root.rows_of(clique)[:, there]
+        information[np.ix_(wanted[there], wanted[there])] += rows.T @ rows
+    return information

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.square_root import SquareRoot
+from mgsgraph.analysis.separability import information
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import SharedKind, SharedUnknown
@@ -111,7 +111,7 @@ def _with_pitch(solution: Solution, k: int, images: Index) -> tuple[Array, Array
         *(root.first[j] + np.arange(3, 6) for j in images.tolist()), root.first[variable] + np.arange(width)
     ])  # fmt: skip
     priors = [solution.network.priors[j].sigmas[0, 3:] for j in images.tolist()]
-    known = _information(root, columns) - np.diag(1.0 / np.concatenate([*priors, solution.network.shared[k].sigmas])**2)
+    known = information(root, columns) - np.diag(1.0 / np.concatenate([*priors, solution.network.shared[k].sigmas])**2)
     turn = np.zeros((columns.size, m + width))
     for place in range(m):
         turn[3 * place : 3 * place + 3, place] = np.linalg.solve(axes[place], pitches[place])
@@ -138,15 +138,3 @@ def _axes(solution: Solution, image: int) -> Array:
     picture = solution.network.images[image]
     middle = np.array([0.5 * picture.lines])
     return np.asarray(solution.correction(image).axes(picture.pose(middle), picture.moments(middle))[0])
-
-
-def _information(root: SquareRoot, columns: Index) -> Array:
-    """(d, d) of the information on some columns, all others held."""
-    information, place = np.zeros((columns.size,) * 2), np.full(root.columns, -1)
-    place[columns] = np.arange(columns.size)
-    for clique, members in enumerate(root.columns_of):
-        wanted = place[members]
-        there = wanted >= 0
-        rows = root.rows_of(clique)[:, there]
-        information[np.ix_(wanted[there], wanted[there])] += rows.T @ rows
-    return information

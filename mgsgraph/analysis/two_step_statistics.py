@@ -108,7 +108,7 @@ def ratio(before: Array, after: Array) -> Array:
 def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     """Statistics of both steps.
 
-    A-priori sigmas of points are those of forward intersection (`adjustment.forward_intersection`), of the rays that
+    A-priori sigmas of points are those of forward intersection (`adjustment.two_steps.RaysAlone`), of the rays that
     step 1 left in.
     """
     network = steps.network

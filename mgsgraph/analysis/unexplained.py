@@ -55,10 +55,10 @@ class Effect(Record):
     --------
     >>> from mgsgraph.analysis.systematic import EffectKind
     >>> from mgsgraph.analysis.unexplained import Effect
-    >>> kind, term = EffectKind.JITTER, "[[strips]] images = ['SIM/A']"
+    >>> kind, term = EffectKind.JITTER, "[[passes]] images = ['SIM/A']"
     >>> effect = Effect(kind, "image SIM/A", 1e-9, 1.2, "px", term, 0.1, "line and sample", 1.9, 60.0, 4)
     >>> print(effect.sentence)
-    image SIM/A: line and sample residuals vary with time (period 1.9 s, 1.2 px, p = 1e-09): jitter; [[strips]]
+    image SIM/A: line and sample residuals vary with time (period 1.9 s, 1.2 px, p = 1e-09): jitter; [[passes]]
     images = ['SIM/A']
     """
 
@@ -348,13 +348,13 @@ def _term(network: Network, where: str, hypothesis: Hypothesis, amplitude: float
             return f"[[images]] {image!r}: held = false"
         if j >= 0 and network.pass_of[j] >= 0:
             strip = network.passes[network.pass_of[j]].name
-            return f"[[passes]] or [[strips]], {strip!r}: {_nodes(network, j, hypothesis, amplitude)}"
+            return f"[[passes]] {strip!r}: {_nodes(network, j, hypothesis, amplitude)}"
         if hypothesis.kind is EffectKind.TREND:
             degree = network.priors[j].degree + 1 if j >= 0 else 3
             return f"[[images]] {image!r}: orientation = {{ degree = {degree} }}, or a wider trend"
         return (
-            f"[[strips]] with the keys name, images = [{image!r}], {_nodes(network, j, hypothesis, amplitude)}; the "
-            "image then has nominal = 'trajectory' and no orientation sigmas of its own"
+            f"[[passes]] with the keys images = [{image!r}], {_nodes(network, j, hypothesis, amplitude)}; the image "
+            "then has nominal = 'trajectory' and no orientation sigmas of its own"
         )
     if hypothesis.kind is EffectKind.FOCAL_LENGTH:
         return '[[shared]] kind = "focal length"' + (f", images = [{image!r}]" if j >= 0 else "")

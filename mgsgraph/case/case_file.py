@@ -53,6 +53,9 @@ def stated(path: Path) -> CaseInput:
     except InputError:
         _refuse_other_kinds(path)
         raise
+    if "strips" in toml.tables:
+        remedy = "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"
+        raise InputError(f"{path}, strips", "[[strips]]", "[[passes]] with a prior", remedy)
     text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
     toml = toml._replace(tables=of_today(toml.tables), text=text)
     return validated(toml, CaseInput, path, "all keys: mgsgraph help case")

@@ -9,7 +9,6 @@ from mgsgraph.case.case_file import image_file
 from mgsgraph.case.mountings import mounted_images
 from mgsgraph.case.passes import table_names
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceInput
-from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.image_label import instrument_of
@@ -32,15 +31,15 @@ def read_images(
     orientations : sequence of OrientationInput
         Of each image.
     of_passes : sequence
-        Images of each strip and pass.
+        Images of each pass.
     path : Path
         Where the case file is.
     """
     found, fits = dict[int, PushbroomImage](), list[PolynomialFit | None]()
-    entries = wanted.trajectories
+    entries = wanted.passes
     for table, entry, mine in zip(table_names(entries), entries, of_passes, strict=True):
         _require_of_pass(wanted, orientations, mine, f"{path}, {table}{f' ({entry.name})' if entry.name else ''}")
-        if entry.images is not None or isinstance(entry, StripInput):  # else which of them are one pass isn't known yet
+        if not entry.sorted_by_time:  # else which of them are one pass isn't known yet
             found |= _together(wanted, mine, path)
     for j, (image, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
         if j not in found:

@@ -121,7 +121,7 @@ def _default(field: msgspec.structs.FieldInfo) -> str:
 
 def keys_text(table: str | None = None, width: int = 110) -> str:
     """Tables and keys as text for the terminal: all, or one table by its name (as ``images``, ``[[images]]``,
-    ``strips.nodes``, ``head``); InputError, with the nearest, for one that there isn't.
+    ``passes.nodes``, ``head``); InputError, with the nearest, for one that there isn't.
     """
     if table is None:
         said = "\n\n".join(_table_text(one, width) for one in key_tables())

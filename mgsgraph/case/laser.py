@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.case.strips import Positive, Sigma
+from mgsgraph.case.nodes import Positive, Sigma
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import Altimeter
 

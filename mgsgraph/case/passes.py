@@ -1,5 +1,5 @@
 """[[passes]] of a case file: images on one trajectory, adjusted through its corrections in time; and which images make
-which of them and of [[strips]], which are passes of one camera.
+which of them.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from mgsgraph.case.motion import (
     processes,
     trend_sigmas,
 )
-from mgsgraph.case.strips import SPACING, NodesInput, StripInput
+from mgsgraph.case.nodes import SPACING, NodePriorInput, NodesInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.time_scales import utc_of_tdb
-from mgsgraph.network import Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
+from mgsgraph.network import NodePrior, Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings, seconds
 
@@ -43,7 +43,8 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     name: str = ""
     """What to call it in reports; date and time (UTC) of its first line when absent, and behind it for several."""
     images: tuple[str, ...] | None = None
-    """Names of its images; when absent, all that no other pass or strip names, each with those of its own pass."""
+    """Names of its images; when absent, all that no other pass names, each with those of its own pass; with a `prior`
+    all are of one."""
     nodes: NodesInput | None = None
     """Its orientation images; for polynomials four over the pass, and nothing to say. Of processes one every half
     correlation time or eighth of a cycle when absent."""
@@ -51,14 +52,26 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """What is known of its positions beforehand."""
     attitude: AttitudeInput = AttitudeInput()
     """What is known of its attitude beforehand."""
+    prior: NodePriorInput | None = None
+    """In place of `position` and `attitude`, of images of one camera (HRSC): bias, drift and departures of both."""
+
+    @property
+    def sorted_by_time(self) -> bool:
+        """Whether its images may be of several passes, into which they are sorted."""
+        return self.images is None and self.prior is None
 
     @property
     def polynomial(self) -> bool:
         """Whether both position and attitude are polynomials of time."""
-        return self.position.model == self.attitude.model == "polynomial"
+        return self.prior is None and self.position.model == self.attitude.model == "polynomial"
 
     def nodes_of(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
         """Nodes of a pass of these images; `where` names this table."""
+        if self.prior is not None:
+            if self.position != PositionInput() or self.attitude != AttitudeInput():
+                raise InputError(where, "prior beside position or attitude", "one of them")
+            with errors_from(f"{where}.nodes"):
+                return (self.nodes or NodesInput()).images(pictures, f"{where}.nodes")
         if not self.polynomial:
             stated = self.nodes or NodesInput(spacing_s=min(self._spacing(), _longest(pictures)))
             nodes = stated.images(pictures, f"{where}.nodes")
@@ -97,8 +110,10 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
                 remedy = f"spacing_s = {self._spacing():.3g}, or leave the nodes out"
                 raise InputError(f"{where}.nodes", found, f"at most {most:.4g} s", remedy)
 
-    def prior(self, where: str, default: OrientationPrior) -> PassPrior:
+    def prior_of(self, where: str, default: OrientationPrior) -> PassPrior:
         """What is known of the nodes beforehand; `default` is that of [orientation], `where` names this table."""
+        if self.prior is not None:
+            return self.prior.prior(f"{where}.prior")
         places = f"{where}.position", f"{where}.attitude"
         if self.polynomial:
             return PolynomialPrior(
@@ -117,9 +132,11 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
         """About what is known of one of its images by itself: the constant and the linear part."""
-        prior = self.prior(where, default)
+        prior = self.prior_of(where, default)
         if isinstance(prior, PolynomialPrior):
             return OrientationPrior(prior.coefficient_sigmas)
+        if isinstance(prior, NodePrior):
+            return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
         assert isinstance(prior, ProcessPrior)
         return OrientationPrior(np.stack([prior.node_sigmas(np.zeros(1))[0], np.maximum(prior.drift, 1e-9)]))
 
@@ -130,18 +147,13 @@ def _longest(pictures: Sequence[PushbroomImage]) -> float:
     return float(edges[:, 1].max() - edges[:, 0].min())
 
 
-Trajectories = Sequence[StripInput | PassInput]
-"""Tables of images on one trajectory: strips, then passes (`CaseInput.trajectories`)."""
+def table_names(entries: Sequence[PassInput]) -> list[str]:
+    """How a case file counts these tables."""
+    return [f"passes[{k}]" for k in range(len(entries))]
 
 
-def table_names(entries: Trajectories) -> list[str]:
-    """How a case file counts each of these tables: strips[0], passes[0]."""
-    kinds = ["strips" if isinstance(entry, StripInput) else "passes" for entry in entries]
-    return [f"{kind}[{kinds[:k].count(kind)}]" for k, kind in enumerate(kinds)]
-
-
-def members(entries: Trajectories, names: Sequence[str], path: str) -> list[list[int]]:
-    """Images of each strip and pass, ascending, by the names of all; each image is of one at most."""
+def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> list[list[int]]:
+    """Images of each pass, ascending, by the names of all; each image is of one at most."""
     index, owner, tables = {name: j for j, name in enumerate(names)}, dict[int, int](), table_names(entries)
     for k, entry in enumerate(entries):
         where = f"{path}, {tables[k]}, images"
@@ -153,14 +165,12 @@ def members(entries: Trajectories, names: Sequence[str], path: str) -> list[list
                 raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
             if index[name] in owner:
                 at = owner[index[name]]
-                kind, other = tables[at][:5].removesuffix("e"), entries[at].name
-                called = f"{kind} {other!r}" if other else tables[at]
+                called = f"pass {entries[at].name!r}" if entries[at].name else tables[at]
                 raise InputError(where, f"{name!r}, which {called} has already", "each image once")
             owner[index[name]] = k
     for k in [k for k, entry in enumerate(entries) if entry.images is None][:1]:
         if sum(entry.images is None for entry in entries) > 1:
-            both = ", ".join(dict.fromkeys(table.split("[")[0] for table in tables))
-            raise InputError(f"{path}, {both}", "several without images", "names: one alone may take those left over")
+            raise InputError(f"{path}, passes", "several without images", "names: one alone may take those left over")
         left = [j for j in range(len(names)) if j not in owner]
         if not left:
             raise InputError(f"{path}, {tables[k]}", "no image that no other table names", "images = [...]")
@@ -169,18 +179,18 @@ def members(entries: Trajectories, names: Sequence[str], path: str) -> list[list
 
 
 def passes_of(
-    entries: Trajectories,
+    entries: Sequence[PassInput],
     of_entries: Sequence[Sequence[int]],
     images: Sequence[PushbroomImage],
     default: OrientationPrior,
     path: str,
 ) -> tuple[Pass, ...]:
-    """The passes of a network, those of strips first.
+    """The passes of a network.
 
     Parameters
     ----------
     entries : sequence
-        Tables of strips and passes.
+        Tables of passes.
     of_entries : sequence
         Images of each, as `members` gives them.
     images : sequence of PushbroomImage
@@ -193,10 +203,7 @@ def passes_of(
     found = list[Pass]()
     for table, entry, mine in zip(table_names(entries), entries, of_entries, strict=True):
         where, pictures = f"{path}, {table}", [images[j] for j in mine]
-        if isinstance(entry, StripInput):
-            found.append(_strip(entry, mine, pictures, where, path))
-            continue
-        groups = [list(range(len(mine)))] if entry.images is not None else found_passes(pictures)
+        groups = found_passes(pictures) if entry.sorted_by_time else [list(range(len(mine)))]
         for group in groups:
             together = [pictures[k] for k in group]
             name = entry.name if entry.name and len(groups) == 1 else f"{entry.name} {pass_name(together)}".strip()
@@ -209,17 +216,10 @@ def pass_name(images: Sequence[PushbroomImage]) -> str:
     return utc_of_tdb(min(seconds(image)[0] for image in images)).strftime("%Y-%m-%dT%H:%M:%S")
 
 
-def _strip(entry: StripInput, mine: Sequence[int], pictures: list[PushbroomImage], where: str, path: str) -> Pass:
-    axes = mountings(pictures, where, one_camera=True)
-    with errors_from(f"{where}.nodes", path):
-        nodes = entry.nodes.images(pictures, f"{where}.nodes")
-    return Pass(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior"), axes)
-
-
 def _pass(
     entry: PassInput, name: str, mine: Index, pictures: list[PushbroomImage], default: OrientationPrior, where: str,
     path: str,
 ) -> Pass:  # fmt: skip
-    axes = mountings(pictures, where)
+    axes = mountings(pictures, where, one_camera=entry.prior is not None)
     with errors_from(where, path):
-        return Pass(name, mine, entry.nodes_of(pictures, where), entry.prior(where, default), axes)
+        return Pass(name, mine, entry.nodes_of(pictures, where), entry.prior_of(where, default), axes)

@@ -127,7 +127,7 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     wanted = decode(path)
     if ties is not None:
         wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
-    of_passes = members(wanted.trajectories, [image.name for image in wanted.images], str(path))
+    of_passes = members(wanted.passes, [image.name for image in wanted.images], str(path))
     images, fits = read_images(wanted, wanted.orientations, of_passes, path)
     return case_of(wanted, path, images, fits, laser)
 
@@ -138,7 +138,7 @@ def case_of(
 ) -> Case:  # fmt: skip
     """The case of a file's tables and the images that they name, which have been read; see `read_case`."""
     folder = path.parent
-    of_passes = members(wanted.trajectories, [image.name for image in wanted.images], str(path))
+    of_passes = members(wanted.passes, [image.name for image in wanted.images], str(path))
     priors = wanted.priors(str(path))
     parts = Parts(images)
     passes = _read_passes(wanted, of_passes, images, path)
@@ -177,10 +177,10 @@ def _read_passes(
     wanted: CaseInput, of_passes: list[list[int]], images: tuple[PushbroomImage, ...], path: Path
 ) -> tuple[Pass, ...]:
     """Trajectories that some of the images share."""
-    if not wanted.trajectories:
+    if not wanted.passes:
         return ()
     default = wanted.orientation.prior(f"{path}, orientation")
-    passes = passes_of(wanted.trajectories, of_passes, images, default, str(path))
+    passes = passes_of(wanted.passes, of_passes, images, default, str(path))
     for one in [one for one in passes if one.axes is not None and wanted.solver.angles != "camera"][:1]:
         found = f"{wanted.solver.angles!r} for cameras mounted against each other, of pass {one.name!r}"
         raise InputError(f"{path}, solver, angles", found, '"camera"')

@@ -66,7 +66,7 @@ def read_scene(
     names = [image.name for image in wanted.images]
     if len(wanted.images) < 2:
         raise InputError(str(path), "one image", "two that overlap, at least")
-    of_passes = members(wanted.trajectories, names, str(path))
+    of_passes = members(wanted.passes, names, str(path))
     images, _ = read_images(wanted, wanted.orientations, of_passes, path)
     priors = image_priors(wanted, of_passes, path)
     pictures = tuple(
@@ -93,8 +93,8 @@ def picture_file(wanted: CaseInput, image: int, path: Path) -> Path:
 
 
 def image_priors(wanted: CaseInput, of_passes: Sequence[Sequence[int]], path: Path) -> list[OrientationPrior]:
-    """Of each image; one of a pass or strip has what is known of that."""
-    priors, entries = list(wanted.priors(str(path))), wanted.trajectories
+    """Of each image; one of a pass has what is known of that."""
+    priors, entries = list(wanted.priors(str(path))), wanted.passes
     default = wanted.orientation.prior(f"{path}, orientation")
     for table, entry, mine in zip(table_names(entries), entries, of_passes, strict=True):
         for j in mine:

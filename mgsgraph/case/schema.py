@@ -9,8 +9,8 @@ import numpy as np
 from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.mountings import MountingInput
+from mgsgraph.case.nodes import Factor, Positive, Sigma
 from mgsgraph.case.passes import PassInput
-from mgsgraph.case.strips import Factor, Positive, Sigma, StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.geometry.image import PushbroomImage
@@ -314,17 +314,10 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Images on one trajectory, adjusted through its corrections in time."""
     mountings: tuple[MountingInput, ...] = ()
     """How cameras and the laser stand against the trajectories that carry them."""
-    strips: tuple[StripInput, ...] = ()
-    """The same of several lines of one camera (HRSC), through orientation images."""
     spice: SpiceInput | None = None
     """SPICE kernels."""
     solver: SolverInput = SolverInput()
     """Choices of the solver."""
-
-    @property
-    def trajectories(self) -> tuple[StripInput | PassInput, ...]:
-        """Tables of images on one trajectory: strips, then passes."""
-        return (*self.strips, *self.passes)
 
     @property
     def orientations(self) -> list[OrientationInput]:

@@ -238,7 +238,7 @@ def nodes(
     case: Path, spacings: str, hold_out: float, seed: int, densify: bool, out: Path | None,
     ties: Path | None, no_figures: bool,
 ) -> None:
-    """Adjust CASE (a TOML file with [[strips]]) with orientation images at several spacings, without some of its rays,
+    """Adjust CASE (a TOML file with [[passes]]) with orientation images at several spacings, without some of its rays,
     and choose the coarsest that predicts these no worse than the best one; with that, look for vibrations.
 
     Exit status: 0, whatever is found; 2 bad input.

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 
 from mgsgraph.case.images import read_image
+from mgsgraph.case.nodes import Positive, Sigma
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
-from mgsgraph.case.strips import Positive, Sigma
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots

@@ -230,7 +230,7 @@ def images_alone(path: Path) -> tuple[list[NewImage], str]:
         As `read_case` about images.
     """
     wanted = decode(path)
-    of_passes = members(wanted.trajectories, [entry.name for entry in wanted.images], str(path))
+    of_passes = members(wanted.passes, [entry.name for entry in wanted.images], str(path))
     images, _ = read_images(wanted, wanted.orientations, of_passes, path)
     known = map(KnownImage, images, wanted.priors(str(path)), (entry.held for entry in wanted.images))
     return [
@@ -250,7 +250,7 @@ def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
     wanted = decode(path)
     if not wanted.measured and not wanted.shots:
         unknown = any(one.sharing != "fixed" for one in wanted.mountings)
-        there = [name for name in ("strips", "passes", "shared") if getattr(wanted, name)]
+        there = [name for name in ("passes", "shared") if getattr(wanted, name)]
         for name in [*there, *(["mountings"] if unknown else [])][:1]:
             found, remedy = "what its images share, without any measure of them", f"name their ties, or take {name} out"
             raise InputError(f"{path}, {name}", found, "tie points or laser shots", remedy)

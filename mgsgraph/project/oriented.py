@@ -62,7 +62,7 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
     if names:
         images = [_alone(wanted, j, path) for j in _chosen(known, names, path)]
     else:
-        images = [*read_images(wanted, wanted.orientations, members(wanted.trajectories, known, str(path)), path)[0]]
+        images = [*read_images(wanted, wanted.orientations, members(wanted.passes, known, str(path)), path)[0]]
     return OrientedImages(tuple(map(View, images)), case=wanted)
 
 

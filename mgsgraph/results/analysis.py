@@ -13,7 +13,7 @@ from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
-from mgsgraph.analysis.separability import not_told_apart
+from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.snooping import snoop
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
@@ -240,7 +240,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
 def _separability(posterior: Posterior) -> Section:
     """Mountings, attitude and position of passes that are not told apart."""
     linearised = posterior.linearised
-    found = not_told_apart(posterior.network, linearised.joint, linearised.settings.angles)
+    found = inseparable(posterior.network, linearised.joint, linearised.settings.angles)
     none = "Position and attitude of passes, and what their images share, are separable (no correlation above 0.95)."
     record = [
         {

@@ -4,8 +4,7 @@ from itertools import chain
 
 import numpy as np
 
-from mgsgraph.adjustment.driver_words import driver_sentences
-from mgsgraph.adjustment.drivers import Contributions, Kind
+from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.results.section import Section

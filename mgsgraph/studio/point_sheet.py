@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mgsgraph.analysis.correlations import cross_covariances
 from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.neighbors import cross_covariances
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError

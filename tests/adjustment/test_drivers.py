@@ -11,12 +11,10 @@ import pytest
 from once import once
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.driver_search import drivers_of
-from mgsgraph.adjustment.driver_words import driver_sentences
-from mgsgraph.adjustment.drivers import Drivers, Kind
+from mgsgraph.adjustment.driver_search import drivers_of, outstanding
+from mgsgraph.adjustment.drivers import Drivers, Kind, driver_sentences
 from mgsgraph.adjustment.fit import ABSURD, fit
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.outliers import outstanding
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.squares import squares_of

@@ -43,7 +43,7 @@ def test_parts_follow_as_the_whole_does(layout: Layout, data: st.DataObject) -> 
     cuts = [0, *sorted(data.draw(st.sets(st.integers(1, pieces - 1)))), pieces]
     found, seen = np.full(layout.lines.size, np.nan), list[np.ndarray]()
     for first, last in pairwise(cuts):
-        rays, mine = layout.rays.sampled.part(first, last)
+        rays, mine = layout.rays.sampled.of_pieces(first, last)
         rows, model = partition(layout.rows, first, last), layout.model
         at = int(layout.rows.piece[first, 1])
         own = points[at : at + rows.kind.size]
@@ -61,7 +61,7 @@ def test_rays_that_are_where_they_belong_stay(layout: Layout) -> None:
     x = np.zeros(layout.columns)
     points = BundleGraph(layout).reduction(x).points
     settled = IN_PROCESS.about_lines(layout, x, points, NEAR, False)
-    rays, mine = settled.rays.sampled.part(0, len(settled.rows.piece))
+    rays, mine = settled.rays.sampled.of_pieces(0, len(settled.rows.piece))
     before = settled.rows.data.copy()
     lines, turns = follow(
         settled.rows, settled.groups, settled.blocks.target, settled.model, rays, settled.lines[mine], x, points, NEAR

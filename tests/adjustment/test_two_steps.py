@@ -10,12 +10,12 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import prior_covariance
 from mgsgraph.adjustment.datum.frames import flight_axes, flight_frame
-from mgsgraph.adjustment.forward_intersection import RaysAlone
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.rounds import everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.two_steps import (
+    RaysAlone,
     TwoSteps,
     adjust_in_two_steps,
     heights_above,

@@ -12,9 +12,8 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.marginals import dense_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.correlations import cross_covariances
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.neighbors import posterior_of_points, stands_alone
+from mgsgraph.analysis.neighbors import cross_covariances, posterior_of_points, stands_alone
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 

@@ -9,9 +9,9 @@ from networks import pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis import pose_combinations
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
+from mgsgraph.analysis.separability import inseparable
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.network import Network, NodePrior, Pass, Process, ProcessPrior
@@ -98,11 +98,13 @@ def test_what_cannot_be_told_apart_is_said() -> None:
         nodes = evenly_spaced("lagrange", image.trajectory.epoch, (start, stop), (stop - start) / 5.0)
         passes.append(Pass(image.name, np.array([j]), nodes, prior))
     solution = adjust_network(replace(net, passes=tuple(passes)), SolverSettings())
-    found = pose_combinations.combinations(solution, 1)
-    assert ("along-track position", "pitch") in {(one.position, one.rotation) for one in found}
+    found = inseparable(solution.network, solution.joint_covariance, solution.settings.angles)
+    name = solution.network.passes[1].name
+    wanted = {f"along-track position of pass {name}", f"pitch of pass {name}"}
+    assert any(wanted <= {part.name for part in one.quantities} for one in found)
     for one in found:
-        assert one.sigma < 0.35 * one.alone
-        assert "not separable" in one.sentence
+        assert one.sigma < 0.35 * one.quantities[0].sigma
+        assert "inseparable" in one.sentence
 
 
 def test_each_process_of_a_sum_and_each_axis_has_its_own() -> None:

@@ -10,7 +10,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.separability import NotToldApart, not_told_apart
+from mgsgraph.analysis.separability import Inseparable, inseparable
 from mgsgraph.network import NodePrior, SharedKind, SharedUnknown
 from mgsgraph.results.analysis import Wanted, analysed
 
@@ -18,8 +18,8 @@ ALTITUDE = 380.0
 """m on the ground per mrad."""
 
 
-def found(solution: Solution) -> dict[tuple[str, ...], NotToldApart]:
-    every = not_told_apart(solution.network, solution.joint_covariance, solution.settings.angles)
+def found(solution: Solution) -> dict[tuple[str, ...], Inseparable]:
+    every = inseparable(solution.network, solution.joint_covariance, solution.settings.angles)
     return {tuple(sorted(part.name.removesuffix(" of pass one pass") for part in one.quantities)): one
             for one in every}  # fmt: skip
 

@@ -11,7 +11,7 @@ from sharing import shared, with_all_kinds
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.separation import Verdict, column_names, mixtures, separations
+from mgsgraph.analysis.separability import Verdict, column_names, mixtures, separations
 from mgsgraph.network import SharedKind, SharedUnknown
 
 

@@ -142,9 +142,9 @@ JITTER = 'attitude = {{ model = "jitter", sigma_mrad = 0.01{0} }}\n'
 TWO = '[[passes]]\nname = "two"\n'
 WRONG = {
     "an image in two passes": (PASS + TWO + 'images = ["R"]', r"passes\[1\], images: 'R', which pass 'one' has"),
-    "in a strip, too": (PASS + '[[strips]]\nname = "s"\nimages = ["L"]', r"passes\[0\], images: 'L', which strip 's'"),
+    "strips": ('[[strips]]\nname = "s"', r"strips: \[\[strips\]\]; expected \[\[passes\]\] with a prior"),
+    "a prior beside a process": (PASS + "prior = {}\nposition = { degree = 1 }", "prior beside position or attitude"),
     "two without images": (TWO + TWO, "several without images"),
-    "a strip and a pass without": (TWO + '[[strips]]\nname = "s"', "strips, passes: several without images"),
     "unknown image": (PASS.replace('"R"', '"S"'), r"passes\[0\], images: the image 'S'; expected some of the case's"),
     "a high degree": (PASS + "position = { degree = 4 }", r"degree: a polynomial of degree 4; expected 0 to 3.*proce"),
     "one image, no list": ('[[passes]]\nimages = "L"', r"passes\[0\].images: 'L'; expected a list"),

@@ -117,7 +117,7 @@ def test_images_of_strips_have_their_strip_s_prior(tmp_path: Path) -> None:
     from mgsgraph.case.scene import image_priors
 
     wanted = decode(path)
-    of_strips = members(wanted.trajectories, [image.name for image in wanted.images], str(path))
+    of_strips = members(wanted.passes, [image.name for image in wanted.images], str(path))
     for prior in image_priors(wanted, of_strips, path):
         assert prior.sigmas.shape == (2, 6)
         assert np.all(np.isfinite(prior.sigmas))

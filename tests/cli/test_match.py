@@ -113,7 +113,8 @@ def test_nodes_take_ties_too(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     made = strip(6)
     write_strip(made, tmp_path)
     case = tmp_path / "case.toml"
-    tables = "".join(f'\n[[strips]]\nname = "{one.name}"\nimages = ["{one.name}"]\n' for one in made.images)
+    table = '\n[[passes]]\nname = "{0}"\nimages = ["{0}"]\nprior = {{}}\n'
+    tables = "".join(table.format(one.name) for one in made.images)
     case.write_text(case.read_text(encoding="utf-8") + tables, encoding="utf-8")
     (network,) = tmp_path.glob("*.pvl")
     network.rename(tmp_path / "moved.pvl")

@@ -23,7 +23,8 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six images, each a strip of its own."""
     folder, made = tmp_path_factory.mktemp("nodes"), strip(6)
     write_strip(made, folder)
-    tables = "".join(f'\n[[strips]]\nname = "{one.name}"\nimages = ["{one.name}"]\n' for one in made.images)
+    table = '\n[[passes]]\nname = "{0}"\nimages = ["{0}"]\nprior = {{}}\n'
+    tables = "".join(table.format(one.name) for one in made.images)
     with (folder / "case.toml").open("a", encoding="utf-8") as file:
         file.write(tables)
     return folder / "case.toml"

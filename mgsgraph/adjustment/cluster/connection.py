@@ -3,6 +3,8 @@
 import asyncio
 import logging
 import os
+import signal
+import sys
 import threading
 import time
 import warnings
@@ -12,12 +14,12 @@ from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 from mgsgraph.adjustment.cluster.address import OPTION, ClusterAddress, parse_cluster, threads_of_each
-from mgsgraph.adjustment.cluster.interrupts import children_without_interrupts, interrupts_deferred
 from mgsgraph.adjustment.cluster.workers import (
     GIGA,
     Worker,
@@ -398,3 +400,38 @@ def _put_back(variables: dict[str, str | None]) -> None:
             os.environ.pop(name, None)
         else:
             os.environ[name] = value
+
+
+@contextmanager
+def interrupts_deferred() -> Iterator[None]:
+    """Ctrl-C and the request to end wait until this is over."""
+    if threading.current_thread() is not threading.main_thread():  # signals don't reach other threads
+        yield
+        return
+    arrived: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda came, frame: arrived.append(came)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        for came in arrived[:1]:
+            signal.raise_signal(came)
+
+
+@contextmanager
+def children_without_interrupts() -> Iterator[None]:
+    """Ctrl-C in the terminal reaches this program, which then ends its workers, and not the workers themselves.
+
+    A signal that is blocked stays blocked in all threads and processes that begin from here.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    resource_tracker.ensure_running()  # multiprocessing's, which unblocks it when the first process begins
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

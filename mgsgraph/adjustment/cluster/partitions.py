@@ -372,7 +372,7 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     own = (mine.kind, mine.start, mine.data, mine.weight)
     used = np.unique(rows.pattern_group[mine.piece[:, 0]])
     sampled = layout.rays.sampled if layout.rays.all_sampled else None
-    rays, ray = (None, np.zeros(0, dtype=np.int64)) if sampled is None else sampled.part(first, last)
+    rays, ray = (None, np.zeros(0, dtype=np.int64)) if sampled is None else sampled.of_pieces(first, last)
     blocks, target = blocks_of_partition(layout.groups, layout.blocks.target, used)
     return _Part(
         uuid.uuid4().hex,

@@ -1,4 +1,27 @@
-"""From a network to a GTSAM factor graph, in either form; the only room that builds factors."""
+"""From a network to a GTSAM factor graph, in either form; the only room that builds factors.
+
+| | bundle form | explicit form |
+|---|---|---|
+| unknowns | those that points share; points are eliminated in the kernel | those and all points |
+| factors | one per group of points (`bundle_factors`), or Hessians of variable pairs (`bundle`) | one per observation |
+| files | `bundle`, `bundle_factors`, `leverage` | `explicit`, `observations` |
+| used for | every adjustment | small networks, and as an independent reference |
+
+Both are made of one `Layout`, which sorts the points. Four words say which points are meant:
+
+    pattern   points with the same list of observations; patterns are sorted by the kernel's loops, then by group
+    group     points that depend on the same shared unknowns: one block of the normal matrix; of one or several patterns
+    piece     neighboring points of one pattern, 2048 at most, whose numbers lie side by side: the kernel's unit of work
+    share     neighboring pieces that one thread takes, about 65,000 observations
+
+    points    0 ........................................................................................ n - 1
+    pattern   | rays A, B         | rays A, C  | rays A, B, C              | rays A, B, range A | ...         |
+    group     | {A, B}            | {A, C}     | {A, B, C}                 | {A, B}             | ...         |
+    piece     | 2048 | 2048 | 311 | 907        | 2048 | 2048 | 2048 | 64   | 120                | ...         |
+    share     |  first thread                  |  second thread                                 | ...         |
+
+The observations of one point are numbered by their *slot* in the list of its pattern.
+"""
 
 from mgsgraph.adjustment.graph.bundle import BundleGraph as BundleGraph
 from mgsgraph.adjustment.graph.explicit import explicit_graph as explicit_graph

@@ -1,4 +1,4 @@
-"""How far each observation determines its own adjusted value: the kernel's reliability, part by part."""
+"""How far each observation determines its own adjusted value: the kernel's reliability, share by share."""
 
 from itertools import pairwise
 
@@ -43,7 +43,7 @@ def numbers(
     found, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
     order = np.argsort(ground)
 
-    def part(ends: tuple[int, int]) -> None:
+    def share(ends: tuple[int, int]) -> None:
         first, last = ends
         mine, point = partition(rows, first, last), int(rows.piece[first, 1])
         places = points[point : point + mine.kind.size]
@@ -53,6 +53,6 @@ def numbers(
         chosen[own] = values[ground[own] - begins[first]]
 
     edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
-    in_threads(part, pairwise(edges))
+    in_threads(share, pairwise(edges))
     return found, chosen
 

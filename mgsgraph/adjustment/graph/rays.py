@@ -20,12 +20,15 @@ from mgsgraph.adjustment.graph.ray_constants import (
     put_scale,
 )
 from mgsgraph.adjustment.graph.sampled_rays import NO_UNITS, RayPlaces, SampledRays, Share
-from mgsgraph.adjustment.graph.scales import angle_rates, frozen_scale, peer_scale
 from mgsgraph.adjustment.graph.shared import SharedEffects
 from mgsgraph.adjustment.graph.variables import Terms, Variables
+from mgsgraph.factors.algebra import transform
+from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PEER, PREDICTED, Model
+from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
 from mgsgraph.network import Network
 
 
@@ -76,7 +79,7 @@ class RayConstants:
         """
         values, self._nodes = self._variables.split(bent), terms.of_rays if self._network.passes else None
 
-        def part(share: Share) -> None:
+        def fill(share: Share) -> None:
             self._put_detectors(share, data, weight)
             units = NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
             self._put_poses(share, data, terms, values, units, True)
@@ -85,7 +88,7 @@ class RayConstants:
                 ways = piece, before, rays, self._patterns.point_order
                 crossings(share.first, share.last, *ways, data, units, *crossing)
 
-        self._places.each(part)
+        self._places.each(fill)
 
     def renewable(self, terms: Terms) -> bool:
         """Whether rays about other lines depend on the same nodes as those that were laid out."""
@@ -100,8 +103,8 @@ class RayConstants:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
         rays, first = self._network.rays, 5 + (4 if self._model.angles == CAMERA else 3)
 
-        def part(share: Share) -> None:
-            for j, mine in share.groups(share.image):
+        def rescale(share: Share) -> None:
+            for j, mine in share.by(share.image):
                 image, axes, k = self._network.images[j], self._axes[j], share.ray[mine]
                 focal_length = image.interior.focal_length
                 pose = image.pose(rays.places[k, 0]).in_axes(axes)
@@ -109,7 +112,7 @@ class RayConstants:
                 scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
                 put_scale(mine, share.at, share.stride, first, scale.reshape(-1, 4), data)
 
-        self._places.each(part)
+        self._places.each(rescale)
 
     @cached_property
     def _axes(self) -> list[Array | None]:
@@ -149,7 +152,7 @@ class RayConstants:
     def _put_detectors(self, share: Share, data: Array, weight: Array) -> None:
         rays, strict = self._network.rays, self._model.line == PREDICTED
         first = 3 + (4 if self._model.angles == CAMERA else 3)
-        for _, mine in share.groups(self._optics[share.image]):
+        for _, mine in share.by(self._optics[share.image]):
             j = int(share.image[mine[0]])
             interior = self._network.images[j].interior
             found = Detector(*interior.focal_plane(rays.places[share.ray[mine], 1]))
@@ -162,7 +165,7 @@ class RayConstants:
         self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
     ) -> None:
         self.sampled.put(share, data, terms.lines, units)
-        for j, mine in share.groups(share.image, ~self.sampled.tables.sampled[share.image]):
+        for j, mine in share.by(share.image, ~self.sampled.tables.sampled[share.image]):
             self._put_image(j, mine, share, data, terms, values, units, whole)
 
     def _put_image(
@@ -188,3 +191,28 @@ class RayConstants:
             (pose.position, pose.matrix, pose.velocity, angular_rate), focal_length, scale, slope,
             lines - rays.places[k, 0], np.hstack(tail), data, units,
         )  # fmt: skip
+
+
+def angle_rates(pose: Pose, angles: int) -> Array:
+    """(k, 3) rates per line of omega, phi, kappa in the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
+    paper = angles == OPK_PAPER
+    found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
+    chain = rotation.angle_axes(found, camera_to_body=paper)
+    return np.asarray(np.linalg.solve(chain, pose.angular_rate[:, :, None])[:, :, 0])
+
+
+def peer_scale(slope: Array) -> Array:
+    """(k, 4) focal-plane m to residuals as opk-peer has them: pixels of the detector's size along and across it."""
+    square = slope[:, 0] ** 2 + slope[:, 1] ** 2
+    return np.stack([slope[:, 1], -slope[:, 0], -slope[:, 0], -slope[:, 1]], axis=1) / square[:, None]
+
+
+def frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -> Array:
+    """(k, 2, 2) focal-plane m to residual lines and samples: image motion per line, from the nominal, and detector
+    slope.
+    """
+    attitude, angular_rate = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.angular_rate.T)
+    ray = transform(attitude, tuple((points - pose.position).T))
+    of_ray = ray_motion(attitude, ray, tuple(pose.velocity.T), angular_rate)
+    motion = image_motion(ray, of_ray, focal_length)
+    return np.stack([np.stack(row, axis=1) for row in to_lines_and_samples(motion, tuple(slope.T))], axis=1)

@@ -49,7 +49,7 @@ class Share(NamedTuple):
     image: Index
     """(r,) whose it is."""
 
-    def groups(self, number: Index, among: Mask | None = None) -> Iterator[tuple[int, Index]]:
+    def by(self, number: Index, among: Mask | None = None) -> Iterator[tuple[int, Index]]:
         """Which rays, of some of them (r,), have the same `number` (r,)."""
         mine = np.arange(self.ray.size) if among is None else np.flatnonzero(among)
         order = mine[np.argsort(number[mine], kind="stable")]
@@ -92,7 +92,7 @@ class RayPlaces(NamedTuple):
         )  # fmt: skip
         return Share(first, last, ray[:count], at[:count], stride[:count], place[:count], image[:count])
 
-    def part(self, first: int, last: int) -> tuple["RayPlaces", Index]:
+    def of_pieces(self, first: int, last: int) -> tuple["RayPlaces", Index]:
         """Those of the pieces first .. last - 1 by themselves, numbered in the order of their observations; and which
         they are here.
         """
@@ -132,9 +132,9 @@ class SampledRays(NamedTuple):
         """Poses of all these rays about other lines (k,), in place."""
         self.places.each(lambda share: self.put(share, data, lines, NO_UNITS))
 
-    def part(self, first: int, last: int) -> tuple["SampledRays", Index]:
+    def of_pieces(self, first: int, last: int) -> tuple["SampledRays", Index]:
         """Those of the pieces first .. last - 1, with the images that they have alone; and which they are here."""
-        places, mine = self.places.part(first, last)
+        places, mine = self.places.of_pieces(first, last)
         patterns = np.unique(places.piece[:, 0])
         used = np.concatenate([
             places.image[begin : begin + count]

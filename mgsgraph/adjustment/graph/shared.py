@@ -4,15 +4,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.angles import angles_of
 from mgsgraph.adjustment.graph.variables import Variables, acting_on
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.orientation import polynomial
+from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.rows import IMAGE, RANGE, Model
+from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, RANGE, Model
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.interior import interior_effect, radius_of
 from mgsgraph.network.shared import DEGREE, beam_motion, image_effect
+
+ANGLE_CODES: dict[Angles, int] = {"camera": CAMERA, "opk-paper": OPK_PAPER, "opk-peer": OPK_PEER}
+"""Code of each."""
+_NAMES = {code: name for name, code in ANGLE_CODES.items()}
+
+
+def angles_of(model: Model) -> Angles:
+    """Name of the one that a model has."""
+    return _NAMES[model.angles]
 
 
 class SharedEffects:

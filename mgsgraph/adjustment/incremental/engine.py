@@ -5,7 +5,7 @@ than their slack, until none has. What has to be looked at afterwards is found b
 bundle to bundle, for as long as points can move by a noticeable part of a sigma.
 """
 
-from collections import defaultdict
+from collections import OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,7 +25,6 @@ from mgsgraph.adjustment.incremental.state import (
     stretches,
 )
 from mgsgraph.adjustment.incremental.sweep import Sweep
-from mgsgraph.adjustment.incremental.sweep_cache import MOST_KEPT, KeptSweeps
 from mgsgraph.adjustment.incremental.trajectories import expected, prior_rows
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
@@ -37,6 +36,39 @@ from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_imag
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
+
+MOST_KEPT = 150_000
+"""Points that stay laid out (about 1 kB each)."""
+
+
+class KeptSweeps:
+    """Sweeps that were laid out last, up to a total of points; what was asked for longest ago goes first."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._size = most, 0
+        self._all: OrderedDict[Members, Sweep] = OrderedDict()
+
+    def get(self, members: Members) -> Sweep | None:
+        """The sweep of a bundle; None where there is none."""
+        if members not in self._all:
+            return None
+        self._all.move_to_end(members)
+        return self._all[members]
+
+    def put(self, members: Members, sweep: Sweep) -> None:
+        """Keep the sweep of a bundle."""
+        self.drop(members)
+        self._all[members] = sweep
+        self._size += len(sweep.network.points)
+        while self._size > self._most and len(self._all) > 1:
+            _, oldest = self._all.popitem(last=False)
+            self._size -= len(oldest.network.points)
+
+    def drop(self, members: Members) -> None:
+        """Remove the sweep of a bundle."""
+        if members in self._all:
+            self._size -= len(self._all.pop(members).network.points)
+
 
 _MOST_UPDATES = 12
 _REACH = 0.5 * NOTICEABLE

@@ -26,14 +26,14 @@ from mgsgraph.geometry.records import Array, assign, frozen
 
 FALSE_ALARMS = 0.01
 """Share of axes without any vibration in which a peak is named all the same."""
-_FINE = 6.0
-"""Frequencies per reciprocal of the time that a strip takes."""
+FINE = 6.0
+"""Frequencies per reciprocal of the time that a pass, or an image, takes."""
 _MOST_PEAKS = 5
 _DRAWS = 1000
 """Of noise, for the number of independent frequencies."""
 _TAIL = 0.9
 """Quantile of their largest from which it is taken."""
-_ZOOM = 41
+ZOOM = 41
 """Places on either side of a peak where its frequency is looked for."""
 _CHUNK = 1 << 22
 _LEAKS, _LEAKS_NEAR, _NEAR = 0.05, 0.25, 2.0
@@ -181,7 +181,7 @@ def _peaks(white: "_WhitenedAxis", grid: Array, limit: float, independent: float
         if not fits.tests[best] > limit:
             break
         step = float(grid[1] - grid[0])
-        near = free[best] + step * np.linspace(-1.0, 1.0, _ZOOM)
+        near = free[best] + step * np.linspace(-1.0, 1.0, ZOOM)
         near = near[(near >= grid[0]) & (near <= grid[-1])]
         close = white.fits(near, found)
         place = int(np.argmax(close.tests))
@@ -253,7 +253,7 @@ class _WhitenedAxis:
     def grid(self) -> Array:
         """Frequencies, Hz, from one period over the whole time to where cosine and sine are two things still."""
         once = 1.0 / float(np.ptp(self.times))
-        return np.arange(once, self.nyquist - 0.5 * once, once / _FINE)
+        return np.arange(once, self.nyquist - 0.5 * once, once / FINE)
 
     def waves(self, frequencies: Array) -> Array:
         """(f, k, 2) cosine and sine as the whitened corrections show them."""

@@ -14,8 +14,15 @@ import numpy as np
 
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.spacing.residual_series import Residuals, Series, residual_series
-from mgsgraph.analysis.spacing.residual_spectrum import SeriesSpectrum, Wave, WaveFits, level_of_test
+from mgsgraph.analysis.spacing.residual_spectrum import (
+    Residuals,
+    Series,
+    SeriesSpectrum,
+    Wave,
+    WaveFits,
+    level_of_test,
+    residual_series,
+)
 from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
 from mgsgraph.record import Record
 from mgsgraph.text import some

@@ -6,7 +6,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
-from mgsgraph.analysis.spacing.residual_series import TURNS
+from mgsgraph.analysis.spacing.residual_spectrum import TURNS
 from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS
 from mgsgraph.analysis.spacing.vibrations import ImageSpectrum, ResidualVibrations
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short

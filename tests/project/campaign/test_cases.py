@@ -159,8 +159,8 @@ def test_no_path_of_the_schema_is_forgotten() -> None:
 
     gather(CaseInput)
     no_paths = {"CaseInput.name", "CaseInput.considered", "ImageInput.name", "ShotsInput.image", "ShotsInput.version",
-                "AltimetryInput.version", "TerrainInput.version", "NodesInput.times_utc", "StripInput.name",
-                "StripInput.images", "PassInput.name", "PassInput.images", "MountingInput.camera",
+                "AltimetryInput.version", "TerrainInput.version", "NodesInput.times_utc",
+                "PassInput.name", "PassInput.images", "MountingInput.camera",
                 "MountingInput.instrument", "MountingInput.laser", "MountingInput.name",
                 "ImageInput.image", "ImageInput.list"}  # decoded as isd, cube or label  # fmt: skip
     source = Path(sys.modules["mgsgraph.project.campaign.inputs"].__file__ or "").read_text(encoding="utf-8")

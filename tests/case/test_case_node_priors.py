@@ -1,4 +1,4 @@
-"""[[strips]] in a case file."""
+"""[[passes]] with a `prior` in a case file: images of one camera."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +10,8 @@ from strip_files import STRIPS, block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.case.nodes import NodePriorInput, NodesInput
 from mgsgraph.case.reading import adjust
-from mgsgraph.case.strips import NodesInput, StripPriorInput
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
@@ -42,7 +42,8 @@ def case_with(folder: Path, strips: str, name: str = "other.toml") -> Path:
 def pass_of(folder: Path, table: str) -> Pass:
     """The first strip alone, `table` being what follows its name."""
     images = 'images = ["HRSC/00/S1", "HRSC/00/P1", "HRSC/00/ND", "HRSC/00/P2", "HRSC/00/S2"]'
-    return mgsgraph.read_case(case_with(folder, f'[[strips]]\nname = "one"\n{images}\n{table}\n')).network.passes[0]
+    table += "" if "prior" in table else "\nprior = {}"
+    return mgsgraph.read_case(case_with(folder, f'[[passes]]\nname = "one"\n{images}\n{table}\n')).network.passes[0]
 
 
 def prior_of(folder: Path, table: str) -> NodePrior:
@@ -107,7 +108,8 @@ def test_nodes_at_given_times(folder: Path) -> None:
 def test_times_in_utc(folder: Path) -> None:
     """START_TIME of h5270 and the time of its first line, within its milliseconds; the block flew at another time."""
     said = ", ".join(f'"2008-02-08T12:08:{second}.843"' for second in (53, 54, 55, 56))
-    path = case_with(folder, f'[[strips]]\nname = "one"\nimages = ["HRSC/00/ND"]\nnodes = {{ times_utc = [{said}] }}\n')
+    path = case_with(folder, f'[[passes]]\nname = "one"\nimages = ["HRSC/00/ND"]\nprior = {{}}\n'
+                     f"nodes = {{ times_utc = [{said}] }}\n")
     with pytest.raises(InputError, match="expected lines within its nodes'") as caught:
         mgsgraph.read_case(path)
     time = float(str(caught.value).split("nodes' ")[1].split(" to")[0])
@@ -132,36 +134,35 @@ def test_units_of_the_prior(folder: Path) -> None:
 
 
 def test_defaults_give_way_where_nodes_know_nothing() -> None:
-    prior = StripPriorInput(position_sigma_m=float("inf")).prior("here")
+    prior = NodePriorInput(position_sigma_m=float("inf")).prior("here")
     assert np.all(np.isinf(prior.sigmas[:3]))
     assert prior.bias[:3].tolist() == prior.drift[:3].tolist() == [0.0] * 3
     assert np.all(prior.bias[3:] == pytest.approx(28.0 * MGON))
     with pytest.raises(InputError, match=r"here: node prior, bias: sigma 5.0 of component 0 whose nodes have none"):
-        StripPriorInput(position_sigma_m=float("inf"), position_bias_sigma_m=5.0).prior("here")
+        NodePriorInput(position_sigma_m=float("inf"), position_bias_sigma_m=5.0).prior("here")
 
 
 # --- what is wrong, in one line
 
-ONE = '[[strips]]\nname = "one"\nimages = ["HRSC/00/S1", "HRSC/00/ND"]\n'
-TWO = '[[strips]]\nname = "two"\n'
+ONE = '[[passes]]\nname = "one"\nimages = ["HRSC/00/S1", "HRSC/00/ND"]\n'
+TWO = '[[passes]]\nname = "two"\n'
 WRONG = {
-    "unknown image": (ONE.replace("00/S1", "00/S9"), r"strips\[0\], images: the image 'HRSC/00/S9'; expected some of"),
-    "in two strips": (ONE + TWO + 'images = ["HRSC/00/ND"]', r"strips\[1\], images: 'HRSC/00/ND', which strip 'one'"),
-    "twice": (ONE.replace("00/S1", "00/ND"), r"strips\[0\], images: 'HRSC/00/ND', which strip 'one' has already"),
+    "unknown image": (ONE.replace("00/S1", "00/S9"), r"passes\[0\], images: the image 'HRSC/00/S9'; expected some of"),
+    "in two strips": (ONE + TWO + 'images = ["HRSC/00/ND"]', r"passes\[1\], images: 'HRSC/00/ND', which pass 'one'"),
+    "twice": (ONE.replace("00/S1", "00/ND"), r"passes\[0\], images: 'HRSC/00/ND', which pass 'one' has already"),
     "both without images": (TWO + TWO, "several without images"),
-    "the same name": (ONE + '[[strips]]\nname = "one"\nimages = ["HRSC/00/P1"]', "the name 'one'|'one' twice"),
-    "no name": (ONE.replace('"one"', '""'), r"strips\[0\]\.name"),
-    "two passes": (TWO, r"strips\[0\]: images HRSC/00/.. and HRSC/01/.., 39\d minutes apart; expected images of one"),
-    "an unknown key": (ONE + "spacing = 3", "'spacing'.*name, images, nodes, prior"),
-    "an unknown unit": (ONE + "nodes = { spacing_km = 3 }", r"strips\[0\]\.nodes.*'spacing_km'.*'spacing_s'"),
+    "the same name": (ONE + '[[passes]]\nname = "one"\nimages = ["HRSC/00/P1"]', "the name 'one'|'one' twice"),
+    "two passes": (TWO, r"passes\[0\]: images HRSC/00/.. and HRSC/01/.., 39\d minutes apart; expected images of one"),
+    "an unknown key": (ONE + "spacing = 3", "'spacing'.*name, images, nodes, position, attitude, prior"),
+    "an unknown unit": (ONE + "nodes = { spacing_km = 3 }", r"passes\[0\]\.nodes.*'spacing_km'.*'spacing_s'"),
     "an unknown basis": (ONE + 'nodes = { basis = "linear" }', r"'linear'; expected one of 'lagrange', 'spline'"),
     "two spacings": (ONE + "nodes = { spacing_s = 3, spacing_lines = 30 }", "spacing_s and spacing_lines; expected"),
-    "text": (ONE + 'nodes = { spacing_s = "often" }', r"strips\[0\]\.nodes\.spacing_s"),
-    "negative spacing": (ONE + "nodes = { spacing_s = -3 }", r"strips\[0\]\.nodes\.spacing_s"),
+    "text": (ONE + 'nodes = { spacing_s = "often" }', r"passes\[0\]\.nodes\.spacing_s"),
+    "negative spacing": (ONE + "nodes = { spacing_s = -3 }", r"passes\[0\]\.nodes\.spacing_s"),
     "long spacing": (ONE + "nodes = { spacing_s = 3000 }", r"nodes, spacing_s: 3000 s; expected less than"),
     "long spacing in lines": (ONE + "nodes = { spacing_lines = 1e7 }", r"spacing_lines: .* s; expected less than"),
     "a slip in the unit": (ONE + "nodes = { spacing_s = 1e-4 }", "at most 10000 nodes"),
-    "few times": (ONE + "nodes = { times_et_s = [1, 2, 3] }", r"strips\[0\]\.nodes: orientation images: 3 nodes"),
+    "few times": (ONE + "nodes = { times_et_s = [1, 2, 3] }", r"passes\[0\]\.nodes: orientation images: 3 nodes"),
     "times that go back": (ONE + "nodes = { times_et_s = [1, 2, 4, 3] }", "times that don't increase"),
     "times of another pass": (ONE + "nodes = { times_et_s = [1, 2, 3, 4] }", "00/S1.*lines within its nodes'"),
     "nan": (ONE + "nodes = { times_et_s = [1, 2, nan, 4] }", "nan; expected a number"),
@@ -177,6 +178,7 @@ WRONG = {
 @pytest.mark.parametrize("fault", WRONG)
 def test_one_clear_line(folder: Path, fault: str) -> None:
     strips, message = WRONG[fault]
+    strips += "" if "prior" in strips else "\nprior = {}"
     path = case_with(folder, strips)
     with pytest.raises(InputError, match=message) as caught:
         mgsgraph.read_case(path)
@@ -193,11 +195,11 @@ def test_one_clear_line(folder: Path, fault: str) -> None:
     ],
 )
 def test_what_contradicts_a_strip(folder: Path, old: str, new: str, message: str) -> None:
-    path = case_with(folder, ONE)
+    path = case_with(folder, f"{ONE}prior = {{}}")
     path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
     with pytest.raises(InputError, match=message) as caught:
         mgsgraph.read_case(path)
-    assert str(caught.value).startswith(f"{path}, strips[0] (one)")
+    assert str(caught.value).startswith(f"{path}, passes[0] (one)")
 
 
 def test_cameras_of_one_pass_are_mounted_as_their_attitudes_say() -> None:
@@ -242,7 +244,8 @@ def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_pa
     path = tmp_path / "case.toml"
     path.write_text("\n".join(text))
     apart = mgsgraph.read_case(path).network.images
-    path.write_text("\n".join([*text, "[[strips]]", 'name = "h5270"', "nodes = { spacing_lines = 1000 }"]))
+    text += ["[[passes]]", "prior = {}", 'name = "h5270"', "nodes = { spacing_lines = 1000 }"]
+    path.write_text("\n".join(text))
     net = mgsgraph.read_case(path).network
 
     assert apart[0].trajectory is not apart[1].trajectory

@@ -1,6 +1,6 @@
-"""[[strips]] of a case file: images of several lines of one camera (HRSC) on one trajectory, whose correction at its
-orientation images is a bias, a drift and departures that forget themselves in time (`network.node_priors.NodePrior`);
-where these orientation images stand, and the numbers that a case file may hold.
+"""`prior` of a pass in a case file: the correction of one camera's trajectory (HRSC) at its orientation images is a
+bias, a drift and departures that forget themselves in time (`network.node_priors.NodePrior`); where the orientation
+images of any pass stand, and the numbers that a case file may hold.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,6 @@ import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.time_scales import tdb_of_utc
@@ -80,7 +79,7 @@ Sigmas = float | list[float]
 """One number for all three axes, or three."""
 
 
-class StripPriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class NodePriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.node_priors`.
 
     Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
@@ -94,13 +93,13 @@ class StripPriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     angle_sigma_mrad: Sigmas | None = None
     """The same in another unit."""
     position_bias_sigma_m: Sigmas | None = None
-    """Constant of the whole strip; 50 m when absent, 0 for none."""
+    """Constant of the whole pass; 50 m when absent, 0 for none."""
     angle_bias_sigma_mgon: Sigmas | None = None
     """The same of the attitude; 28 mgon when neither unit is said."""
     angle_bias_sigma_mrad: Sigmas | None = None
     """The same in another unit."""
     position_drift_sigma_m: Sigmas | None = None
-    """Linear in time, at the ends of the strip; 10 m when absent, 0 for none."""
+    """Linear in time, at the ends of the pass; 10 m when absent, 0 for none."""
     angle_drift_sigma_mgon: Sigmas | None = None
     """The same of the attitude; 5 mgon when neither unit is said."""
     angle_drift_sigma_mrad: Sigmas | None = None
@@ -140,21 +139,3 @@ def _three(value: Sigmas, where: str, trend: bool) -> Array:
         other = "0 for none" if trend else "inf for unknown"
         raise InputError(where, f"{value}", f"one number from {_SIZES[0]:g} to {_SIZES[1]:g}, or three ({other})")
     return np.broadcast_to(sigmas, 3)
-
-
-class StripInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Images on one trajectory."""
-
-    name: Annotated[str, msgspec.Meta(min_length=1)]
-    """What to call it in reports."""
-    images: tuple[str, ...] | None = None
-    """Names of its images; when absent, all that no other strip or pass names."""
-    nodes: NodesInput = NodesInput()
-    """Its orientation images."""
-    prior: StripPriorInput = StripPriorInput()
-    """What is known of them beforehand."""
-
-    def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
-        """About what is known of one of its images by itself, constant and linear part; `default` is not heeded."""
-        prior = self.prior.prior(f"{where}.prior")
-        return OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
