@@ -59,12 +59,11 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
     """
     data = _content(path)
     if is_binary(data):
-        from mgsgraph.files.networks.binary_columns import binary_tie_points as in_columns
-    else:
-        from mgsgraph.files.networks.pvl_columns import pvl_tie_points as in_columns
-    found = in_columns(data, str(path), body)
-    if found is not None:
-        return found
+        from mgsgraph.files.networks.binary_columns import binary_tie_points
+
+        found = binary_tie_points(data, str(path), body)
+        if found is not None:
+            return found
     network, where = _with_places(path, data)
     return tie_points(network, where, body)
 
