@@ -61,9 +61,7 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
     if is_binary(data):
         from mgsgraph.files.networks.binary_columns import binary_tie_points
 
-        found = binary_tie_points(data, str(path), body)
-        if found is not None:
-            return found
+        return binary_tie_points(data, str(path), body)
     network, where = _with_places(path, data)
     return tie_points(network, where, body)
 
