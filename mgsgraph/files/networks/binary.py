@@ -64,8 +64,8 @@ def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
     Raises
     ------
     InputError
-        With file, and number and id of the point: a label that is none or contradicts itself; another version; content
-        cut short; a message that is none; an unknown type, a number that is not finite, text that is not UTF-8;
+        With file, byte, number and id of the point: a label that is none or contradicts itself; another version;
+        content cut short; a message that is none; an unknown type, a number that is not finite, text that is not UTF-8;
         a point without id or type, an id twice, a place or covariance in part; no point at all.
     """
     content = binary_content(data, source)

@@ -30,7 +30,7 @@ def read_network(path: Path) -> ControlNetwork:
     Raises
     ------
     InputError
-        With the file, and line and point (text) or number and id of the point (binary): see `parse_pvl_network` and
+        With the file, and line and point (text) or byte, number and id (binary): see `parse_pvl_network` and
         `parse_binary_network`.
     """
     return _with_places(path, _content(path))[0]
@@ -54,7 +54,7 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
     Raises
     ------
     InputError
-        With the file, and line and point (text) or number and id of the point (binary): what `read_network` and
+        With the file, and line and point (text) or byte, number and id of the point (binary): what `read_network` and
         `tie_points` refuse; a network of another body.
     """
     data = _content(path)

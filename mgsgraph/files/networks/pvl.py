@@ -9,6 +9,7 @@ ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
 
 from collections.abc import Callable, Mapping
 from enum import IntEnum
+from functools import partial
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -34,6 +35,7 @@ _TURN = 360.5 * DEG
 """rad of a longitude at most, east or west, and what its rounding may add."""
 _VERSIONS = ("1", "2", "3", "4", "5")
 _OLD = ("1", "2")
+_NULL_SIZE = len("Null")
 _ANGLES = dict.fromkeys(("", "deg", "degree", "degrees"), DEG) | dict.fromkeys(("rad", "radian", "radians"), 1.0)
 PIXEL_UNITS = dict.fromkeys(("", "pixel", "pixels"), 1.0)
 
@@ -201,14 +203,15 @@ def _measure(block: Block, point: Block) -> ControlMeasure:
             figures.append((WORDS_OF_LOG[key], block.number(key, PIXEL_UNITS)))
         elif key not in _MEASURE_KEYS and key not in WORDS_OF_LOG and key != "reference":
             raise InputError(block.where(key), f"the keyword {key}", "ISIS's keywords of a measure", "take it out")
-    return ControlMeasure(**{"type": MeasureType.CANDIDATE, "log": tuple(figures)} | _values(block, _MEASURE_KEYS))
+    values: dict[str, Any] = {"type": MeasureType.CANDIDATE} | _values(block, _MEASURE_KEYS)
+    return ControlMeasure(log=tuple(figures), **values)
 
 
 def _values(block: Block, known: Mapping[str, _Known]) -> dict[str, Any]:
     """What a block says of what is known, by its names in the record."""
     found = dict[str, Any]()
-    for key in block.entries:
-        if key in known and key in block:
+    for key, entry in block.entries.items():
+        if key in known and (len(entry.value) != _NULL_SIZE or key in block):
             name, attribute, read = known[key]
             found[attribute] = read(block, name)
     return found
@@ -247,29 +250,19 @@ def _known(names: Mapping[str, str], read: Callable[[Block, str], Any]) -> dict[
     return {key.lower(): (key, attribute, read) for key, attribute in names.items()}
 
 
-def _source(block: Block, key: str) -> AprioriSource:
-    return _chosen(block, key, WORDS_OF_SOURCE)
-
-
-def _measure_type(block: Block, key: str) -> MeasureType:
-    return _chosen(block, key, WORDS_OF_MEASURE_TYPE)
-
-
 def _matrix(block: Block, key: str) -> tuple[float, ...]:
     return tuple(block.numbers(key, 6))
 
 
-def _pixels(block: Block, key: str) -> float:
-    return block.number(key, PIXEL_UNITS)
-
-
 _POINT_KEYS = {
     **_known(NAME_TEXTS | {f"{key}File": f"{attribute}_file" for key, attribute in APRIORI_SOURCES.items()}, _text),
-    **_known(LOCKS | CONSTRAINTS | REJECTED, Block.flag), **_known(APRIORI_SOURCES, _source),
+    **_known(LOCKS | CONSTRAINTS | REJECTED, Block.flag),
+    **_known(APRIORI_SOURCES, partial(_chosen, choices=WORDS_OF_SOURCE)),
     **_known(MATRICES, _matrix),
 }  # fmt: skip
 _MEASURE_KEYS = {
-    **_known({"SerialNumber": "serial_number"}, Block.text), **_known({"MeasureType": "type"}, _measure_type),
-    **_known(NAME_TEXTS, _text), **_known(LOCKS | REJECTED, Block.flag), **_known(PLACES | PIXELS, _pixels),
+    **_known({"SerialNumber": "serial_number"}, Block.text), **_known(NAME_TEXTS, _text),
+    **_known({"MeasureType": "type"}, partial(_chosen, choices=WORDS_OF_MEASURE_TYPE)),
+    **_known(LOCKS | REJECTED, Block.flag), **_known(PLACES | PIXELS, partial(Block.number, units=PIXEL_UNITS)),
 }  # fmt: skip
 """How keywords are read, by keyword in lower case."""
