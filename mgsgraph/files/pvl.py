@@ -29,7 +29,7 @@ FLAGS = {"true": True, "t": True, "yes": True, "y": True, "on": True, "1": True,
 
 # nearly all lines are "keyword = word <unit>" or "End_...": one match takes them whole, the rest goes the long way
 _PLAIN = re.compile(
-    r"\s*([A-Za-z_]\w*)(?:[ \t]*=[ \t]*([^\s\"'(){}<>#,=]+)(?<!-)(?:[ \t]*<([^<>\n]*)>)?)?[ \t]*(?:\n|\Z)"
+    r"\s*+([A-Za-z_]\w*+)(?:[ \t]*+=[ \t]*+([^\s\"'(){}<>#,=]++)(?<!-)(?:[ \t]*+<([^<>\n]*+)>)?)?[ \t]*+(?:\n|\Z)"
 )
 _BLANK = re.compile(r"(?:\s+|/\*.*?\*/|#[^\n]*)*", re.DOTALL)
 _KEYWORD = re.compile(r"([A-Za-z_^](?:[\w:^.-]|/(?!\*))*)\s*(=?)")
@@ -115,6 +115,12 @@ class Block:
 
     def number(self, key: str, units: Mapping[str, float] | None = None) -> float:
         """A finite number times the factor of its unit, which must be one of `units` ("" for none), or any without."""
+        entry = self.entries.get(key.lower())
+        if entry is not None and units is not None and entry.unit in units and isinstance(entry.value, str):
+            try:
+                return finite_number(entry.value) * units[entry.unit]
+            except ValueError:
+                pass  # said below
         value = self._finite(key, self.text(key))
         unit = self.entries[key.lower()].unit
         if units is None:

@@ -15,7 +15,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -25,7 +25,7 @@ from mgsgraph.files.networks.first_version import second_versions
 from mgsgraph.files.networks.messages import messages
 from mgsgraph.files.networks.point_messages import Texts, encoded, finite, point_message, read_point
 from mgsgraph.files.networks.pvl_writing import Value, keyword_lines, text_value
-from mgsgraph.files.networks.record import ControlNetwork, of_mars
+from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, of_mars
 from mgsgraph.files.pvl import Block, Document, whole_label
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.records import Index
@@ -38,7 +38,7 @@ _BEGINNING = re.compile(
 )
 _LOOKED_AT = 4096
 """Bytes from the file's start in which a binary network says that it is one."""
-_ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
+ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
 _HEAD = (
     ("network_id", "networkId"), ("target_name", "targetName"), ("created", "created"),
     ("last_modified", "lastModified"), ("description", "description"), ("user_name", "userName"),
@@ -64,48 +64,56 @@ def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
     Raises
     ------
     InputError
-        With file, and number and id of the point: a label that is none or contradicts itself; another version; content
-        cut short; a message that is none; an unknown type, a number that is not finite, text that is not UTF-8;
+        With file, byte, number and id of the point: a label that is none or contradicts itself; another version;
+        content cut short; a message that is none; an unknown type, a number that is not finite, text that is not UTF-8;
         a point without id or type, an id twice, a place or covariance in part; no point at all.
     """
-    version, buffer = _label_of(data, source)
-    head, messages_of_points = (_first if version == "1" else _later)(data, version, buffer, source)
+    content = binary_content(data, source)
     texts = Texts()
-    known = _head_of(head, version, texts, source)
-    points = tuple(
-        read_point(message, f"{source}, point {number}", texts)
-        for number, message in enumerate(messages_of_points, start=1)
-    )
-    if not points:
-        raise InputError(source, "no control point", "an ISIS control network that has some")
-    return replace(known, points=points)
+    points = tuple(content.point(k, texts) for k in range(content.begin.size))
+    return replace(content.head, points=points)
 
 
-def head_and_spans(data: bytes, source: str) -> tuple[ControlNetwork, Index, Index] | None:
-    """The network of version 2 or 5 that a file's content holds, without its points, and the bytes at which their
-    messages begin (n,) and end (n,); None for version 1, and for sizes that don't fit the file. `parse_binary_network`
-    has the errors of label and header.
+class BinaryContent(NamedTuple):
+    """A network's head, and where the messages of its points are, as of version 2 and 5."""
+
+    head: ControlNetwork
+    """Without points; its source is the file."""
+    data: bytes
+    begin: Index
+    """(n,) byte of `data` at which each point's message begins."""
+    end: Index
+    """(n,) byte behind it."""
+
+    def where(self, number: int) -> str:
+        """File, byte and point, by its number from 0."""
+        return f"{self.head.source}, byte {self.begin[number]}, point {number + 1}"
+
+    def point(self, number: int, texts: Texts) -> ControlPoint:
+        """One of the points; InputError with what is wrong with it."""
+        message, where = self.data[self.begin[number] : self.end[number]], self.where(number)
+        return read_point(_parsed(messages().point(), message, where), where, texts)
+
+
+def binary_content(data: bytes, source: str) -> BinaryContent:
+    """Head of a file's content and places of its points; InputError as `parse_binary_network` has it of label, header
+    and sizes, and for no point at all.
     """
     version, buffer = _label_of(data, source)
     if version == "1":
-        return None
-    head, start, size = _header(data, version, buffer, source)
-    spans = _spans(data, version, head, start, size)
-    return None if spans is None else (_head_of(head, version, Texts(), source), *spans)
-
-
-def _spans(data: bytes, version: str, head: Any, start: int, size: int) -> tuple[Index, Index] | None:
-    """Where messages of points begin and end, from a byte on, of `size` in all; None where they don't fit the file."""
-    if version == "5":
-        from mgsgraph.files.networks.wire import walk_sizes
-
-        if start + size > len(data) or data[start + size :].strip(b"\0"):
-            return None
-        begin, end = walk_sizes(np.frombuffer(data, dtype=np.uint8), start, start + size)
-        return begin, end
-    sizes = np.array(head.pointMessageSizes, dtype=np.int64)
-    ends = start + np.cumsum(sizes)
-    return None if np.any(sizes < 0) or ends.max(initial=0) > len(data) else (ends - sizes, ends)
+        head, parts = _first(data, buffer, source)
+        end = np.cumsum([len(part) for part in parts], dtype=np.int64)
+        data, begin = b"".join(parts), np.concatenate([[0], end[:-1]]).astype(np.int64)
+    else:
+        head, start, size = _header(data, version, buffer, source)
+        sizes = head.pointMessageSizes if version == "2" else None
+        begin, end = (
+            _behind_sizes(data, start, size, source) if sizes is None else _by_sizes(data, start, sizes, source)
+        )
+    known = _head_of(head, version, source)
+    if not end.size:
+        raise InputError(source, "no control point", "an ISIS control network that has some")
+    return BinaryContent(known, data, begin, end)
 
 
 def _label_of(data: bytes, source: str) -> tuple[str, Block]:
@@ -114,8 +122,9 @@ def _label_of(data: bytes, source: str) -> tuple[str, Block]:
     return _version(Document(source, label.replace("\r\n", "\n").replace("\r", "\n")))
 
 
-def _head_of(head: Any, version: str, texts: Texts, source: str) -> ControlNetwork:
+def _head_of(head: Any, version: str, source: str) -> ControlNetwork:
     """Of a header's message a network without points."""
+    texts = Texts()
     with errors_from(f"{source}, header"):
         values = {attribute: texts[getattr(head, name)] for attribute, name in _HEAD}
         values["target_name"] = of_mars(values["target_name"])
@@ -123,7 +132,7 @@ def _head_of(head: Any, version: str, texts: Texts, source: str) -> ControlNetwo
     return ControlNetwork(points=(), source=source, target_radii=radii, **values)
 
 
-def _first(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
+def _first(data: bytes, buffer: Block, source: str) -> tuple[Any, list[bytes]]:
     """Head of a network of version 1, and messages of its points as of version 2."""
     kinds, parts = messages(), []
     for name, kind in (("Core", kinds.first_network), ("LogData", kinds.first_log)):
@@ -132,20 +141,7 @@ def _first(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, 
         if start + size > len(data):
             raise _cut_short(f"{source}, {name}", f"{len(data)} bytes", f"its end at byte {start + size}")
         parts.append(_parsed(kind(), data[start : start + size], f"{source}, {name}"))
-    return parts[0], second_versions(parts[0], parts[1], source)
-
-
-def _later(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
-    """Head of a network of version 2 or 5, and messages of its points."""
-    kinds = messages()
-    head, end, points_size = _header(data, version, buffer, source)
-    if version == "5":
-        parts = _points_behind_sizes(data, end, points_size, source)
-    else:
-        parts = _points_by_sizes(data, end, head.pointMessageSizes, source)
-    return head, (
-        _parsed(kinds.point(), part, f"{source}, point {number}") for number, part in enumerate(parts, start=1)
-    )
+    return parts[0], [message.SerializeToString() for message in second_versions(parts[0], parts[1], source)]
 
 
 def _header(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, int, int]:
@@ -194,7 +190,7 @@ def _anew() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(error.where, error.found, error.expected, f"binary network: {_ANEW}") from None
+        raise InputError(error.where, error.found, error.expected, f"binary network: {ANEW}") from None
 
 
 def _bytes(core: Block, key: str) -> int:
@@ -204,32 +200,29 @@ def _bytes(core: Block, key: str) -> int:
     return int(text)
 
 
-def _points_behind_sizes(data: bytes, start: int, size: int, source: str) -> Iterator[bytes]:
-    """Messages of version 5."""
-    stop, number = start + size, 0
+def _behind_sizes(data: bytes, start: int, size: int, source: str) -> tuple[Index, Index]:
+    """Where messages of version 5 begin and end."""
+    stop, begin, end = start + size, list[int](), [start]
     if stop > len(data):
         raise _cut_short(source, f"{len(data)} bytes", f"points up to byte {stop}")
-    while start < stop:
-        number += 1
-        behind = start + _SIZE.size
-        end = behind + _SIZE.unpack_from(data, start)[0] if behind <= stop else behind
-        if end > stop:
-            raise _cut_short(f"{source}, point {number}", f"its end at byte {end}", f"none behind byte {stop}")
-        yield data[behind:end]
-        start = end
+    while end[-1] < stop:
+        begin.append(end[-1] + _SIZE.size)
+        end.append(begin[-1] + (_SIZE.unpack_from(data, end[-1])[0] if begin[-1] <= stop else 0))
+    if end[-1] > stop:
+        raise _cut_short(f"{source}, point {len(begin)}", f"its end at byte {end[-1]}", f"none behind byte {stop}")
     if data[stop:].strip(b"\0"):
         raise _cut_short(source, f"{len(data)} bytes", f"points up to byte {stop}, and nothing behind them")
+    return np.array(begin, dtype=np.int64), np.array(end[1:], dtype=np.int64)
 
 
-def _points_by_sizes(data: bytes, start: int, sizes: Any, source: str) -> Iterator[bytes]:
-    """Messages of version 2."""
-    for number, size in enumerate(sizes, start=1):
-        end = start + size
-        if size < 0 or end > len(data):
-            found = f"its end at byte {end}" if size >= 0 else f"{size} bytes"
-            raise _cut_short(f"{source}, point {number}", found, f"none behind byte {len(data)}")
-        yield data[start:end]
-        start = end
+def _by_sizes(data: bytes, start: int, of_header: Sequence[int], source: str) -> tuple[Index, Index]:
+    """Where messages of version 2 begin and end."""
+    sizes = np.array(of_header, dtype=np.int64)
+    end = start + np.cumsum(sizes)
+    for k in np.flatnonzero((sizes < 0) | (end > len(data)))[:1].tolist():
+        found = f"its end at byte {end[k]}" if sizes[k] >= 0 else f"{sizes[k]} bytes"
+        raise _cut_short(f"{source}, point {k + 1}", found, f"none behind byte {len(data)}")
+    return end - sizes, end
 
 
 def _cut_short(where: str, found: str, expected: str) -> InputError:
@@ -242,7 +235,7 @@ def _parsed(message: Any, data: bytes, where: str) -> Any:
     try:
         message.ParseFromString(data)
     except DecodeError:
-        raise InputError(where, f"{len(data)} bytes that are no such message", "ISIS's", _ANEW) from None
+        raise InputError(where, f"{len(data)} bytes that are no such message", "ISIS's", ANEW) from None
     return message
 
 

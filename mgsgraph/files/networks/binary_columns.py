@@ -3,18 +3,19 @@
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import head_and_spans
-from mgsgraph.files.networks.record import PointType, with_names
-from mgsgraph.files.networks.tie_points import KINDS, require_body
+from mgsgraph.files.networks.binary import ANEW, BinaryContent, binary_content
+from mgsgraph.files.networks.point_messages import Texts
+from mgsgraph.files.networks.record import ControlPoint, PointType, with_names
+from mgsgraph.files.networks.tie_points import KINDS, require_body, require_usable
+from mgsgraph.files.opening import name_of
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.records import Array, Index, Mask, repeated
+from mgsgraph.geometry.records import LONGEST_NAME, Array, Index, Mask, repeated
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import ISIS_OFFSET
 
-SLOTS = 1 << 12
+_SLOTS = 1 << 12
 """Of the first hash table of images; it grows with what is found to be needed."""
-MOST_SLOTS = 1 << 22
 _KIND_OF_TYPE = np.array(
     [int(KINDS[one]) for one in (PointType.FREE, PointType.FIXED, PointType.FREE, PointType.CONSTRAINED,
                                  PointType.FIXED)]
@@ -22,9 +23,8 @@ _KIND_OF_TYPE = np.array(
 """PointKind by the type's number in the file: 0 and 1 are Tie and Ground of old."""
 
 
-def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -> TiePoints | None:
-    """What an adjustment takes from the content of a binary network of version 2 or 5; None where something is odd, of
-    which `parse_binary_network` and `tie_points` know what to think.
+def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -> TiePoints:
+    """What an adjustment takes from the content of a binary network.
 
     Parameters
     ----------
@@ -38,55 +38,79 @@ def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -
     Raises
     ------
     InputError
-        What is wrong with label and header, as `parse_binary_network`; a network of another body.
+        With file, byte, and number and id of the point: what `parse_binary_network` and `tie_points` refuse; a message
+        with fields of other kinds than ISIS's.
     """
-    known = head_and_spans(data, source)
-    if known is None:
-        return None
-    head, begin, end = known
-    try:
-        with_names(head)
-    except InputError:  # points are looked at first, there
-        return None
-    found = _decoded(np.frombuffer(data, dtype=np.uint8), begin, end, source) if begin.size else None
-    if found is None:
-        return None
+    content = binary_content(data, source)
+    found = _decoded(content)
+    with_names(content.head)
     if body is not None:
-        require_body(head, found, body)
+        require_body(content.head, found, body)
     return found
 
 
-def _decoded(content: np.ndarray, begin: Index, end: Index, source: str) -> TiePoints | None:
-    """Points whose messages lie at begin (n,) to end (n,)."""
+def _decoded(content: BinaryContent) -> TiePoints:
     from mgsgraph.files.networks import wire
 
-    count = wire.count_measures(content, begin, end)
-    if np.any(count < 0):
-        return None
+    source, begin, end = content.head.source, content.begin, content.end
+    data = np.frombuffer(content.data, dtype=np.uint8)
+    count = wire.count_measures(data, begin, end)
+    for number in np.flatnonzero(count < 0)[:1].tolist():
+        raise _refusal(content, number)
     first = np.concatenate([[0], np.cumsum(count)])
-    n, k, slots = begin.size, int(first[-1]), SLOTS
+    n, k, slots = begin.size, int(first[-1]), _SLOTS
     types, ids, ignored = np.zeros(n, dtype=np.int64), np.zeros((n, 2), dtype=np.int64), np.zeros(n, dtype=bool)
     places, covariances, measures = np.empty((n, 3)), np.empty((n, 6)), np.empty((k, 4))
     out, spans, image = np.zeros(k, dtype=bool), np.zeros((k, 2), dtype=np.int64), np.zeros(k, dtype=np.int64)
     while True:
         table, images = np.full(slots, -1), np.zeros((slots // 2 + 2, 2), dtype=np.int64)
-        done = wire.read_points(content, begin, end, first, table, images, types, ids, ignored, places, covariances,
+        done = wire.read_points(data, begin, end, first, table, images, types, ids, ignored, places, covariances,
                                 measures, out, spans, image)  # fmt: skip
         if done == n:
             break
-        if images[-1, 0] <= slots // 2 or slots >= MOST_SLOTS:
-            return None
+        if images[-1, 0] <= slots // 2:
+            raise _refusal(content, done)
         slots *= 16
-    names, distinct = names_at(content, ids), names_at(content, images[: images[-1, 0]])
-    if names.first_repeated is not None or np.all(ignored) or not (_can_be_shown(names) and _can_be_shown(distinct)):
-        return None
+    names, distinct = names_at(data, ids), names_at(data, images[: images[-1, 0]])
+    if names.first_repeated is not None:
+        number = names.first_repeated
+        earlier = names.tolist().index(names[number])
+        where = f"{content.where(number)} ({names[number]})"
+        raise InputError(where, f"the id twice, first at point {earlier + 1}", "each id once")
+    for number in _not_shown(names)[:1]:
+        raise _refusal(content, number)
+    for number in _not_shown(distinct)[:1]:
+        raise _refusal(content, int(np.searchsorted(first, np.argmax(image == number), side="right")) - 1)
+    if np.all(ignored):
+        raise InputError(source, "only ignored control points", "some that are not ignored")
     return used_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
                        RepeatedNames(tuple(distinct), image), measures, ~out)  # fmt: skip
 
 
-def _can_be_shown(names: Names) -> bool:
-    """Whether `record.with_names` takes them; ASCII ones that can't be printed have been left out before."""
-    return int(names.data.max(initial=0)) < 128 or names.text.isprintable()
+def _refusal(content: BinaryContent, number: int) -> InputError:
+    """What is wrong with a point, by its number from 0."""
+    try:
+        point = content.point(number, Texts())
+        where = f"{content.where(number)} ({point.id[:60]})"
+        name_of(point.id, where, "an id")
+        for measure in point.measures:
+            name_of(measure.serial_number, where, "an image's name")
+        if not point.ignore:
+            require_usable(point, 0, lambda _, k, key: ", ".join(filter(None, (where, _image(point, k), key))))
+    except InputError as error:
+        return error
+    return InputError(where, "a message with fields of other kinds", "those of ISIS's networks", ANEW)
+
+
+def _image(point: ControlPoint, measure: int | None) -> str:
+    return "" if measure is None else f"image {point.measures[measure].serial_number}"
+
+
+def _not_shown(names: Names) -> list[int]:
+    """Numbers of names that `record.with_names` refuses."""
+    if int(names.data.max(initial=0)) < 128 and np.diff(names.offsets).max(initial=0) <= LONGEST_NAME:
+        return []  # ASCII ones that can't be printed have been refused before
+    return [k for k, name in enumerate(names.tolist()) if len(name) > LONGEST_NAME or not name.isprintable()]
 
 
 def names_at(content: np.ndarray, spans: Index) -> Names:

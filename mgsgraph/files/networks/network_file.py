@@ -30,7 +30,7 @@ def read_network(path: Path) -> ControlNetwork:
     Raises
     ------
     InputError
-        With the file, and line and point (text) or number and id of the point (binary): see `parse_pvl_network` and
+        With the file, and line and point (text) or byte, number and id (binary): see `parse_pvl_network` and
         `parse_binary_network`.
     """
     return _with_places(path, _content(path))[0]
@@ -54,17 +54,14 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
     Raises
     ------
     InputError
-        With the file, and line and point (text) or number and id of the point (binary): what `read_network` and
+        With the file, and line and point (text) or byte, number and id of the point (binary): what `read_network` and
         `tie_points` refuse; a network of another body.
     """
     data = _content(path)
     if is_binary(data):
-        from mgsgraph.files.networks.binary_columns import binary_tie_points as in_columns
-    else:
-        from mgsgraph.files.networks.pvl_columns import pvl_tie_points as in_columns
-    found = in_columns(data, str(path), body)
-    if found is not None:
-        return found
+        from mgsgraph.files.networks.binary_columns import binary_tie_points
+
+        return binary_tie_points(data, str(path), body)
     network, where = _with_places(path, data)
     return tie_points(network, where, body)
 

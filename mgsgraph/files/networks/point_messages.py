@@ -42,7 +42,11 @@ def read_point(message: Any, where: str, texts: Texts) -> ControlPoint:
     if message.id:
         name = message.id[:60].decode("utf-8", "replace").replace("\n", " ")
         where += f" ({name})"
+    reference, count = message.referenceIndex, len(message.measures)
     try:
+        if not (reference == UNSET or 0 <= reference < count):
+            found = f"measure {reference} (counted from 0) as reference"
+            raise InputError("Reference", found, f"one of its {count} measures")
         return ControlPoint(
             id=texts.required(message.id, "PointId"),
             type=_chosen(message.type, _POINT_TYPES, "PointType"),
@@ -52,7 +56,7 @@ def read_point(message: Any, where: str, texts: Texts) -> ControlPoint:
             edit_lock=message.editLock,
             ignore=message.ignore,
             jigsaw_rejected=message.jigsawRejected,
-            reference=message.referenceIndex if message.referenceIndex != UNSET else None,
+            reference=reference if reference != UNSET else None,
             apriori_source=_chosen(message.aprioriSurfPointSource, _SOURCES, "AprioriXYZSource"),
             apriori_source_file=texts[message.aprioriSurfPointSourceFile],
             apriori_radius_source=_chosen(message.aprioriRadiusSource, _SOURCES, "AprioriRadiusSource"),

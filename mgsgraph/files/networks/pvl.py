@@ -7,8 +7,9 @@ what ISIS wrote, ControlNetVersioner.truth beside them; figures of merit:
 ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
+from functools import partial
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -34,6 +35,7 @@ _TURN = 360.5 * DEG
 """rad of a longitude at most, east or west, and what its rounding may add."""
 _VERSIONS = ("1", "2", "3", "4", "5")
 _OLD = ("1", "2")
+_NULL_SIZE = len("Null")
 _ANGLES = dict.fromkeys(("", "deg", "degree", "degrees"), DEG) | dict.fromkeys(("rad", "radian", "radians"), 1.0)
 PIXEL_UNITS = dict.fromkeys(("", "pixel", "pixels"), 1.0)
 
@@ -48,6 +50,9 @@ CONSTRAINTS = {
     "LatitudeConstrained": "latitude_constrained", "LongitudeConstrained": "longitude_constrained",
     "RadiusConstrained": "radius_constrained",
 }  # fmt: skip
+REJECTED = {"JigsawRejected": "jigsaw_rejected"}
+APRIORI_SOURCES = {"AprioriXYZSource": "apriori_source", "AprioriRadiusSource": "apriori_radius_source"}
+MATRICES = {"AprioriCovarianceMatrix": "apriori_covariance", "AdjustedCovarianceMatrix": "adjusted_covariance"}
 PLACES = {"Sample": "sample", "Line": "line", "Diameter": "diameter", "AprioriSample": "apriori_sample",
           "AprioriLine": "apriori_line"}  # fmt: skip
 """Numbers of a measure that ISIS writes without a unit."""
@@ -81,13 +86,9 @@ WORDS_OF_POINT_TYPE = _by_word(POINT_TYPES) | {"tie": PointType.FREE, "ground": 
 WORDS_OF_MEASURE_TYPE, WORDS_OF_SOURCE = _by_word(MEASURE_TYPES), _by_word(SOURCES)
 WORDS_OF_LOG = _by_word(LOG_NAMES) | {"eccentricity": 1, "averageresidual": 8}
 """What the words for a choice mean, in lower case, those of old networks too."""
-_NUMBER_KEYS = {key.lower(): (key, attribute) for key, attribute in (PLACES | PIXELS).items()}
-_TEXT_KEYS = {key.lower(): (key, attribute) for key, attribute in NAME_TEXTS.items()}
-_FLAG_KEYS = {key.lower(): (key, attribute) for key, attribute in LOCKS.items()} | {
-    "jigsawrejected": ("JigsawRejected", "jigsaw_rejected")
-}
-_OTHER_KEYS = ("serialnumber", "measuretype", "reference")
 _Choice = TypeVar("_Choice", bound=IntEnum)
+_Known = tuple[str, str, Callable[[Block, str], Any]]
+"""A keyword, what it is in the record, and what reads it."""
 
 
 def parse_pvl_network(document: Document) -> ControlNetwork:
@@ -129,7 +130,7 @@ def parse_pvl_network(document: Document) -> ControlNetwork:
         **texts | {"target_name": of_mars(texts["target_name"])},
         points=tuple(points),
         source=document.source,
-        target_radii=_numbers(network, "TargetRadii", 3),
+        target_radii=tuple(network.numbers("TargetRadii", 3)) if "TargetRadii" in network else (),
     )
 
 
@@ -167,12 +168,10 @@ def _label(point: Block) -> str:
     return name
 
 
-def _label_measure(measure: Block, point: Block) -> str:
+def _label_measure(measure: Block, point: Block) -> None:
     """The measure's image, said in its messages from now on."""
     measure.label = point.label
-    image = measure.text("SerialNumber")
-    measure.label += f", image {image}"
-    return image
+    measure.label += f", image {measure.text('SerialNumber')}"
 
 
 def _point(block: Block) -> ControlPoint:
@@ -184,75 +183,57 @@ def _point(block: Block) -> ControlPoint:
         if measure.name != "controlmeasure":
             raise InputError(measure.where(), f"{measure.kind} {measure.name}", "Group = ControlMeasure")
     measures = tuple(_measure(measure, block) for measure in block.blocks)
-    texts: dict[str, Any] = {attribute: _text(block, key) for key, attribute in NAME_TEXTS.items()}
-    flags: dict[str, Any] = {attribute: block.flag(key) for key, attribute in (LOCKS | CONSTRAINTS).items()}
     references = [k for k, measure in enumerate(block.blocks) if measure.flag("Reference")]
     return ControlPoint(
         id=name,
         type=kind,
         measures=measures,
         reference=references[-1] if references else None,  # the last one, as in ControlPointV0003
-        apriori_source=_choice(block, "AprioriXYZSource", WORDS_OF_SOURCE, AprioriSource.NONE),
-        apriori_source_file=_text(block, "AprioriXYZSourceFile"),
-        apriori_radius_source=_choice(block, "AprioriRadiusSource", WORDS_OF_SOURCE, AprioriSource.NONE),
-        apriori_radius_source_file=_text(block, "AprioriRadiusSourceFile"),
         apriori=_place(block, "Apriori"),
-        apriori_covariance=_numbers(block, "AprioriCovarianceMatrix", 6),
         adjusted=_place(block, "Adjusted"),
-        adjusted_covariance=_numbers(block, "AdjustedCovarianceMatrix", 6),
-        jigsaw_rejected=block.flag("JigsawRejected"),
-        **texts,
-        **flags,
+        **_values(block, _POINT_KEYS),
     )
 
 
 def _measure(block: Block, point: Block) -> ControlMeasure:
-    image = _label_measure(block, point)
-    values: dict[str, Any] = {}
-    figures = []
+    _label_measure(block, point)
+    figures = list[tuple[int, float]]()
     for key in block.entries:
-        if key in _NUMBER_KEYS:
-            name, attribute = _NUMBER_KEYS[key]
-            values[attribute] = block.number(name, PIXEL_UNITS) if key in block else None
-        elif key in _TEXT_KEYS:
-            name, attribute = _TEXT_KEYS[key]
-            values[attribute] = _text(block, name)
-        elif key in _FLAG_KEYS:
-            name, attribute = _FLAG_KEYS[key]
-            values[attribute] = block.flag(name)
-        elif key in WORDS_OF_LOG:
-            if key in block:
-                figures.append((WORDS_OF_LOG[key], block.number(key, PIXEL_UNITS)))
-        elif key not in _OTHER_KEYS:
+        if key in WORDS_OF_LOG and key in block:
+            figures.append((WORDS_OF_LOG[key], block.number(key, PIXEL_UNITS)))
+        elif key not in _MEASURE_KEYS and key not in WORDS_OF_LOG and key != "reference":
             raise InputError(block.where(key), f"the keyword {key}", "ISIS's keywords of a measure", "take it out")
-    kind = _choice(block, "MeasureType", WORDS_OF_MEASURE_TYPE, MeasureType.CANDIDATE)
-    return ControlMeasure(serial_number=image, type=kind, log=tuple(figures), **values)
+    values: dict[str, Any] = {"type": MeasureType.CANDIDATE} | _values(block, _MEASURE_KEYS)
+    return ControlMeasure(log=tuple(figures), **values)
+
+
+def _values(block: Block, known: Mapping[str, _Known]) -> dict[str, Any]:
+    """What a block says of what is known, by its names in the record."""
+    found = dict[str, Any]()
+    for key, entry in block.entries.items():
+        if key in known and (len(entry.value) != _NULL_SIZE or key in block):
+            name, attribute, read = known[key]
+            found[attribute] = read(block, name)
+    return found
 
 
 def _text(block: Block, key: str) -> str:
     """A text; empty where it is left out, or Null."""
-    entry = block.entries.get(key.lower())
-    return block.text(key) if key in block and entry and entry.value != "" else ""
+    return block.text(key) if key in block and block.entries[key.lower()].value != "" else ""
 
 
-def _choice(block: Block, key: str, choices: Mapping[str, _Choice], otherwise: _Choice) -> _Choice:
-    if key not in block:
-        return otherwise
+def _chosen(block: Block, key: str, choices: Mapping[str, _Choice]) -> _Choice:
     word = block.text(key)
     if word.lower() not in choices:
         raise InputError(block.where(key), repr(word[:60]), f"one of {', '.join(choices)}")
     return choices[word.lower()]
 
 
-def _numbers(block: Block, key: str, count: int) -> tuple[float, ...]:
-    return tuple(block.numbers(key, count)) if key in block else ()
-
-
 def _place(block: Block, stage: str) -> tuple[float, float, float] | None:
     """A-priori or adjusted place, m body-fixed."""
-    if any(stage + axis in block for axis in "XYZ"):
-        x, y, z = (block.number(stage + axis, LENGTHS) for axis in "XYZ")
-        return x, y, z
+    x, y, z = f"{stage}X", f"{stage}Y", f"{stage}Z"
+    if x in block or y in block or z in block:
+        return block.number(x, LENGTHS), block.number(y, LENGTHS), block.number(z, LENGTHS)
     if not any(stage + part in block for part in ("Latitude", "Longitude", "Radius")):
         return None
     longitude, latitude = block.number(f"{stage}Longitude", _ANGLES), block.number(f"{stage}Latitude", _ANGLES)
@@ -263,3 +244,25 @@ def _place(block: Block, stage: str) -> tuple[float, float, float] | None:
         raise InputError(block.where(f"{stage}Latitude"), found, expected)
     x, y, z = from_planetocentric(np.array([longitude, latitude, radius])).tolist()
     return x, y, z
+
+
+def _known(names: Mapping[str, str], read: Callable[[Block, str], Any]) -> dict[str, _Known]:
+    return {key.lower(): (key, attribute, read) for key, attribute in names.items()}
+
+
+def _matrix(block: Block, key: str) -> tuple[float, ...]:
+    return tuple(block.numbers(key, 6))
+
+
+_POINT_KEYS = {
+    **_known(NAME_TEXTS | {f"{key}File": f"{attribute}_file" for key, attribute in APRIORI_SOURCES.items()}, _text),
+    **_known(LOCKS | CONSTRAINTS | REJECTED, Block.flag),
+    **_known(APRIORI_SOURCES, partial(_chosen, choices=WORDS_OF_SOURCE)),
+    **_known(MATRICES, _matrix),
+}  # fmt: skip
+_MEASURE_KEYS = {
+    **_known({"SerialNumber": "serial_number"}, Block.text), **_known(NAME_TEXTS, _text),
+    **_known({"MeasureType": "type"}, partial(_chosen, choices=WORDS_OF_MEASURE_TYPE)),
+    **_known(LOCKS | REJECTED, Block.flag), **_known(PLACES | PIXELS, partial(Block.number, units=PIXEL_UNITS)),
+}  # fmt: skip
+"""How keywords are read, by keyword in lower case."""

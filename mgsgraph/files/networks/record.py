@@ -158,10 +158,8 @@ class ControlNetwork(msgspec.Struct, frozen=True):
         """Where something stands: file, number of the point and id, image, keyword."""
         found = self.points[point]
         name = found.id[:60].replace("\n", " ")
-        parts = [self.source, f"point {point + 1} ({name})"]
-        if measure is not None:
-            parts.append(f"image {found.measures[measure].serial_number}")
-        return ", ".join(part for part in (*parts, key) if part)
+        image = "" if measure is None else f"image {found.measures[measure].serial_number}"
+        return ", ".join(filter(None, (self.source, f"point {point + 1} ({name})", image, key)))
 
 
 def with_names(network: ControlNetwork) -> ControlNetwork:

@@ -66,7 +66,7 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
             "an ISIS control network (Object = ControlNetwork)",
         )
     for index in used:
-        _require_usable(network.points[index], index, where)
+        require_usable(network.points[index], index, where)
     measures = [measure for point in points for measure in point.measures if not measure.ignore]
     counts = [sum(not measure.ignore for measure in point.measures) for point in points]
     nan = math.nan
@@ -171,7 +171,7 @@ def control_network(
     )
 
 
-def _require_usable(point: ControlPoint, index: int, where: Where) -> None:
+def require_usable(point: ControlPoint, index: int, where: Where) -> None:
     """Raise InputError unless an adjustment can take the point and its measures."""
     if max(map(abs, _place(point))) > FARTHEST:
         raise InputError(where(index, None, ""), f"a place at {_place(point)} m", "one on the body")

@@ -2,9 +2,9 @@
 
 The wire format is protobuf's: a field is its number and kind, then a whole number in sevens of bits, eight bytes of a
 float64, or a size and so many bytes. What is decoded is what an adjustment takes of a point (`messages` has the
-fields). The decoder takes only what it wholly understands: texts in UTF-8, choices that exist, numbers that are finite
-or ISIS's special values, places that are whole, measures that an adjustment can use. At anything else it stops, and
-says at which point; then the file is for protobuf's own reader and `networks.point_messages`, which know what is wrong.
+fields). The decoder takes texts in UTF-8 (The Unicode Standard 15.0, table 3-7), choices that exist, numbers that are
+finite or ISIS's special values, places that are whole, measures that an adjustment can use. At anything else it stops,
+and says at which point; what is wrong with that one `networks.binary_columns` says.
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ import numpy as np
 from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.files.networks.point_messages import LARGEST
 from mgsgraph.files.networks.tie_points import FARTHEST
-from mgsgraph.files.networks.utf8 import is_utf8
+from mgsgraph.geometry.records import LONGEST_NAME
 
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 """Kinds of fields on the wire."""
-_MOST_MEASURES = 5000
-"""Of a point; among more, images measured twice would be sought for too long."""
-TEXTS = 500
-"""Bytes of the longest name."""
+_LONGEST = 4 * LONGEST_NAME
+"""Bytes of a name."""
+_LAST_OF_POINT, _LAST_OF_MEASURE = 25, 17
+"""Fields beyond are unknown, and left out."""
 
 
 @compiled
@@ -61,7 +61,7 @@ def _name_at(data, at, end, spans, row):
     plain = True
     for k in range(at, end):
         plain &= data[k] >= 32 and data[k] != 127
-    return 0 < end - at <= TEXTS and plain and is_utf8(data, at, end)
+    return 0 < end - at <= _LONGEST and plain and is_utf8(data, at, end)
 
 
 @compiled
@@ -82,6 +82,47 @@ def _field(data, at, end):
         size, at = _varint(data, at, end)
         return (number if 0 <= size <= end - at else -1), kind, at, at + size
     return -1, kind, 0, at
+
+
+@compiled
+def is_utf8(data, at, end):
+    """Whether the bytes at..end of data (b,) uint8 are UTF-8."""
+    plain = True
+    for k in range(at, end):
+        plain &= data[k] <= 127
+    if plain:
+        return True
+    while at < end:
+        size = _character_size(data[at])
+        if size == 0 or size > end - at:
+            return False
+        if size > 1 and not _follows(data[at], data[at + 1]):
+            return False
+        for k in range(at + 2, at + size):
+            if not 0x80 <= data[k] <= 0xBF:
+                return False
+        at += size
+    return True
+
+
+@compiled
+def _character_size(first):
+    """Bytes of the character that begins with a byte; 0 where none does."""
+    if first <= 0x7F:
+        return 1
+    if first < 0xC2 or first > 0xF4:
+        return 0
+    return 2 if first < 0xE0 else 3 if first < 0xF0 else 4
+
+
+@compiled
+def _follows(first, second):
+    """Whether a second byte can follow the first one: no character is longer than it need be, half of a pair (a
+    surrogate) or beyond U+10FFFF.
+    """
+    least = 0xA0 if first == 0xE0 else 0x90 if first == 0xF0 else 0x80
+    most = 0x9F if first == 0xED else 0x8F if first == 0xF4 else 0xBF
+    return least <= second <= most
 
 
 @cached_kernel
@@ -106,7 +147,9 @@ def _logged(data, at, end, bits, number):
         field, kind, value, at = _field(data, at, end)
         if field == 1 and kind == _VARINT:
             continue
-        if field != 2 or kind != _FIXED64 or np.isinf(_kept(_number(data, value, bits, number))):
+        if field < 0 or field == 1:
+            return False
+        if field == 2 and (kind != _FIXED64 or np.isinf(_kept(_number(data, value, bits, number)))):
             return False
     return True
 
@@ -147,14 +190,19 @@ def _read_measure(data, at, end, bits, number, k, measures, flags, serial):
         elif field == 17 and kind == _BYTES:
             if not _logged(data, value, at, bits, number):
                 return False
-        else:
+        elif field <= _LAST_OF_MEASURE:
             return False
-    if not there or kind_of_measure < 0:
-        return False
-    if flags[k]:
-        return True
-    line, sample, first, second = measures[k]
-    return not (np.isnan(line) or np.isnan(sample) or first <= 0.0 or second <= 0.0)
+    return there and kind_of_measure >= 0
+
+
+@compiled
+def _measured(begin, end, measures, flags):
+    """Whether measures that are not ignored have line and sample, and no sigma that is none."""
+    for k in range(begin, end):
+        line, sample, first, second = measures[k]
+        if not flags[k] and (np.isnan(line) or np.isnan(sample) or first <= 0.0 or second <= 0.0):
+            return False
+    return True
 
 
 @compiled
@@ -277,14 +325,16 @@ def read_points(data, begin, end, first_measure, table, images, points, ids, mar
             return i
         if not _usable(i, points[i], seen[0], marks, place, places, covariances):
             return i
-        if not marks[i] and measured_twice(first_measure[i], k, flags, image):
+        if not marks[i] and not _measured(first_measure[i], k, measures, flags):
             return i
     return begin.size
 
 
 @compiled
 def _is_unused(data, field, kind, value, at):
-    """Whether a field of a point, of no use here, is one that can be: texts, marks and sources of places."""
+    """Whether a field of a point, of no use here, is one that can be: texts, marks, sources of places, unknown ones."""
+    if field == 24 or field > _LAST_OF_POINT:
+        return True
     if kind == _BYTES:
         return (field == 3 or field == 4 or field == 10 or field == 12) and is_utf8(data, value, at)
     if kind != _VARINT:
@@ -332,44 +382,6 @@ def _usable(i, kind, given, marks, place, places, covariances):
     if kind != 3:
         return True
     return given and covariances[i, 0] > 0.0 and covariances[i, 3] > 0.0 and covariances[i, 5] > 0.0
-
-
-@compiled
-def measured_twice(begin, end, flags, image):
-    """Whether an image measures a point twice, of measures that are not ignored; True for very many measures, too."""
-    if end - begin > _MOST_MEASURES:
-        return True
-    for k in range(begin, end):
-        for other in range(begin, k):
-            if image[k] == image[other] and not flags[k] and not flags[other]:
-                return True
-    return False
-
-
-@cached_kernel
-def walk_sizes(data, start, stop):
-    """Where messages begin and end, each behind its size (uint32, little endian), from a byte to another; none where
-    they don't fill that.
-    """
-    count, at = 0, start
-    while at + 4 <= stop:
-        at += 4 + _size(data, at)
-        count += 1
-    begin = np.empty(count if at == stop else 0, dtype=np.int64)
-    end, at = np.empty_like(begin), start
-    for i in range(begin.size):
-        begin[i] = at + 4
-        at += 4 + _size(data, at)
-        end[i] = at
-    return begin, end
-
-
-@compiled
-def _size(data, at):
-    size = np.int64(0)
-    for k in range(4):
-        size |= np.int64(data[at + k]) << (8 * k)
-    return size
 
 
 @cached_kernel

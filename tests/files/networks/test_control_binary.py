@@ -201,13 +201,13 @@ def measure(*fields: tuple[int, int | float | bytes]) -> bytes:
 
 
 FAULTS = {
-    "no id": (network(wire((2, 2))), "a.net, point 1: PointId: none"),
+    "no id": (network(wire((2, 2))), f"a.net, byte {65540 + len(HEADER)}, point 1: PointId: none"),
     "line break in the id": (network(wire((1, b"p\nA"))), "point 1 (p A): PointType: none"),
-    "no type": (network(POINTS[0], wire((1, b"p"))), "a.net, point 2 (p): PointType: none"),
+    "no type": (network(POINTS[0], wire((1, b"p"))), ", point 2 (p): PointType: none"),
     "unknown type": (network(wire((1, b"p"), (2, 9))), "point 1 (p): PointType: 9; expected one of 0, 1, 2, 3, 4"),
     "unknown source": (point((9, 8)), "AprioriXYZSource: 8"),
     "id twice": (network(POINTS[1], POINTS[0], POINTS[1]), "point 3 (second): the id twice, first at point 1"),
-    "reference": (point((8, 0)), "point 1 (p): measure 0 (counted from 0) as reference"),
+    "reference": (point((8, 0)), "point 1 (p): Reference: measure 0 (counted from 0) as reference"),
     "NaN": (measure((1, b"A"), (2, 0), (4, NAN)), "point 1 (p): measure 1: Line: nan"),
     "infinite": (measure((1, b"A"), (2, 0), (3, INFINITE)), "Sample: inf; expected a"),
     "minus infinite": (point((16, -INFINITE), (17, 0.0), (18, 0.0)), "AprioriX: -inf"),

@@ -221,3 +221,17 @@ def test_null_is_how_isis_spells_none() -> None:
 def test_a_network_without_points_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no control point"):
         write_pvl_network(ControlNetwork(network_id="n", target_name="Mars", points=()), tmp_path / "a.pvl")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("\n", "\r\n"), ("\n", " \t\n"), ("Object = ControlPoint\n", "# AprioriLatitude = 1\nObject = ControlPoint\n"),
+        ("    Group", "  /* a comment\n of two lines */  Group"), ("<pixels>", "<Pixel>"), ("<meters>", ""),
+        ("= True", "= yes"), ("= Candidate", "= 'candidate'"), ("(100.0, ", "(100.0\n, "),
+    ],
+)  # fmt: skip
+def test_other_ways_to_write_it(tmp_path: Path, old: str, new: str) -> None:
+    assert old in OF_ISIS
+    (tmp_path / "x.pvl").write_bytes(OF_ISIS.replace(old, new).encode())
+    assert contents(read_network(tmp_path / "x.pvl")) == contents(parsed(OF_ISIS))
