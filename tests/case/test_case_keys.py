@@ -17,7 +17,7 @@ TABLES = {table.path or HEAD: table for table in key_tables()}
 
 
 def test_every_key_is_there_with_a_meaning_and_a_kind() -> None:
-    assert {"head", "images", "orientation", "ties", "spice", "solver", "terrain", "strips.nodes"} <= set(TABLES)
+    assert {"head", "images", "orientation", "ties", "spice", "solver", "terrain", "passes.nodes"} <= set(TABLES)
     for kind, name in ((CaseInput, HEAD), (ImageInput, "images")):
         assert [key.name for key in TABLES[name].keys] == [field.name for field in msgspec.structs.fields(kind)]
     for table in TABLES.values():
@@ -40,7 +40,7 @@ def test_one_table_alone(name: str) -> None:
     assert max(map(len, text.splitlines())) <= 110
 
 
-@pytest.mark.parametrize(("name", "near"), [("imags", "images"), ("nodes", "strips.nodes"), ("sulver", "solver")])
+@pytest.mark.parametrize(("name", "near"), [("imags", "images"), ("nodes", "passes.nodes"), ("sulver", "solver")])
 def test_a_table_that_there_is_not_names_the_nearest(name: str, near: str) -> None:
     with pytest.raises(InputError, match=f"did you mean {near}"):
         keys_text(name)

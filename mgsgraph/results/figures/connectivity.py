@@ -63,16 +63,19 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
         _draw_joints([sheet.figure.add_subplot(grid[row, 0]) for row in (1, 2)], connected)
     map_axes(ground, low, high, centre)
     step = -(-count // _MOST_OUTLINES)
-    colors = island_colors(connected)
+    few = len(connected.islands) == 1 and count <= len(_ISLANDS)
+    colors = list(_ISLANDS[:count]) if few else island_colors(connected)
     shown = [(outline, color) for outline, color in zip(outlines, colors, strict=True) if outline.size][::step]
     lines = LineCollection([outline for outline, _ in shown], colors=[color for _, color in shown], linewidths=0.8)
     ground.add_collection(lines, autolim=False)
     ground.set_title("footprints, islands by color" if len(connected.islands) > 1 else "footprints")
     if not many:
-        for k, (outline, name) in enumerate(zip(outlines, connected.names, strict=True)):
-            if outline.size:  # names of neighbors stand in different rows
-                place, above = outline[np.argmax(outline[:, 1])].tolist(), 2.0 + 8.0 * (k % 4)
-                ground.annotate(short(name, 18), place, (0.0, above), textcoords="offset points", size=6.5, ha="center")
+        for k, (outline, name, color) in enumerate(zip(outlines, connected.names, colors, strict=True)):
+            if outline.size:  # names of neighbors stand in different rows, inside
+                place, below = outline[np.argmax(outline[:, 1])].tolist(), -12.0 - 8.0 * (k % 4)
+                ground.annotate(
+                    short(name, 18), place, (0.0, below), textcoords="offset points", size=6.5, ha="center", color=color
+                )
     sheet.legend(handles)
     return sheet
 
@@ -117,7 +120,10 @@ def _draw_matrix(sheet: Sheet, panel: Axes, connected: Connectivity) -> list[Lin
         np.ma.masked_invalid(values), cmap="viridis", norm=LogNorm(low, max(high, 1.1 * low)), interpolation="nearest",
         extent=(-0.5, count - 0.5, count - 0.5, -0.5), aspect="auto",
     )  # fmt: skip
-    sheet.colour_bar(drawn, panel, "points that two images share (logarithmic)", LogLocator(subs=(1.0, 2.0, 5.0)))
+    if high > low:
+        sheet.colour_bar(drawn, panel, "points that two images share (logarithmic)", LogLocator(subs=(1.0, 2.0, 5.0)))
+    else:
+        panel.set_title("points that two images share")
     if count > _NAMED:
         panel.set(ylabel="image")
     else:
