@@ -34,13 +34,13 @@ CEILINGS = {
     "adjustment": (8078, 122378, 76),
     "matching": (2318, 38415, 24),
     "network": (2827, 44230, 26),
-    "files": (8876, 119357, 99),
+    "files": (8884, 119488, 99),
     "kernel": (2730, 46883, 22),
     "geometry": (2918, 48246, 35),
     "factors": (449, 7855, 14),
     "single files": (867, 10298, 13),
     "scripts": (10493, 147246, 82),
-    "tests": (45756, 677349, 365),
+    "tests": (45755, 677334, 365),
     "docs": (294, 3818, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -83,8 +83,16 @@ def _decoded(content: BinaryContent) -> TiePoints:
         raise _refusal(content, int(np.searchsorted(first, np.argmax(image == number), side="right")) - 1)
     if np.all(ignored):
         raise InputError(source, "only ignored control points", "some that are not ignored")
-    return used_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
-                       RepeatedNames(tuple(distinct), image), measures, ~out)  # fmt: skip
+    try:
+        return used_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
+                           RepeatedNames(tuple(distinct), image), measures, ~out)  # fmt: skip
+    except InputError as error:  # of an image twice it knows the point's id, not its byte
+        point = np.repeat(np.arange(n), count)
+        code = np.where(out | ignored[point], -1 - np.arange(k), point * len(distinct) + image)
+        order = np.argsort(code, kind="stable")
+        for measure in np.sort(order[1:][np.diff(code[order]) == 0])[:1].tolist():
+            raise _refusal(content, int(point[measure])) from error
+        raise
 
 
 def _refusal(content: BinaryContent, number: int) -> InputError:
