@@ -144,7 +144,7 @@ def test_what_no_adjustment_can_take_is_said_with_byte_and_id(data: bytes, said:
 
 
 def test_an_image_twice_in_a_point_is_refused() -> None:
-    with pytest.raises(InputError, match=r"x\.net, byte \\d+, point .*a second measure in this image"):
+    with pytest.raises(InputError, match=r"x\.net, byte \d+, point .*a second measure in this image"):
         binary_tie_points(with_second(measures=(*MEASURES, MEASURES[0])), "x.net")
 
 
