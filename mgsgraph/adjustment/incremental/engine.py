@@ -1,4 +1,4 @@
-"""The engine of incremental adjustment: bundles go into the tree and out of it until the linear system is the true one.
+"""Incremental adjustment: bundles go into iSAM2 (`bayes_tree`) and out of it until the linear system is the true one.
 
 A change makes the reduced systems of the bundles that it touches anew, and then those whose unknowns have moved farther
 than their slack, until none has. What has to be looked at afterwards is found by following the change outwards, from
