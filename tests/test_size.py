@@ -40,7 +40,7 @@ CEILINGS = {
     "factors": (449, 7855, 14),
     "single files": (867, 10298, 13),
     "scripts": (10493, 147246, 82),
-    "tests": (45755, 677334, 365),
+    "tests": (45756, 677343, 365),
     "docs": (294, 3818, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
