@@ -13,26 +13,23 @@ do the two images contradict each other. And there they show the difference of t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
-from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry import rotation
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
-from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.names import Names
-from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
-from mgsgraph.simulation.camera import interior_orientation, line_image, one_rate
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
+from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.jitter import JitterSettings, TrueJitter, drawn_jitter
-from mgsgraph.simulation.mars import GRAVITY, body_matrix
-from mgsgraph.simulation.observations import MARGIN, project, require_count, require_positive, require_seed
-from mgsgraph.simulation.orbit import HEADING, Orbit, sampled_trajectory
+from mgsgraph.simulation.mars import GRAVITY, MARS, body_matrix
+from mgsgraph.simulation.observations import MARGIN, project, tie_network
+from mgsgraph.simulation.orbit import HEADING, CentralBody, CircularPass
+from mgsgraph.simulation.rig import MountedCamera
 from mgsgraph.simulation.terrain import block_grid
 from mgsgraph.simulation.world import World, common_errors
 from mgsgraph.units import DEG, MM
@@ -51,8 +48,7 @@ SOURCE = "simulated CTX pair"
 
 _EPOCHS = (300_000_000.0, 302_400_000.0)
 """s TDB past J2000 of the images' middles; whole numbers, so that table times are exact in files."""
-_STEP, _BEYOND = 0.5, 2.0
-"""s between the records of the tables, and by which these reach beyond the image."""
+_MARS = CentralBody(MARS, GRAVITY, body_matrix)
 _ROUNDS = 8
 """Of drawing ties, before images count as sharing too little ground."""
 
@@ -67,11 +63,6 @@ class ControlSettings:
     """m rms, noise of each post."""
     planimetric: float = 100.0
     """m, sigma eastward and northward of its common shift, an unknown of the network."""
-
-    def __post_init__(self) -> None:
-        require_count("control settings, posts per degree", self.posts_per_degree, 1)
-        for name in ("vertical", "planimetric"):
-            require_positive(f"control settings, {name}", getattr(self, name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,16 +100,6 @@ class CtxSettings:
     spacing: float = 8.0
     """s between the network's nodes, at most; the default gives the four of a polynomial of degree 3."""
 
-    def __post_init__(self) -> None:
-        for name, least in (("lines", 16 * MARGIN), ("samples", 8 * MARGIN), ("ties", 1)):
-            require_count(f"CTX settings, {name}", getattr(self, name), least)
-        for name in ("altitude", "angle", "tie_noise", "window", "spacing"):
-            require_positive(f"CTX settings, {name}", getattr(self, name))
-        require(self.angle < 60.0 * DEG, "CTX settings, angle", f"{self.angle / DEG:.1f} deg", "less than 60 deg")
-        looks = get_args(Look)
-        require(self.look in looks, "CTX settings, look", repr(self.look), f"one of {', '.join(looks)}")
-        require(0.0 <= self.matching < 1.0, "CTX settings, matching", f"{self.matching}", "a share below 1")
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCtxPair:
@@ -138,10 +119,6 @@ class SimulatedCtxPair:
     """(n, 3) m, body-fixed, of the network's points."""
     terrain: SiteTerrain
     """True ground."""
-
-    def __post_init__(self) -> None:
-        n = len(self.network.points)
-        assign(self, true_points=frozen(self.true_points, "CTX pair, true points", (n, 3)))
 
     @property
     def corrections(self) -> tuple[OrientationCorrection, ...]:
@@ -179,7 +156,6 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
         Where the images do not share enough ground for the ties asked for.
     """
     settings = settings or CtxSettings()
-    require_seed(SOURCE, seed)
     of_jitter, of_ties, of_terrain = np.random.default_rng([seed, 17]).spawn(3)
     terrain = make_terrain(settings.site, settings.ground)
     images = ctx_images(settings, terrain)
@@ -191,7 +167,14 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     points, pixels = _drawn_ties(settings, images, true, terrain, of_ties)
     rays = _measured(settings, pixels, seed, of_ties)
     surface, shift = _surface(settings.control, terrain, points, of_terrain)
-    network = _network(settings, images, rays, surface, len(points))
+    prior = smooth_prior(settings.jitter)
+    passes = [
+        Pass(image.name, np.array([k]), evenly_spaced(
+            settings.basis, image.trajectory.epoch, image_times(image), settings.spacing
+        ), prior)
+        for k, image in enumerate(images)
+    ]  # fmt: skip
+    network = tie_network(images, passes, rays, len(points), surface)
     return SimulatedCtxPair(settings, seed, network, truth, shift, points, terrain)
 
 
@@ -207,43 +190,16 @@ def image_times(image: PushbroomImage) -> tuple[float, float]:
 def ctx_images(settings: CtxSettings, terrain: SiteTerrain) -> tuple[PushbroomImage, PushbroomImage]:
     """The nominal images, nadir one first; the middles of both see the middle of the site."""
     site = terrain.on_ground(np.array([terrain.centre_lon]), np.array([terrain.centre_lat]))[0]
-    first, second = (
-        _image(settings, name, _trajectory(settings, epoch, site, angle))
-        for name, epoch, angle in (("CTX/A", _EPOCHS[0], 0.0), ("CTX/B", _EPOCHS[1], settings.angle))
-    )
-    return first, second
-
-
-def _image(settings: CtxSettings, name: str, trajectory: Trajectory) -> PushbroomImage:
     interior = interior_orientation(FOCAL_LENGTH, PITCH, 0.5 * settings.samples)
-    timing = one_rate(-0.5 * settings.lines * PERIOD, PERIOD)
-    return line_image(name, (settings.lines, settings.samples), interior, timing, trajectory)
-
-
-def _trajectory(settings: CtxSettings, epoch: float, site: Array, angle: float) -> Trajectory:
-    """A circle from which a camera that turns with the orbit meets the site (3,) at the epoch, `angle` off nadir."""
-    to_inertial = body_matrix(np.array([epoch]))[0].T
-    zenith = to_inertial @ (site / np.linalg.norm(site))
-    east = np.cross(to_inertial[:, 2], zenith)
-    east /= np.linalg.norm(east)
-    flight = np.cos(HEADING) * np.cross(zenith, east) + np.sin(HEADING) * east
-    distance = float(np.linalg.norm(site))
-    radius = distance + settings.altitude
-    apart = np.arcsin(radius / distance * np.sin(angle)) - angle  # at the body's centre, site to spacecraft
-    # aside: the spacecraft is beside the site; ahead: it has not reached it
-    towards = np.cross(flight, zenith) if settings.look == "across" else -flight
-    outward = np.cos(apart) * zenith + np.sin(apart) * towards
-    flight = flight - (flight @ outward) * outward
-    orbit = Orbit(epoch, outward, flight / np.linalg.norm(flight), radius, 0.0)
-    axis = to_inertial @ site - radius * outward
-    axis /= np.linalg.norm(axis)
-    side = np.cross(axis, orbit.flight)
-    side /= np.linalg.norm(side)
-    reach = np.ceil((0.5 * settings.lines * PERIOD + _BEYOND) / _STEP)
-    times: Array = _STEP * np.arange(-reach, reach + 0.5)
-    turned = np.sqrt(GRAVITY / radius**3) * times[:, None] * np.cross(orbit.outward, orbit.flight)
-    camera = np.stack([np.cross(side, axis), side, axis]) @ rotation.exponential(-turned)
-    return sampled_trajectory(epoch, times, orbit.state(times), camera, body_matrix(epoch + times))
+    camera, ahead = MountedCamera("CTX", interior, settings.samples, np.eye(3)), settings.look == "along"
+    first, second = (
+        camera.image(
+            name, CircularPass(epoch, site, HEADING, settings.altitude, angle, _MARS, ahead, turning=True),
+            settings.lines, PERIOD,
+        )
+        for name, epoch, angle in (("CTX/A", _EPOCHS[0], 0.0), ("CTX/B", _EPOCHS[1], settings.angle))
+    )  # fmt: skip
+    return first, second
 
 
 # --- observations
@@ -291,35 +247,3 @@ def _surface(
     shift = control.planimetric * rng.standard_normal(2)
     grid = block_grid(terrain, points, control.posts_per_degree, control.vertical, -shift, 0.0, rng)
     return Surface(grid, grid.control_sigmas(points), control.planimetric), shift
-
-
-def _network(
-    settings: CtxSettings,
-    images: tuple[PushbroomImage, ...],
-    rays: ImageRays,
-    surface: Surface | None,
-    points: int,
-) -> Network:
-    prior, none = smooth_prior(settings.jitter), np.zeros(0)
-    passes = tuple(
-        Pass(image.name, np.array([k]), evenly_spaced(
-            settings.basis, image.trajectory.epoch, image_times(image), settings.spacing
-        ), prior)
-        for k, image in enumerate(images)
-    )  # fmt: skip
-    return Network(
-        images=images,
-        priors=(OrientationPrior(prior.node_sigmas(np.zeros(1))),) * 2,  # of no effect: passes have their own
-        held=np.zeros(2, dtype=bool),
-        points=GroundPoints(
-            ids=Names.of(f"TIE{i + 1:05d}" for i in range(points)),
-            classes=np.full(points, int(PointClass.TIE)),
-            kinds=np.full(points, int(PointKind.FREE)),
-            places=np.full((points, 3), np.nan),
-            covariances=np.zeros((points, 3, 3)),
-        ),
-        rays=rays,
-        ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
-        surface=surface,
-        passes=passes,
-    )

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.errors import require
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
@@ -108,15 +107,6 @@ class Readout(Record):
     """
     rates: int = 2
     """Line rates within an image, for even parts of the nadir strip's time."""
-
-    def __post_init__(self) -> None:
-        good = len(self.macropixels) == len(STEREO) and {1, 2, 4, 8}.issuperset(self.macropixels)
-        expected = f"1, 2, 4 or 8 for each of {', '.join(STEREO)}"
-        require(good, "block settings, macropixels", f"{self.macropixels}", expected)
-        found = f"{self.ground_pixel} m"
-        require(0.0 < self.ground_pixel < np.inf, "block settings, ground pixel", found, "a positive number")
-        whole = isinstance(self.rates, int) and self.rates >= 1
-        require(whole, "block settings, rates", f"{self.rates}", "a whole number, at least 1")
 
 
 def strip_images(

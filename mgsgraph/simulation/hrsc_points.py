@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -13,7 +13,7 @@ from mgsgraph.geometry.records import Array, Index, Mask, assign
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import STEREO
 from mgsgraph.simulation.ground import SiteTerrain
-from mgsgraph.simulation.observations import MARGIN, Visible, require_positive, well_inside
+from mgsgraph.simulation.observations import MARGIN, Visible, well_inside
 
 LEAST = 3
 """Lines of a strip in which a point must have been matched."""
@@ -41,15 +41,6 @@ class PointMatching(Record):
     """px of each image (macropixels), of line and sample."""
     blunders: float = 0.0
     """Share of rays that are 5 to 100 px off."""
-
-    def __post_init__(self) -> None:
-        shares = np.array(self.shares, dtype=np.float64)
-        good = shares.shape == (3,) and np.all(shares >= 0.0) and abs(shares.sum() - 1.0) <= 1e-9
-        require(good, "block settings, shares of points", f"{self.shares}", "three shares that add up to 1")
-        require_positive("block settings, matching sigma", self.sigma)
-        for name in ("linked", "blunders"):
-            value = getattr(self, name)
-            require(0.0 <= value <= 1.0, f"block settings, {name}", f"{value}", "a share, 0 .. 1")
 
 
 class _Swath(NamedTuple):

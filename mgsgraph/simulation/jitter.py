@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.errors import require
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import evenly_spaced
-from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.simulation.observations import require_positive
+from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.strip_truth import strip_correction
 
 _NODES_PER_WAVE = 24
@@ -37,12 +35,6 @@ class JitterSettings:
     position: float = 10.0
     """m, sigma of the constant error of the position, along X, Y, Z."""
 
-    def __post_init__(self) -> None:
-        for name in ("pitch", "roll", "drift", "angle", "position"):
-            value = getattr(self, name)
-            require(0.0 <= value < np.inf, f"simulated jitter, {name}", f"{value}", "zero or a positive number")
-        require_positive("simulated jitter, frequency", self.frequency)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueJitter:
@@ -54,9 +46,6 @@ class TrueJitter:
     """(2, 2) rad, of pitch and of roll the vibration's cosine and sine amounts, t from the nodes' epoch."""
     frequency: float
     """Hz."""
-
-    def __post_init__(self) -> None:
-        assign(self, phasors=frozen(self.phasors, "true jitter, phasors", (2, 2)))
 
 
 def drawn_jitter(

@@ -14,7 +14,7 @@ import numpy as np
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.ctx import SimulatedCtxPair, image_times
 from mgsgraph.simulation.observations import well_inside
 from mgsgraph.simulation.strip_truth import correction_at
@@ -39,11 +39,6 @@ class DenseTruth:
     """(n, 3) m, body-fixed, true."""
     row: Array
     """(n,) which of the lines."""
-
-    def __post_init__(self) -> None:
-        n = self.points.shape[0]
-        for name, shape in (("first", (n, 2)), ("second", (n, 2)), ("points", (n, 3)), ("row", (n,))):
-            assign(self, **{name: frozen(getattr(self, name), f"dense truth, {name}", shape)})
 
 
 def dense_truth(pair: SimulatedCtxPair, line_step: int = 16, columns: int = 9) -> DenseTruth:

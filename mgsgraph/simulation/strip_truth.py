@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array
@@ -30,13 +30,6 @@ class Jitter(Record):
     """Hz."""
     axis: Axis = "pitch"
     """About which it turns."""
-
-    def __post_init__(self) -> None:
-        for name, unit in (("amplitude", "rad"), ("frequency", "Hz")):
-            value = getattr(self, name)
-            require(0.0 < value < np.inf, f"jitter, {name}", f"{value} {unit}", "a positive number")
-        axes = get_args(Axis)
-        require(self.axis in axes, "jitter, axis", repr(self.axis), f"one of {', '.join(axes)}")
 
     @property
     def component(self) -> int:
