@@ -22,13 +22,18 @@ from mgsgraph.geometry.track_gaps import track_gaps
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
-from mgsgraph.simulation.ground import SiteTerrain, block_terrain
-from mgsgraph.simulation.hrsc_flight import PericentrePass, Readout, strip_images
-from mgsgraph.simulation.hrsc_points import FlownStrip, PointMatching, matched_points
+from mgsgraph.simulation.ground import SiteTerrain, block_grid, block_terrain
+from mgsgraph.simulation.hrsc_flight import (
+    FlownStrip,
+    PericentrePass,
+    PointMatching,
+    Readout,
+    matched_points,
+    strip_images,
+)
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import Visible, tie_network
 from mgsgraph.simulation.strip_truth import Jitter, true_correction
-from mgsgraph.simulation.terrain import block_grid
 from mgsgraph.simulation.world import World, common_errors, drawn_period, of_tracks
 from mgsgraph.units import DEG, MGON
 

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from mgsgraph.geometry.orientation import Moments
-from mgsgraph.simulation.ctx import PIXEL, CtxSettings, Look, SimulatedCtxPair, image_times, simulate_ctx_pair
-from mgsgraph.simulation.jitter import JitterSettings
+from mgsgraph.simulation.ctx import (
+    PIXEL,
+    CtxSettings,
+    JitterSettings,
+    Look,
+    SimulatedCtxPair,
+    image_times,
+    simulate_ctx_pair,
+)
 from mgsgraph.units import DEG
 
 

@@ -14,8 +14,7 @@ from mgsgraph.geometry.orientation_images import Basis
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Readout
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching, Readout
 from mgsgraph.simulation.observations import MARGIN
 from mgsgraph.simulation.strip_truth import Jitter, correction_at
 from mgsgraph.units import DEG, MGON
