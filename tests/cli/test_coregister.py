@@ -384,7 +384,6 @@ def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegist
     assert any(line.startswith("1 of 40 profiles are not tied") for line in said)
     names = save(relief_sheets(made), tmp_path)
     assert len(names) == 2 + 5 + 1
-    assert all((tmp_path / name).stat().st_size > 5_000 for name in names)
 
 
 def test_shots_beside_the_surface_have_no_height(registration: ReliefRegistration) -> None:
