@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lola import RECORD, lola_shots
-from mgsgraph.files.altimetry.places import crossings, known_ranges, positions, require_radii, require_records
+from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.altimetry.text_table import plain_name
 from mgsgraph.files.csv_columns import numbers_of
 from mgsgraph.files.opening import LARGEST_NUMBER, number_of, read_bytes
@@ -157,7 +157,6 @@ class _Rows:
         radius, height = found["radius"], found["height"]
         if found["longitude"] is None or found["latitude"] is None or (radius is None and height is None):
             raise self._unknown("longitude, latitude, and radius or topography")
-        body = self._altimeter.body
         above = self._altimeter.height_sphere if radius is None else 0.0
         if np.isnan(above):
             raise InputError(
@@ -166,18 +165,13 @@ class _Rows:
             )
         radii = above + self._values(radius or height)
         degrees = np.column_stack([self._values(found["longitude"]), self._values(found["latitude"])]) / DEG
-        require_radii(radii, body, str(self.path))
         times, n = self._times(found["tdb"], found["utc"]), self._rows.size
-        nothing, numbers = np.full(n, np.nan), np.arange(1, n + 1)
-        ranges = self._values(found["range"]) if found["range"] is not None else nothing
-        return AltimeterShots(
-            source=str(self.path), orbits=crossings(times, str(self.path)), frames=numbers,
-            shots=np.ones(n, dtype=np.int64), times=times + clock_bias,
-            footprints=positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
-            areoid_radii=nothing, ranges=known_ranges(ranges, np.ones(n, dtype=bool)), range_corrections=nothing,
-            spacecraft=np.full((n, 3), np.nan), off_nadir=nothing, ground=np.ones(n, dtype=bool),
-            channels=np.zeros(n, dtype=np.int64), clocks=nothing, pulses=nothing, altimeter=self._altimeter,
-        )  # fmt: skip
+        ranges = self._values(found["range"]) if found["range"] is not None else np.full(n, np.nan)
+        return shots_with(
+            str(self.path), self._altimeter, times + clock_bias,
+            positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
+            orbits=crossings(times, str(self.path)), ranges=known_ranges(ranges, np.ones(n, dtype=bool)),
+        )
 
     def _unknown(self, expected: str) -> InputError:
         names = ", ".join(one.block.text("NAME") for one in self._columns)
