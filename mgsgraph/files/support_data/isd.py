@@ -14,7 +14,7 @@ from mgsgraph.files.decoding import validated
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.isis_cube import is_cube_json
 from mgsgraph.files.opening import read_json
-from mgsgraph.files.support_data.isd_keywords import require_own_constants, unread_keys
+from mgsgraph.files.support_data.isd_keywords import require_own_constants
 from mgsgraph.files.support_data.isd_layout import MODEL, UNITS, RotationTable, SupportData
 from mgsgraph.files.support_data.isd_positions import positions, require_j2000
 from mgsgraph.files.support_data.isd_repairs import repaired
@@ -62,7 +62,6 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     unit = UNITS[isd.radii.unit]
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
     require_own_constants(isd, body, source)
-    remarks += unread_keys(content, source)
     with errors_from(source):
         trajectory, words = _trajectory(isd, body, aberration, source)
         return PushbroomImage(
