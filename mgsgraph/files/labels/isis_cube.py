@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.cameras.camera import LineScanLabel
-from mgsgraph.files.cameras.keywords import NaifKeywords, number
+from mgsgraph.files.cameras.camera import LineScanLabel, NaifKeywords, number
 from mgsgraph.files.cameras.label import is_map_projected, label_of
 from mgsgraph.files.cameras.line_times import LineTimes
 from mgsgraph.files.labels.aberration import Aberration, geometric

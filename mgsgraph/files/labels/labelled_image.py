@@ -12,8 +12,7 @@ import numpy as np
 import spiceypy
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.cameras.camera import Camera, LineScanLabel
-from mgsgraph.files.cameras.keywords import Keywords
+from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.cameras.line_times import LineTimes, LineTimesSource
 from mgsgraph.files.opening import understood
@@ -65,7 +64,7 @@ def read_labelled_image(
     Parameters
     ----------
     label : Path
-        PDS3 image or its label, or an ISIS cube or its label, of a camera in `files.cameras.table`.
+        PDS3 image or its label, or an ISIS cube or its label, of a camera in `files.cameras.label`.
     kernels : sequence of Path
         Leapseconds, SCLK, PCK, frames, IK and then addendum, SPK and CK, or meta-kernels.
     name : str, optional

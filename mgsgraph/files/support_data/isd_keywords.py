@@ -1,7 +1,7 @@
 """Support data held against what they say themselves a second time, in `naif_keywords`."""
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.keywords import NaifKeywords, number
+from mgsgraph.files.cameras.camera import NaifKeywords, number
 from mgsgraph.files.support_data.isd_layout import SupportData
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.units import KM
