@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mgsgraph.files.support_data.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.files.support_data.isd_layout import rotation_table, state_table, support_fields
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index
