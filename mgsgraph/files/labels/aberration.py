@@ -140,14 +140,15 @@ class Spacecraft:
         return f"{self.names[-1]}: {_OTHERWISE if self.stated.correction == 'NONE' else _DEFAULT}"
 
 
-SPACECRAFT = tuple(
-    Spacecraft(code, tuple(names.split(", ")), Aberration(correction)) for code, names, correction in (
-        (-94, "MARS GLOBAL SURVEYOR, MGS", "LT+S"), (-41, "MARS EXPRESS, MEX", "LT+S"),
-        (-74, "MARS RECONNAISSANCE ORBITER, MRO", "LT+S"), (-53, "MARS ODYSSEY, ODYSSEY, M01, ODY", "LT+S"),
-        (-131, "SELENE, SELENE M, KAGUYA", "LT+S"), (-85, "LUNAR RECONNAISSANCE ORBITER, LRO", "NONE"),
-        (-155, "KOREA PATHFINDER LUNAR ORBITER, DANURI, KPLO", "NONE"),
-    )
-)  # fmt: skip
+SPACECRAFT = (
+    Spacecraft(-94, ("MARS GLOBAL SURVEYOR", "MGS"), Aberration("LT+S")),
+    Spacecraft(-41, ("MARS EXPRESS", "MEX"), Aberration("LT+S")),
+    Spacecraft(-74, ("MARS RECONNAISSANCE ORBITER", "MRO"), Aberration("LT+S")),
+    Spacecraft(-53, ("MARS ODYSSEY", "ODYSSEY", "M01", "ODY"), Aberration("LT+S")),
+    Spacecraft(-131, ("SELENE", "SELENE M", "KAGUYA"), Aberration("LT+S")),
+    Spacecraft(-85, ("LUNAR RECONNAISSANCE ORBITER", "LRO"), Aberration("NONE")),
+    Spacecraft(-155, ("KOREA PATHFINDER LUNAR ORBITER", "DANURI", "KPLO"), Aberration("NONE")),
+)
 """Of LRO lro_instrumentAddendum says it, too."""
 
 
