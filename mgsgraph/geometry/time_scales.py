@@ -50,15 +50,15 @@ def tdb_of_utc(texts: Sequence[str], where: str) -> Array:
     """S TDB past J2000 of times such as 2009-09-06T07:50:38.773, from 1972 on; InputError names `where`."""
     given = Names.of(texts).arrow
     parts = pc.extract_regex(given, _UTC)
-    minutes = RepeatedNames.of(pc.fill_null(pc.struct_field(parts, "minute"), ""))
-    begins = np.array([_past(minute) for minute in minutes.distinct])[minutes.numbers]
-    for k in np.flatnonzero(np.isnan(begins))[:1].tolist():
+    begins = RepeatedNames.of(pc.fill_null(pc.struct_field(parts, "minute"), ""))
+    minutes = np.array([_past(begin) for begin in begins.distinct], dtype=np.float64)[begins.numbers]
+    for k in np.flatnonzero(np.isnan(minutes))[:1].tolist():
         expected = "UTC such as 2009-09-06T07:50:38.773, from 1972 on"
         raise InputError(where, f"a time that can't be read: {given[k].as_py().strip()[:40]!r}", expected)
     seconds = pc.struct_field(parts, "second")
     whole = np.asarray(pc.if_else(pc.equal(seconds, ""), "0", seconds).cast(pa.float64()))
-    leaps = np.searchsorted(_STARTS, begins, side="right") - 1
-    return tdb_of_tt(begins + whole + leaps + _FIRST_LEAPS + _TT_OF_TAI)
+    leaps = np.searchsorted(_STARTS, minutes, side="right") - 1
+    return tdb_of_tt(minutes + whole + leaps + _FIRST_LEAPS + _TT_OF_TAI)
 
 
 def _past(minute: str) -> float:
