@@ -114,13 +114,11 @@ def test_a_fault_far_down_is_said_with_its_line(tmp_path: Path, row: str, said: 
 def test_times_of_a_column_are_those_of_each(texts: list[str]) -> None:
     found = tdb_of_utc(texts, "x")
     assert found.tolist() == [tdb_of_utc([text], "x")[0] for text in texts]
-    with by_lines():
-        assert found.tolist() == tdb_of_utc(texts, "x").tolist()
 
 
 @pytest.mark.parametrize(
-    "text", ["2009-02-29T07:50:38.7", "2009-09-06T07:50:61.0", "2009-09-06T24:50:01.0", "1969-01-01T00:00:00",
-             "2009-249T07:50Z :38", "2009-249T07:50Z:38"],
+    "text", ["2009-02-29T07:50:38.7", "2009-366T07:50:38.7", "2009-09-06T07:50:61.0", "2009-09-06T24:50:01.0",
+             "1969-01-01T00:00:00", "2009-249T07:50Z :38", "2009-249T07:50Z:38"],
 )
 def test_a_time_that_can_not_be_is_refused_in_a_column_too(text: str) -> None:
     with pytest.raises(InputError, match=text):
