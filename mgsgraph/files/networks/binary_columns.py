@@ -6,21 +6,17 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import ANEW, BinaryContent, binary_content
 from mgsgraph.files.networks.point_messages import Texts
 from mgsgraph.files.networks.record import ControlPoint, PointType, with_names
-from mgsgraph.files.networks.tie_points import KINDS, require_body, require_usable
+from mgsgraph.files.networks.tie_points import PointArrays, require_usable
 from mgsgraph.files.opening import name_of
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.records import LONGEST_NAME, Array, Index, Mask, repeated
+from mgsgraph.geometry.records import LONGEST_NAME, Index
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.units import ISIS_OFFSET
 
 _SLOTS = 1 << 12
 """Of the first hash table of images; it grows with what is found to be needed."""
-_KIND_OF_TYPE = np.array(
-    [int(KINDS[one]) for one in (PointType.FREE, PointType.FIXED, PointType.FREE, PointType.CONSTRAINED,
-                                 PointType.FIXED)]
-)  # fmt: skip
-"""PointKind by the type's number in the file: 0 and 1 are Tie and Ground of old."""
+_OF_OLD = np.array([PointType.FREE, PointType.FIXED, *PointType])
+"""Types of points by their numbers in the file: 0 and 1 are Tie and Ground of old."""
 
 
 def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -> TiePoints:
@@ -42,17 +38,14 @@ def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -
         with fields of other kinds than ISIS's.
     """
     content = binary_content(data, source)
-    found = _decoded(content)
     with_names(content.head)
-    if body is not None:
-        require_body(content.head, found, body)
-    return found
+    return _decoded(content, body)
 
 
-def _decoded(content: BinaryContent) -> TiePoints:
+def _decoded(content: BinaryContent, body: Ellipsoid | None) -> TiePoints:
     from mgsgraph.files.networks import wire
 
-    source, begin, end = content.head.source, content.begin, content.end
+    begin, end = content.begin, content.end
     data = np.frombuffer(content.data, dtype=np.uint8)
     count = wire.count_measures(data, begin, end)
     for number in np.flatnonzero(count < 0)[:1].tolist():
@@ -81,11 +74,10 @@ def _decoded(content: BinaryContent) -> TiePoints:
         raise _refusal(content, number)
     for number in _not_shown(distinct)[:1]:
         raise _refusal(content, int(np.searchsorted(first, np.argmax(image == number), side="right")) - 1)
-    if np.all(ignored):
-        raise InputError(source, "only ignored control points", "some that are not ignored")
+    arrays = PointArrays(content.head, names, _OF_OLD[types], ignored, places, covariances, first,
+                         RepeatedNames(tuple(distinct), image), measures, out)  # fmt: skip
     try:
-        return used_points(source, names, _KIND_OF_TYPE[types], ~ignored, places, covariances, first,
-                           RepeatedNames(tuple(distinct), image), measures, ~out)  # fmt: skip
+        return arrays.tie_points(body)
     except InputError as error:  # of an image twice it knows the point's id, not its byte
         point = np.repeat(np.arange(n), count)
         code = np.where(out | ignored[point], -1 - np.arange(k), point * len(distinct) + image)
@@ -127,34 +119,3 @@ def names_at(content: np.ndarray, spans: Index) -> Names:
 
     offsets = np.concatenate([[0], np.cumsum(spans[:, 1] - spans[:, 0])]).astype(np.int64)
     return Names(wire.gathered(content, spans, int(offsets[-1])), offsets)
-
-
-def used_points(
-    source: str, names: Names, kinds: Index, used: Mask, places: Array, covariances: Array, first: Index,
-    image: RepeatedNames, measures: Array, taken: Mask,
-) -> TiePoints:  # fmt: skip
-    """Points and measures that are not ignored: `used` (n,) and `taken` (k,)."""
-    point = np.repeat(np.arange(kinds.size), np.diff(first))
-    if not np.all(used):
-        taken = taken & used[point]
-        point = (np.cumsum(used) - 1)[point]
-        names, kinds, places, covariances = names[used], kinds[used], places[used], covariances[used]
-    if not np.all(taken):
-        point, image, measures = point[taken], image[taken], measures[taken]
-    measures, sigmas = measures[:, :2] - ISIS_OFFSET, measures[:, 2:].copy()
-    for array in (kinds, places, point, measures, sigmas):
-        array.flags.writeable = False
-    return TiePoints(
-        source=source, ids=names, kinds=kinds, places=places, covariances=_squares(kinds, covariances),
-        measure_point=point, measure_image=image, measures=measures, measure_sigmas=sigmas,
-    )
-
-
-def _squares(kinds: Index, upper: Array) -> Array:
-    """(n, 3, 3) m^2 of upper triangles (n, 6); zero for points that are not constrained."""
-    constrained = kinds == PointKind.CONSTRAINED
-    if not np.any(constrained):
-        return repeated(0.0, (kinds.size, 3, 3))
-    full = np.where(constrained[:, None], upper, 0.0)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    full.flags.writeable = False
-    return full
