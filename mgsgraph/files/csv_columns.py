@@ -22,8 +22,8 @@ from mgsgraph.names import Names
 _BLOCK = 1 << 24
 """bytes that Arrow parses at a time; no row is longer."""
 _COMMENT = re.compile(r"\s*(?:#|$)")
-_ODD = re.compile(r'^[^\S\n]*(?:#|$)|"', re.MULTILINE)
-"""Comments, blank lines and quotation marks."""
+_LEFT_OUT = re.compile(r"\n[^\S\n]*(?:#|\n)")
+"""A comment or a blank line, unless it is the first one."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 
 
@@ -69,7 +69,7 @@ def csv_columns(path: Path) -> Columns:
         With file and line: no header; a name twice; a row that is none, or of another number of fields.
     """
     text, numbers = read_text(path).rstrip(), None
-    if _ODD.search(text):
+    if '"' in text or _COMMENT.match(text) or _LEFT_OUT.search(text):
         lines = [(k, line) for k, line in enumerate(text.split("\n"), start=1) if not _COMMENT.match(line)]
         for k, line in lines:
             if '"' in line:
