@@ -142,7 +142,6 @@ def reached(found: dict[str, Path], start: Iterable[str]) -> set[str]:
 DOOR = {
     "mgsgraph.files.opening": {"os.fdopen", "json.loads", "open"},  # os.open
     "mgsgraph.files.decoding": {"tomllib.loads"},
-    "mgsgraph.files.toml_lines": {"tomllib.loads"},  # keys of what was read
     "mgsgraph.files.rasters.raster_file": {"DatasetReader"},
     "mgsgraph.files.spice.kernels": {"spiceypy.furnsh"},
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
