@@ -47,7 +47,7 @@ ONLY_IN = {
     "starlette": ("mgsgraph.studio",),
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
-        "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.geometry", "mgsgraph.matching",
+        "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
         "mgsgraph.registration.dem", "mgsgraph.results.stac_item", "mgsgraph.studio.ground",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),

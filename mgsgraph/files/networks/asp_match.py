@@ -26,8 +26,6 @@ from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.asp_measures import (
@@ -236,6 +234,9 @@ def joined(files: Sequence[MatchFile]) -> Tracks:
 
     The sigma of a measure is that of the first file it is in. Raises InputError where nothing is left.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     images = list(dict.fromkeys(name for file in files for name in file.images))
     source = ", ".join(file.source for file in files[:3]) + (", ..." if len(files) > 3 else "")
     of_file = [np.array([images.index(name) for name in file.images]) for file in files]
@@ -317,7 +318,8 @@ def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None
         return found[0]
     if not found:
         if known:
-            raise InputError(str(path), "a file's name without two of the images", _FORM, f"they are {some(list(known), len(known))}")
+            remedy = f"they are {some(list(known), len(known))}"
+            raise InputError(str(path), "a file's name without two of the images", _FORM, remedy)
         expected = _FORM if prefix is None else f"{prefix}-IMAGE1__IMAGE2"
         raise InputError(str(path), "a file's name that doesn't tell the images", expected)
     several = ", or ".join(" and ".join(pair) for pair in found[:3])

@@ -14,8 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import convert
 from mgsgraph.files.kinds import Kind, kind_of
 from mgsgraph.files.networks.record import ControlNetwork, PointType
-from mgsgraph.files.networks.table import read_table, read_tie_points
-from mgsgraph.files.networks.table_writing import table_parquet, table_text
+from mgsgraph.files.networks.table import read_table, read_tie_points, table_parquet, table_text
 
 COLUMNS: dict[str, Any] = {
     "id": ["a", "a", "b"], "image": ["A", "B", "A"], "line": [1.5, 2.5, 3.5], "sample": [10, 20, 30],
