@@ -19,7 +19,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.registration.search import CostSurface
-from mgsgraph.results.figures.ground_map import frame, map_axes
+from mgsgraph.results.figures.map import frame, map_axes
 from mgsgraph.results.figures.sheet import (
     AFTER,
     BEFORE,
