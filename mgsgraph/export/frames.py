@@ -56,12 +56,6 @@ def layer_table(layer: Layer) -> Table:
     return with_shapes(Table(layer.name, layer.about, columns), shapely.to_wkb(layer.shapes).tolist())
 
 
-def table_layer(name: str, table: Table) -> Layer:
-    """A table whose rows lie at points as a layer, for how it is drawn: its columns without the shapes."""
-    fields = {part.name(): part.scaled for column in table.columns if column.files for part in column.split}
-    return Layer(name, table.note, "Point", np.zeros(0, dtype=object), fields)
-
-
 def to_pandas(solution: Solution, what: str = "points") -> "DataFrame":
     """A table of a solution as a DataFrame of pandas (extra ``[tables]``): rows and columns as in the CSV files.
 

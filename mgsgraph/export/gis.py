@@ -1,4 +1,4 @@
-"""GIS: a GeoPackage with the layers of a solution, GeoParquet, QGIS, a GeoTIFF of sigmas where a grid is given.
+"""GIS: a GeoPackage with the layers of a solution, GeoParquet, a GeoTIFF of sigmas where a grid is given.
 
 The coordinate system is IAU_2015's "Sphere / Ocentric" (49900 of Mars, 30100 of the Moon): its latitude is the angle at
 the body's centre, and its longitude counts east, as ours do. The others of Mars would say something else: the latitudes
@@ -20,9 +20,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.atomic_write import made_beside
 from mgsgraph.errors import InputError
-from mgsgraph.export.frames import layer_table, table_layer
+from mgsgraph.export.frames import layer_table
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
-from mgsgraph.export.qgis import PROJECT, STYLES, write_project, write_style
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.rasters.coordinate_systems import authority_code, geographic_crs, wkt2
 from mgsgraph.files.writing import fresh_file
@@ -31,7 +30,6 @@ from mgsgraph.libraries import library
 from mgsgraph.results.geoparquet import write_geoparquet
 from mgsgraph.results.large_tables import write_points, write_residuals
 from mgsgraph.results.sigmas import write_sigma_raster
-from mgsgraph.results.tables import points_table, residuals_table
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""
@@ -44,8 +42,7 @@ _NOON = np.datetime64("2000-01-01T12:00:00.000", "ms")
 
 
 def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -> list[Path]:
-    """Write a GeoPackage, tables as GeoParquet, styles and a project for QGIS into an existing folder; of a
-    grid ``sigmas.tif``, too.
+    """Write a GeoPackage and tables as GeoParquet into an existing folder; of a grid ``sigmas.tif``, too.
 
     The same solution gives the same bytes: what a GeoPackage calls its last change is when the last line was read.
 
@@ -76,7 +73,6 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
         _write_layers(layers, _statements(solution, layers), scratch / GEOPACKAGE, solution)
         (scratch / GEOPACKAGE).replace(aside)  # GDAL wants the ending, and leaves its journals beside it
     written += _write_tables(solution, [footprints[1], ellipses[0]], folder)
-    written += _write_styles(layers, solution, folder)
     if grid is not None:
         written.append(folder / RASTER)
         write_sigma_raster(grid, body, written[-1])
@@ -84,37 +80,23 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
 
 
 def _write_tables(solution: Solution, layers: Sequence[Layer], folder: Path) -> list[Path]:
-    """Points and residuals, with the columns that the results have, and some layers; each with a style beside it."""
+    """Points and residuals, with the columns that the results have, and some layers."""
     body, written = solution.network.images[0].body, list[Path]()
-    writers: list[tuple[Layer, Callable[[Path], None]]] = [
-        (table_layer("points", points_table(solution)), partial(write_points, solution)),
-        (table_layer("residuals", residuals_table(solution)), partial(write_residuals, solution)),
-        *((layer, partial(_write_layer_table, layer, body)) for layer in layers),
-    ]
-    for layer, write in writers:
-        name = layer.name.removesuffix("_adjusted")
-        written += [folder / f"{name}.parquet", folder / f"{name}.qml"]
-        with fresh_file(written[-2]) as aside:
+    writers: dict[str, Callable[[Path], None]] = {
+        "points": partial(write_points, solution),
+        "residuals": partial(write_residuals, solution),
+        **{layer.name.removesuffix("_adjusted"): partial(_write_layer_table, layer, body) for layer in layers},
+    }
+    for name, write in writers.items():
+        written.append(folder / f"{name}.parquet")
+        with fresh_file(written[-1]) as aside:
             write(aside)
-        write_style(layer, written[-1])
     return written
 
 
 def _write_layer_table(layer: Layer, body: Ellipsoid, path: Path) -> None:
     kinds = {shape.geom_type for shape in layer.shapes if shape is not None}
     write_geoparquet(path, [layer_table(layer)], body, sorted(kinds))
-
-
-def _write_styles(layers: Sequence[Layer], solution: Solution, folder: Path) -> list[Path]:
-    """A style for each layer, and a project that shows all of them: points on top, footprints below."""
-    (folder / STYLES).mkdir(exist_ok=True)
-    written = [folder / STYLES / f"{layer.name}.qml" for layer in layers]
-    for layer, path in zip(layers, written, strict=True):
-        write_style(layer, path)
-    shown = [one for kind in ("Point", "MultiLineString", "MultiPolygon") for one in layers if one.geometry == kind]
-    written.append(folder / PROJECT)
-    write_project(shown, GEOPACKAGE, solution.network.images[0].body, solution.name, written[-1])
-    return written
 
 
 def _write_layers(layers: list[Layer], statements: dict[str, str], path: Path, solution: Solution) -> None:
