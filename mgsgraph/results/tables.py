@@ -170,10 +170,10 @@ def residual_rows(solution: Solution) -> int:
     return solution.network.rays.point.size + solution.network.ranges.point.size + _stereo_heights(solution)[0].size
 
 
-def residual_points(solution: Solution, rows: slice = slice(None)) -> Index:
-    """(m,) number of the ground point of each row of `residuals_table`, or of some of the `rows`."""
+def residual_points(solution: Solution) -> Index:
+    """(m,) number of the ground point of each row of `residuals_table`."""
     network = solution.network
-    return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])[rows]
+    return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])
 
 
 def _parts(rows: slice, sizes: Sequence[int]) -> list[slice]:
