@@ -33,9 +33,9 @@ from mgsgraph.network.connectivity_words import (
 from mgsgraph.network.terrain_control import coverage
 from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.results.crossings import crossing_sentences
-from mgsgraph.results.input_remarks import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.passes import bare_nodes, mounting_warnings, passes_inventory
 from mgsgraph.results.section import Section
+from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.text import many, root_mean_square, some, some_of, span
 from mgsgraph.units import DEG, KM, MRAD
 

@@ -15,8 +15,8 @@ from mgsgraph.analysis.group_medians import worst_first
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges
-from mgsgraph.results.group_fits import weight_unit
 from mgsgraph.results.results import solution_json
+from mgsgraph.results.soundness import weight_unit
 from mgsgraph.results.summary import statements, summary_table
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
@@ -114,7 +114,7 @@ def test_ending_in_words(solution: Solution) -> None:
         (1.3, 450, "fit 1.3 times worse"),
         (1.3, 8, "as well as their stated sigmas say"),  # eight degrees of freedom prove nothing
         (1.0, 0, "nothing checks the observations"),
-        (0.0, 10, "without any error"),
+        (0.0, 10, "fit inf times better"),
     ],
 )
 def test_sigma0_in_words(solution: Solution, sigma0: float, freedom: int, says: str) -> None:
