@@ -7,10 +7,9 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json, connectivity_statements
-from mgsgraph.results.control import control_section, minima_section
+from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.images import images_section
 from mgsgraph.results.passes import passes_section
-from mgsgraph.results.points import laser_section, points_section, ranges_section
 from mgsgraph.results.section import Section
 from mgsgraph.results.shared import shared_section
 from mgsgraph.results.soundness import (
