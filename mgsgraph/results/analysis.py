@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,13 +23,10 @@ from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.results.answers import Questions, answered
 from mgsgraph.results.reliability import reliability_section, snooping_section
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.results.sigmas import curve_section, raster_section
 from mgsgraph.results.soundness import linearity_section
 from mgsgraph.units import MRAD
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 _EXPECTED = ", ".join(f"{100.0 * share:.3g}" for share in PROMISED)
 
@@ -133,11 +130,6 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     test, components, statistics = chi_square_test(fit), components_of(at), residual_statistics(at)
     residuals = residuals_table(statistics)
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.quantiles import quantile_sheet
-
-        return [quantile_sheet(statistics, name)]
-
     record = {
         "global_test": {
             "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
@@ -148,7 +140,8 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     }  # fmt: skip
     return Section(
         "honesty", "Stated sigmas against residuals", [f"{test.sentence}.", *components.sentences], [residuals],
-        record, [components_table(components)], sheets=sheets,
+        record, [components_table(components)],
+        sheets=drawn("mgsgraph.results.figures.quantiles.quantile_sheet", statistics, name),
     )  # fmt: skip
 
 
@@ -296,14 +289,10 @@ def unexplained_section(posterior: Posterior, name: str) -> Section:
     """The tests of the residuals."""
     found = unexplained(posterior.linearised)
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.unexplained import unexplained_sheet
-
-        return [unexplained_sheet(found, name)]
-
     table, said = unexplained_table(found), found.sentences
     record = {"level": found.level, "tests": found.tests, "words": said, "effects": table.records()}
-    return Section("unexplained", sentences=said, numbers=record, csv=[table], sheets=sheets)
+    return Section("unexplained", sentences=said, numbers=record, csv=[table],
+                   sheets=drawn("mgsgraph.results.figures.unexplained.unexplained_sheet", found, name))  # fmt: skip
 
 
 def unexplained_table(found: Unexplained) -> Table:
@@ -337,11 +326,6 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
         said = f"No spectrum of residuals over time: {error}."
         return Section("vibrations", sentences=[said], numbers={"words": [str(error)]})
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.vibrations import vibrations_sheet
-
-        return [vibrations_sheet(found, name)]
-
     table = vibrations_table(found)
     seen = [
         {
@@ -351,7 +335,8 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
         for one in found.spectra
     ]  # fmt: skip
     record = {"words": found.sentences, "vibrations": table.records(), "spectra": seen}
-    return Section("vibrations", sentences=found.sentences, numbers=record, csv=[table], sheets=sheets)
+    return Section("vibrations", sentences=found.sentences, numbers=record, csv=[table],
+                   sheets=drawn("mgsgraph.results.figures.vibrations.vibrations_sheet", found, name))  # fmt: skip
 
 
 def vibrations_table(found: ResidualVibrations) -> Table:

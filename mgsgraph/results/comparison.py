@@ -4,7 +4,6 @@ more than was unknown; and where sigmas became smaller or larger.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,13 +19,10 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.names import Names
 from mgsgraph.network import PointClass
 from mgsgraph.results.comparison_input import input_section, only, settings_section
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.results.soundness import state_of
 from mgsgraph.results.summary import figures_of_merit
 from mgsgraph.text import many, root_mean_square, some
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 _POINTS = "points_compared"
 _MOST_IMAGES = 300
@@ -84,16 +80,11 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     every = [_fit_figures(solution, earlier, labels)]
     every += [table for one in (sigmas, settings, inputs, images, moved) for table in one.tables if len(table)]
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.comparison import comparison_sheet  # matplotlib takes its time
-
-        sheet = comparison_sheet(points, labels)
-        return [] if sheet is None else [sheet]
-
     csv = [*(table for table in every if table.name != _POINTS), *moved.csv]
     record = {"format": 1, "names": list(labels), "statements": [*said, *others]}
     record |= {table.name: table.records() for table in every if table.name != _POINTS}
-    section = Section("comparison", "", [*said, *others], every, record, csv, sheets=sheets)
+    section = Section("comparison", "", [*said, *others], every, record, csv,
+                      sheets=drawn("mgsgraph.results.figures.comparison.comparison_sheet", points, labels))  # fmt: skip
     return Comparison(earlier.name, labels, section, points)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +11,9 @@ from mgsgraph.files.output.folders import PLAN
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan
 from mgsgraph.planning.targets import Sigmas
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.text import many
 from mgsgraph.units import KM
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 
 def plan_section(plan: Plan) -> Section:
@@ -29,12 +26,8 @@ def plan_section(plan: Plan) -> Section:
         for first, last, title in zip(ends, ends[1:], ("Each by itself", "Chosen one after the other"), strict=False)
     ]
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.plan import plan_sheet  # matplotlib takes its time
-
-        return [plan_sheet(plan)]
-
-    return Section("plan", "", statements(plan), shown, plan_json(plan), [table], sheets=sheets)
+    return Section("plan", "", statements(plan), shown, plan_json(plan), [table],
+                   sheets=drawn("mgsgraph.results.figures.plan.plan_sheet", plan))  # fmt: skip
 
 
 def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:

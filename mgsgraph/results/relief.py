@@ -2,9 +2,9 @@
 coregistration.json, one row per profile, one per shot, and the misfits of all shifts that were searched.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +17,9 @@ from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, write_sections_into
+from mgsgraph.results.section import Section, drawn, write_sections_into
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 FORMAT = 1
 """Version of coregistration.json's layout."""
@@ -88,11 +85,6 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
     assert network.stereo is not None
     pairs = [[network.images[j].name for j in pair] for pair in network.stereo.images.tolist()]
 
-    def sheets() -> "Iterable[Sheet]":
-        from mgsgraph.results.figures.relief import relief_sheets  # only those who draw wait for matplotlib
-
-        return relief_sheets(registration)
-
     said = relief_statements(registration)
     record = {
         "format": FORMAT,
@@ -117,7 +109,8 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
         "statements": said,
     }  # fmt: skip
     csv = [profiles, relief_shots_table(registration), costs_table(registration)]
-    return Section("coregistration", "", said, [profiles], record, csv, sheets=sheets)
+    return Section("coregistration", "", said, [profiles], record, csv,
+                   sheets=drawn("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
 
 
 def _crossovers_json(solution: Solution) -> dict[str, Any]:

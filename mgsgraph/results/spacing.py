@@ -1,9 +1,8 @@
 """A study of orientation images in words, and as files: nodes.json, CSV files of all numbers, and figures."""
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +16,9 @@ from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import NODES
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.text import many, some
 from mgsgraph.units import ARCSEC, MGON
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 _CONTRADICTED = 3.0
 """Times the prior's sigma that a vibration may have before the prior counts as wrong."""
@@ -132,16 +128,12 @@ def nodes_section(study: NodeStudy) -> Section:
     """Candidates and what was found."""
     candidates = candidates_table(study.choice)
 
-    def sheets() -> "Iterable[Sheet]":
-        from mgsgraph.results.figures.spacing import node_sheets  # matplotlib takes its time
-
-        return node_sheets(study)
-
     peaks = peaks_table(study)
     seen = [k for k, row in enumerate(peaks.records()) if row["beyond_prior"] and row["echo_of"] is None]
     csv = [candidates, _course_table(study), *([_spectra_table(study)] if study.strips else [])]
     return Section("nodes", "", node_statements(study),
-                   [candidates, peaks.take(np.array(seen, dtype=np.int64))], nodes_json(study), csv, sheets=sheets)
+                   [candidates, peaks.take(np.array(seen, dtype=np.int64))], nodes_json(study), csv,
+                   sheets=drawn("mgsgraph.results.figures.spacing.node_sheets", study))
 
 
 def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> list[str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,9 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import TERRAIN
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, write_sections_into
+from mgsgraph.results.section import Section, drawn, write_sections_into
 from mgsgraph.text import many, short, some_of
 from mgsgraph.units import DEG, MGON
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 
 def write_two_steps(
@@ -67,15 +64,11 @@ def two_steps_section(statistics: TwoStepStatistics) -> Section:
     csv += [_heights_table(statistics)] if statistics.points.size else []
     csv += [] if found is None else [_cells_table(found)]
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.height_maps import height_map_sheet  # matplotlib takes its time
-
-        return [] if found is None else [height_map_sheet(statistics, found)]
-
     return Section(
         "two_steps", short(statistics.steps.fitted.name, 60), two_steps_statements(statistics),
         [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
-        sheets=sheets,
+        sheets=None if found is None else
+        drawn("mgsgraph.results.figures.height_maps.height_map_sheet", statistics, found),
     )  # fmt: skip
 
 
