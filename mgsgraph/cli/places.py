@@ -125,7 +125,7 @@ def shots(
     from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.project.oriented import oriented_images
     from mgsgraph.project.shot_search import ShotChoice, search_shots
-    from mgsgraph.results.crossings import SELECTION, crossing_sentences, crossings_table, selection_table
+    from mgsgraph.results.places import SELECTION, crossing_sentences, crossings_table, selection_table
 
     if out is not None:
         require_free(out, SELECTION)

@@ -34,7 +34,7 @@ from mgsgraph.network.finding import mounting_angles
 from mgsgraph.network.support import support
 from mgsgraph.network.terrain_control import coverage
 from mgsgraph.registration.crossings import shots_over_images
-from mgsgraph.results.crossings import crossing_sentences
+from mgsgraph.results.places import crossing_sentences
 from mgsgraph.results.section import ROWS, Section
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.tables import connectivity_table

@@ -72,28 +72,16 @@ def statements(plan: Plan) -> list[str]:
     found = [f"Targets: {plan.targets.words}; their {what} is {plan.now.total:.4g} m now ({_local(plan.now)})."]
     if not plan.chosen:
         return [*found, "None of the candidates is worth anything: each row above says why."]
-    names = ", ".join(one.name for one in plan.chosen)
-    measures = sum(one.measures for one in plan.chosen)
+    names, measures = ", ".join(one.name for one in plan.chosen), sum(one.measures for one in plan.chosen)
     found.append(
         f"Chosen: {names}; the {what} falls to {plan.after.total:.4g} m ({_local(plan.after)}), by "
         f"{100.0 * plan.drop:.3g}%, with {many(measures, 'measure')} and {plan.bits:.3f} bits gained on the unknowns "
         "that exist already."
     )
     if plan.plain is not None and len(plan.chosen) > 1:
-        found.append(_against_plain(plan, plan.plain))
+        found.append(f"The first {len(plan.chosen)} of the ranking ({plan.plain.name}) would leave "
+                     f"{plan.plain.after.total:.4g} m and gain {plan.plain.bits:.3f} bits.")  # fmt: skip
     return found
-
-
-def _against_plain(plan: Plan, plain_choice: Evaluation) -> str:
-    count = len(plan.chosen)
-    if {one.name for one in plan.chosen} == set(plain_choice.name.split(" + ")):
-        return f"The first {count} of the ranking are the same ones."
-    gain = 100.0 * (1.0 - plan.after.total / plain_choice.after.total)
-    better = f"{abs(gain):.2g}% {'lower' if gain >= 0.0 else 'HIGHER'}"
-    return (
-        f"The first {count} of the ranking ({plain_choice.name}) would leave {plain_choice.after.total:.4g} m and gain "
-        f"{plain_choice.bits:.3f} bits: what was chosen in sight of one another leaves a sigma that is {better}."
-    )
 
 
 def _local(sigmas: Sigmas) -> str:

@@ -9,9 +9,8 @@ from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json, connectivity_statements
 from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.images import images_section
-from mgsgraph.results.passes import passes_section
+from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import Section
-from mgsgraph.results.shared import shared_section
 from mgsgraph.results.soundness import (
     drivers_section,
     fits_section,

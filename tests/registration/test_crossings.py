@@ -19,7 +19,7 @@ from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.project.oriented import OrientedImages
 from mgsgraph.project.shot_search import ShotChoice, search_shots
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
-from mgsgraph.results.crossings import crossing_sentences, crossings_table, selection_table
+from mgsgraph.results.places import crossing_sentences, crossings_table, selection_table
 
 
 def along_and_later() -> tuple[ShotsOverImages, AltimeterShots]:

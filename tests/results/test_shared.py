@@ -20,8 +20,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
 from mgsgraph.registration.measured import registration_offsets
 from mgsgraph.results.archive import read_solution, write_archive
+from mgsgraph.results.passes import shared_section, shared_table
 from mgsgraph.results.results import solution_json, write_results
-from mgsgraph.results.shared import shared_section, shared_table
 from mgsgraph.results.summary import statements, summary_table
 
 
