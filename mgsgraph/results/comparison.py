@@ -290,15 +290,16 @@ def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]
 
 def _only(earlier: Network, later: Network) -> Iterator[str]:
     """Sentences about names that only the earlier, or only the later of two networks has."""
-    for what, of in (
-        ("Images", lambda one: [image.name for image in one.images]),
-        ("Shared unknowns", lambda one: [each.name for each in one.shared]),
-        ("Shifts of profiles and terrain models", lambda one: list(one.shift_names)),
-        ("Passes", lambda one: [each.name for each in one.passes]),
+    both = earlier, later
+    for what, names in (
+        ("Images", [[image.name for image in one.images] for one in both]),
+        ("Shared unknowns", [[each.name for each in one.shared] for one in both]),
+        ("Shifts of profiles and terrain models", [list(one.shift_names) for one in both]),
+        ("Passes", [[each.name for each in one.passes] for one in both]),
     ):
-        before, after = of(earlier), of(later)
+        before, after = map(dict.fromkeys, names)
         new, gone = [name for name in after if name not in before], [name for name in before if name not in after]
-        parts = [f"{word}: {some(names, len(names))}" for word, names in (("new", new), ("gone", gone)) if names]
+        parts = [f"{word}: {some(each, len(each))}" for word, each in (("new", new), ("gone", gone)) if each]
         if parts:
             yield f"{what} that only one of both has, {'; '.join(parts)}."
 

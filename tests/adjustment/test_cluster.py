@@ -17,8 +17,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, parse_cluster, workers
-from mgsgraph.adjustment.cluster.address import cores, threads_of_each
+from mgsgraph.adjustment.cluster import connection, workers
+from mgsgraph.adjustment.cluster.address import cores, parse_cluster, threads_of_each
+from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
 from mgsgraph.errors import InputError, SolverError
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")

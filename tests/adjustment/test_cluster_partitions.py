@@ -20,7 +20,8 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment import cluster
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, worker_sweeps
+from mgsgraph.adjustment.cluster import connection, worker_sweeps
+from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
 from mgsgraph.adjustment.cluster.partitions import Partitions
 from mgsgraph.adjustment.cluster.worker_sweeps import CHANGING, FOLLOW, Answer, Order
 from mgsgraph.adjustment.cluster.workers import Worker
