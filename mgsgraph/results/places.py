@@ -201,13 +201,8 @@ def crossing_sentences(over: ShotsOverImages, found: tuple[Crossing, ...]) -> li
     """What was found, with figures."""
     said = list[str]()
     for image in over.images:
-        mine = [one for one in found if one.image == image.name]
-        inside = [one for one in mine if one.inside]
-        along = [one for one in inside if one.simultaneous]
-        beside = [one.profile for one in mine if one.simultaneous and not one.inside]
-        count = f"{many(sum(one.inside for one in inside), 'shot')} of {many(len(inside), 'profile')} fall in it"
-        names = ", ".join(one.profile for one in along)
-        words = f", {names} taken along with it" if along else ", none taken along with it"
-        off = f"; beside it, taken along: {', '.join(beside)}" if beside else ""
-        said.append(f"{image.name}: {count + words if inside else 'no shot falls in it'}{off}")
+        inside = [one for one in found if one.image == image.name and one.inside]
+        along = [one.profile for one in found if one.image == image.name and one.simultaneous]
+        shots, profiles = many(sum(one.inside for one in inside), "shot"), many(len(inside), "profile")
+        said.append(f"{image.name}: {shots} of {profiles} fall in it, {', '.join(along) or 'none'} taken along with it")
     return said

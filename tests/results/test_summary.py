@@ -151,10 +151,8 @@ def test_constant_residuals_in_words(solution: Solution) -> None:
         mine = laser & (network.rays.image == image)
         moved[mine] = rng.normal([line, 0.0], 0.2, (mine.sum(), 2))
     sentence = said(replace(solution, residuals=moved), "Laser image points keep a constant residual")
-    assert "+2.2 lines in SIM/A and -1.8 in SIM/B, of opposite sign" in sentence
+    assert "+2.2 lines in SIM/A, -1.8 lines in SIM/B" in sentence
     assert "samples" not in sentence
-    moved[laser, 0] = np.abs(moved[laser, 0])
-    assert "opposite" not in said(replace(solution, residuals=moved), "constant residual")
     moved[laser] = rng.normal([0.4, 0.0], 0.01, (laser.sum(), 2))  # constant, but less than half a pixel
     assert not any("constant residual" in sentence for sentence in statements(replace(solution, residuals=moved)))
 
@@ -229,7 +227,7 @@ def test_many_images_are_only_counted(solution: Solution) -> None:
 
 def test_real_case_in_words(lro: Solution) -> None:
     """What is known of this data set: trap 4 in its README, a constant offset of the stored measures."""
-    assert said(lro, "Laser image points keep a constant residual", "+2.2 lines", "-2.2", "of opposite sign")
+    assert said(lro, "Laser image points keep a constant residual", "+2.2 lines", "-2.2 lines")
     assert said(lro, "Without the laser rows (52 points, 104 rays, 52 ranges)", "55.4, 206, 357 m", "24 times larger")
     assert said(lro, "sigma0 is 0.151 with 571 degrees of freedom", "6.6 times better")
     assert max(map(len, summary_table(lro).splitlines())) <= 110
