@@ -34,7 +34,7 @@ from mgsgraph.network.finding import mounting_angles
 from mgsgraph.network.support import support
 from mgsgraph.network.terrain_control import coverage
 from mgsgraph.registration.crossings import shots_over_images
-from mgsgraph.results.places import crossing_sentences
+from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.tables import connectivity_table
@@ -134,7 +134,7 @@ def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Pa
         require_on_body(shots.footprints, body, shots.source)
         over = shots_over_images(images, shots.chosen(shots.ground))
         said.append(f"{entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
-        said += crossing_sentences(over, over.crossings())
+        said += crossings_section(over, over.crossings()).sentences
     for cloud in wanted.altimetry:
         found = read_altimetry(cloud, folder, body)
         count = f"{many(len(found.ids), 'ground return')} in {many(len(found.profiles), 'profile')}"

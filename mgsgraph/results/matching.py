@@ -27,6 +27,7 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.progress import Progress, no_progress
 from mgsgraph.results.archive_arrays import read_members
+from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET
 
@@ -118,15 +119,16 @@ def write_matches(
         write_pvl_network(network, aside / "network.pvl")
         write_binary_network(network, aside / "network.net")
         digests = {one: sha256_of(aside / one) for one in ("network.pvl", "network.net")}
-        write_json(aside / MATCH, _record(matches, scene, name, settings) | {FILES: digests})
-        matches_table(matches).write_csv(aside / "matches.csv")
-        names = [MATCH, "network.pvl", "network.net", "matches.csv"]
-        if not figures:
-            return names
-        from mgsgraph.results.figures.matches import matches_sheet  # matplotlib takes its time
-        from mgsgraph.results.figures.sheet import save
+        section = match_section(matches, scene, name, settings)
+        write_json(aside / MATCH, section.numbers | {FILES: digests})
+        return [MATCH, *digests, *section.write(aside, figures)]
 
-        return names + save([matches_sheet(matches, scene, name)], aside)
+
+def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> Section:
+    """What matching found, in the case of this name."""
+    return Section("match", "", match_statements(matches, scene), numbers=_record(matches, scene, name, settings),
+                   csv=[matches_table(matches)],
+                   sheets=drawn("mgsgraph.results.figures.matches.matches_sheet", matches, scene, name))  # fmt: skip
 
 
 def matches_table(matches: Matches) -> Table:

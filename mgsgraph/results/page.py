@@ -133,7 +133,7 @@ def _registered(solution: Solution, registration: CaseRegistration | None) -> di
     if registration is None:
         laser = np.any(solution.network.points.classes == PointClass.LASER)
         none = "This solution has no laser points." if not laser else (
-            "Footprints are shown on images with the case file (--case), where it names laser profiles in [[shots]]."
+            "Footprints are shown on the images with the case file (--case), if the case names profiles of MOLA."
         )
         return {"scenes": [], "about_scenes": "", "registered": None, "closeups": [], "without_scenes": none}
     from mgsgraph.results.figures.page import registration_figures

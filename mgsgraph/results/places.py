@@ -19,6 +19,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.time_scales import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
 from mgsgraph.registration.crossings import Crossing, ShotsOverImages
+from mgsgraph.results.section import Section
 from mgsgraph.text import many
 from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
 
@@ -197,12 +198,12 @@ def selection_table(over: ShotsOverImages) -> Table:
     ))  # fmt: skip
 
 
-def crossing_sentences(over: ShotsOverImages, found: tuple[Crossing, ...]) -> list[str]:
-    """What was found, with figures."""
+def crossings_section(over: ShotsOverImages, found: tuple[Crossing, ...]) -> Section:
+    """How many shots of which profiles fall in each image, and which profiles were taken along with it."""
     said = list[str]()
     for image in over.images:
         inside = [one for one in found if one.image == image.name and one.inside]
         along = [one.profile for one in found if one.image == image.name and one.simultaneous]
         shots, profiles = many(sum(one.inside for one in inside), "shot"), many(len(inside), "profile")
         said.append(f"{image.name}: {shots} of {profiles} fall in it, {', '.join(along) or 'none'} taken along with it")
-    return said
+    return Section("crossings", "", said, [crossings_table(found)])
