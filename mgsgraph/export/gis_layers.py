@@ -12,11 +12,11 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import adjusted_points, local_sigmas, ray_statistics, rejected_points
-from mgsgraph.files.output.csv_json import columns, picked, plain
+from mgsgraph.files.output.csv_json import columns, picked
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.error_ellipse import PROBABILITY, error_ellipses
 from mgsgraph.geometry.footprint import Footprint, areas
-from mgsgraph.geometry.map_shapes import Shapes, geojson, map_lines, map_points, map_polygon, map_polygons
+from mgsgraph.geometry.map_shapes import Shapes, map_lines, map_points, map_polygon, map_polygons
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
@@ -51,18 +51,6 @@ class Layer(NamedTuple):
     """(n) shapes in degrees; None where a row has no place."""
     fields: Fields
     """Columns (n,): numbers, truth values or text."""
-
-    @property
-    def __geo_interface__(self) -> dict[str, Any]:
-        """GeoJSON's collection of features, as GeoPandas, Shapely and Folium take it; null for what is not known."""
-        lists = {name: plain(values if isinstance(values, np.ndarray) else list(values))
-                 for name, values in self.fields.items()}  # fmt: skip
-        features = [
-            {"type": "Feature", "id": str(k), "geometry": geojson(shape),
-             "properties": {name: values[k] for name, values in lists.items()}}
-            for k, shape in enumerate(self.shapes)
-        ]  # fmt: skip
-        return {"type": "FeatureCollection", "name": self.name, "features": features}
 
 
 class Vectors(NamedTuple):

@@ -99,7 +99,7 @@ def snooping_section(found: Snooping) -> Section:
         Column("limit", np.sqrt(numbers(found.removals, "critical")), text=">8.2f"),
         Column("measures", [some(one.names, len(one.names)) for one in found.removals], text="<", gap=2),
     ))  # fmt: skip
-    return Section("snooping", sentences=[said], tables=[removed], csv=[removed], numbers={
+    return Section("snooping", sentences=[said], tables=[removed], numbers={
         "adjustments": found.adjustments, "complete": found.complete, "sigma0": found.solution.sigma0,
         "removed": [
             {"measures": list(one.names), "test": one.test, "dimensions": one.dimensions, "critical": one.critical}

@@ -288,31 +288,24 @@ def stac_item(
          "unit": "m" if k < len(BANDS) - 1 else "1", "data_type": "float32", "nodata": "nan"}
         for k, name in enumerate(BANDS)
     ]  # fmt: skip
-    dem_place, ortho_place = _place(grid), _place(ortho)
     assets: dict[str, dict[str, Any]] = {
         "dem": {
             "href": "./dem.tif", "type": MEDIA_TYPE, "title": f"Heights above {height}, sigmas and counts",
-            "roles": ["data"], "gsd": grid.post, "bands": described, **dem_place,
+            "roles": ["data", "uncertainty"], "gsd": grid.post, "bands": described, **_place(grid),
         },
         "ortho": {
             "href": "./ortho.tif", "type": MEDIA_TYPE, "title": f"Ortho image of {dem.images[dem.ortho]}",
-            "roles": ["data", "visual"], "gsd": ortho.post, **ortho_place,
+            "roles": ["data", "visual"], "gsd": ortho.post, **_place(ortho),
             "bands": [{"name": dem.images[dem.ortho], "data_type": "uint8", "nodata": 0}],
         },
-        "sigma": {
-            "href": "./dem.tif", "type": MEDIA_TYPE, "roles": ["data", "uncertainty"], "gsd": grid.post,
-            "title": "Sigmas of the heights: bands 2 (whole), 3 (by matching) and 4 (by orientation) of the same file",
-            **dem_place,
+        "record": {
+            "href": f"./{DEM}", "type": "application/json", "title": "Settings, figures and sentences",
+            "roles": ["metadata"],
         },
     }  # fmt: skip
-    more = {
-        "record": (DEM, "application/json", "Settings, figures and sentences", "metadata"),
-        "shots": ("shots.csv", "text/csv", "Laser shots that took no part, against the model", "metadata"),
-        "overview": (Path(DEM).with_suffix(".png").name, "image/png", "Relief, sigmas and checks", "overview"),
-    }
-    for key, (name, kind, title, role) in more.items():
-        if name in files:
-            assets[key] = {"href": f"./{name}", "type": kind, "title": title, "roles": [role]}
+    if (name := Path(DEM).with_suffix(".png").name) in files:
+        assets["overview"] = {"href": f"./{name}", "type": "image/png", "title": "Relief, sigmas and checks",
+                              "roles": ["overview"]}  # fmt: skip
     return {
         "type": "Feature",
         "stac_version": STAC,

@@ -17,7 +17,7 @@ import mgsgraph
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis import write_gis
-from mgsgraph.export.gis_layers import footprint_layers, point_layers
+from mgsgraph.export.gis_layers import footprint_layers
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.results.results import write_results
@@ -195,11 +195,6 @@ def test_geo_interfaces(solution: Solution) -> None:
     shape = shapely.geometry.shape(footprint.__geo_interface__["geometry"])
     assert footprint.__geo_interface__["properties"]["image"] == footprint.name
     assert np.abs(np.array(shape.exterior.coords).mean(axis=0) - degrees(footprint.outline).mean(axis=0)).max() < 0.01
-    layer = point_layers(solution)[0]
-    frame = geopandas.GeoDataFrame.from_features(layer)
-    assert frame["id"].tolist() == list(layer.fields["id"])
-    assert frame.geometry.isna().tolist() == shapely.is_missing(layer.shapes).tolist()
-    json.dumps(layer.__geo_interface__, allow_nan=False)
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ def test_pystac_takes_the_item(folder: Path) -> None:
         with pytest.raises(pystac.errors.STACValidationError):
             validate(wrong)
     item = pystac.Item.from_file(folder / STAC_ITEM)
-    assert {"dem", "ortho", "sigma", "record", "shots", "overview"} == set(item.assets)
+    assert {"dem", "ortho", "record", "overview"} == set(item.assets)
     for asset in item.assets.values():
         assert (folder / asset.href).is_file()
         assert asset.roles
