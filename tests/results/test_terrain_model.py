@@ -33,7 +33,7 @@ from mgsgraph.results import terrain_model
 from mgsgraph.results.terrain_model import dem_section, make_dem, stac_item, write_dem
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
-FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png", "dem.svg"}
+FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png"}
 
 
 @cache
@@ -363,7 +363,7 @@ def test_an_earlier_model_is_replaced_by_a_whole_one_only(tmp_path: Path, monkey
     out = tmp_path / "out"
     road(out, monkeypatch)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    assert set(before) == FILES - {"dem.png", "dem.svg"}
+    assert set(before) == FILES - {"dem.png"}
 
     def full(*given: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
