@@ -21,9 +21,17 @@ from mgsgraph.analysis.statistics import (
 from mgsgraph.files.output.csv_json import columns, picked, plain
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
-from mgsgraph.geometry.error_ellipse import PROBABILITY, error_ellipses
-from mgsgraph.geometry.footprint import Footprint, areas
-from mgsgraph.geometry.map_shapes import Shapes, geojson, map_lines, map_points, map_polygon, map_polygons
+from mgsgraph.geometry.footprint import (
+    Footprint,
+    Shapes,
+    areas,
+    geojson,
+    map_lines,
+    map_points,
+    map_polygon,
+    map_polygons,
+)
+from mgsgraph.geometry.map_plane import PROBABILITY, error_ellipses
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints

@@ -16,8 +16,8 @@ from scipy.spatial import ConvexHull
 from mgsgraph.files.output.folders import DEM
 from mgsgraph.files.output.geotiff import MEDIA_TYPE
 from mgsgraph.geometry.body import Ellipsoid, naif_id, target_name
+from mgsgraph.geometry.footprint import geojson, map_bounds, map_polygon
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.map_shapes import geojson, map_bounds, map_polygon
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.registration.dem.map import MapGrid

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.raster_file import open_raster, raster_understood, read_band, require_in_file
-from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, in_turn, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, window
+from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, between_nodes, window
 from mgsgraph.units import DEG, KM
 
 if TYPE_CHECKING:
