@@ -130,24 +130,19 @@ def _content(
 def _registered(solution: Solution, case: Case | None, registration: CaseRegistration | None) -> dict[str, Any]:
     """Laser footprints on the images, or why there are none."""
     if registration is None:
-        return {"scenes": [], "about_scenes": "", "registered": [], "agreement": None, "closeups": [],
-                "without_scenes": _without_scenes(solution, case)}  # fmt: skip
+        return {"registered": [], "agreement": None, "footprints": [], "unregistered": _unregistered(solution, case)}
     from mgsgraph.results.figures.page import registration_figures
-    from mgsgraph.results.figures.page_scene import scenes
 
-    shown, about = scenes(registration)
-    registered = registration_section(registration)
+    registered, drawn = registration_section(registration), registration_figures(registration)
     return {
-        "scenes": shown,
-        "about_scenes": about,
         "registered": registered.sentences,
         "agreement": registered.tables[0],
-        "closeups": registration_figures(registration),
-        "without_scenes": "" if shown else "No footprint falls in an image.",
+        "footprints": drawn,
+        "unregistered": "" if drawn else "No footprint falls in an image.",
     }
 
 
-def _without_scenes(solution: Solution, case: Case | None) -> str:
+def _unregistered(solution: Solution, case: Case | None) -> str:
     if case is not None:
         return f"{case.path.name} names no laser profile in [[shots]], whose footprints could be shown here."
     if np.any(solution.network.points.classes == PointClass.LASER):
