@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import require
-from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
 from mgsgraph.matching.measuring import FINEST, half_window
 from mgsgraph.matching.patches import NODE, Tile, disparities, node_pixels, opencv, ortho_patch
