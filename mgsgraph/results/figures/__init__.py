@@ -1,4 +1,4 @@
-"""Figures of an adjustment as PNG: residuals, orientation corrections, laser registration, map.
+"""Figures of an adjustment as PNG: residuals, orientation corrections, map.
 
 This package is the only one that imports matplotlib; import it only where figures are wanted.
 """
@@ -8,10 +8,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.results.figures.closeups import closeup_sheets
@@ -21,7 +18,6 @@ from mgsgraph.results.figures.map import map_sheets
 from mgsgraph.results.figures.minima import minima_sheets
 from mgsgraph.results.figures.orientation import orientation_sheets
 from mgsgraph.results.figures.overlay import overlay_sheets, pixels_of
-from mgsgraph.results.figures.registration import registration_sheets
 from mgsgraph.results.figures.residuals import residual_sheets
 from mgsgraph.results.figures.sheet import Sheet, save
 from mgsgraph.workers import called_in_workers
@@ -45,15 +41,12 @@ def solution_sheets(
     Returns
     -------
     list of (str, callable)
-        Sheets of orientation (passes first), residuals, registration (where laser points are measured in images), map,
-        connectivity and minima (where there are several). They may be called in any order and process.
+        Sheets of orientation (passes first), residuals, map, connectivity and minima (where there are several). They
+        may be called in any order and process.
     """
-    rays = solution.network.rays
-    laser = bool(np.any(solution.network.points.classes[rays.point] == PointClass.LASER))
     return [
         ("orientation", partial(orientation_sheets, solution)),
         ("residuals", partial(residual_sheets, solution)),
-        *([("registration", partial(registration_sheets, solution))] if laser else []),
         ("map", partial(map_sheets, solution, connected)),
         ("map", lambda: [links_sheet(solution, connected)]),
         ("map", partial(minima_sheets, solution)),

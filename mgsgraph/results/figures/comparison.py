@@ -12,8 +12,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator
 from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.analysis.group_medians import span
 from mgsgraph.geometry.map_plane import centre_of, east_north
-from mgsgraph.geometry.records import Array
-from mgsgraph.registration.measured import thinned
+from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.results.figures.aggregate import limit
 from mgsgraph.results.figures.map import cell_medians, frame, map_axes
 from mgsgraph.results.figures.sheet import MOST_MARKS, Sheet, new_sheet, number, plain_style

@@ -22,10 +22,9 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.error_ellipse import error_ellipses
 from mgsgraph.geometry.map_plane import centre_of, east_north
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.registration.measured import thinned
 from mgsgraph.results.figures.aggregate import cell_numbers
 from mgsgraph.results.figures.sheet import (
     CLASS_MARKER,

@@ -106,8 +106,8 @@ def test_times_of_a_column_are_those_of_each(texts: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["2009-02-29T07:50:38.7", "2009-09-06T07:50:61.0", "2009-09-06T24:50:01.0", "1969-01-01T00:00:00",
-             "2009-249T07:50Z :38", "2009-249T07:50Z:38"],
+    "text", ["2009-02-29T07:50:38.7", "2009-366T07:50:38.7", "2009-09-06T07:50:61.0", "2009-09-06T24:50:01.0",
+             "1969-01-01T00:00:00", "2009-249T07:50Z :38", "2009-249T07:50Z:38"],
 )
 def test_a_time_that_can_not_be_is_refused_in_a_column_too(text: str) -> None:
     with pytest.raises(InputError, match=text):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.map_plane import east_north
-from mgsgraph.registration.measured import thinned
+from mgsgraph.geometry.records import thinned
 from mgsgraph.results.figures.sheet import number, round_figure, short
 
 MARS = 3.39e6

@@ -18,12 +18,9 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
-from mgsgraph.registration.measured import registration_discrepancy, registration_offsets
 from mgsgraph.results.figures import solution_sheets, write_figures
-from mgsgraph.results.figures.content import image_residuals
 from mgsgraph.results.figures.map import block_window, map_sheets
 from mgsgraph.results.figures.orientation import components, coupling
-from mgsgraph.results.figures.registration import MOST_SHOTS, magnification
 from mgsgraph.results.figures.sheet import encoded
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -68,109 +65,6 @@ def captions(solution: Solution) -> dict[str, str]:
     return {sheet.name: sheet.caption for _, made in solution_sheets(solution) for sheet in made()}
 
 
-# --- registration
-
-
-def test_registration_after_is_the_residual_of_the_adjustment(solution: Solution) -> None:
-    """Two roads to one number: Newton's projection here, the factors' residual there (one step: 1e-3 px)."""
-    rays = solution.network.rays
-    for j in range(2):
-        found = registration_offsets(solution, j)
-        rows = {int(rays.point[k]): k for k in np.flatnonzero(rays.image == j)}
-        want = solution.residuals[[rows[int(i)] for i in found.points]]
-        assert found.points.size == 20
-        assert np.abs(found.offset_after - want).max() < 2e-3
-        assert np.all(np.diff(found.lines) >= 0.0)
-
-
-def test_registration_before_uses_what_was_known_beforehand(solution: Solution) -> None:
-    """Rays of the nominal image through the projected places hit the a-priori footprints."""
-    for j, image in enumerate(solution.network.images):
-        found = registration_offsets(solution, j)
-        origins, looks, _, _ = image.rays(found.before[:, 0], found.before[:, 1])
-        to_point = solution.network.points.places[found.points] - origins
-        looks = looks / np.linalg.norm(looks, axis=1)[:, None]
-        assert np.linalg.norm(np.cross(looks, to_point), axis=1).max() < 1e-3  # m beside the ray
-
-
-def moved_laser(solution: Solution, shift: np.ndarray) -> Solution:
-    """The same with the a-priori footprints elsewhere."""
-    points = solution.network.points
-    places = points.places + np.where((points.classes == PointClass.LASER)[:, None], shift, 0.0)
-    network = replace(solution.network, points=replace(points, places=places))
-    return replace(solution, network=network)
-
-
-def test_a_common_shift_of_footprints_moves_the_offsets_but_not_the_discrepancy(solution: Solution) -> None:
-    up = centre_of(solution.places)
-    up = up / np.linalg.norm(up)
-    east = np.array([-up[1], up[0], 0.0]) / np.hypot(up[0], up[1])
-    one, two = (registration_offsets(solution, j) for j in range(2))
-    pair = registration_discrepancy(solution, one, two)
-    for direction in (east, np.cross(up, east)):
-        moved = moved_laser(solution, 40.0 * direction)
-        shifted = [registration_offsets(moved, j) for j in range(2)]
-        assert np.abs(shifted[0].offset_before - one.offset_before).max() > 8.0
-        again = registration_discrepancy(moved, *shifted)
-        assert np.abs(again.before - pair.before).max() < 0.1
-    lifted = moved_laser(solution, 40.0 * up)  # heights don't cancel: that is parallax
-    again = registration_discrepancy(lifted, *(registration_offsets(lifted, j) for j in range(2)))
-    assert np.abs(again.before - pair.before).max() > 3.0
-
-
-def test_an_image_against_itself_has_no_discrepancy(solution: Solution) -> None:
-    one = registration_offsets(solution, 0)
-    pair = registration_discrepancy(solution, one, one)
-    assert pair.lines.size == 20
-    assert max(np.abs(pair.before).max(), np.abs(pair.after).max()) < 1e-6
-
-
-def test_unmeasured_laser_points_are_seen_but_have_no_offset(solution: Solution) -> None:
-    network = solution.network
-    keep = ~((network.points.classes[network.rays.point] == PointClass.LASER) & (network.rays.image == 1))
-    rays = ImageRays(*(getattr(network.rays, name)[keep] for name in ("point", "image", "places", "sigmas")))
-    fewer = replace(
-        solution, network=replace(network, rays=rays), residuals=solution.residuals[keep],
-        residuals_before=solution.residuals_before[keep], rays_used=solution.rays_used[keep],
-    )
-    found = registration_offsets(fewer, 1)
-    assert found.points.size == 20
-    assert np.all(np.isnan(found.offset_after))
-    assert np.all(np.isfinite(found.after))
-    assert np.all(np.diff(found.lines) > 0.0)
-    assert registration_discrepancy(fewer, registration_offsets(fewer, 0), found).lines.size == 0
-
-
-def test_registration_of_real_laser_points(shared_data: Path) -> None:
-    """README of the data: the stored measures lie -13.2 and -18.6 lines from the unadjusted projections, constantly."""
-    assert shared_data.is_dir()
-    case = Path(__file__).resolve().parents[3] / "scripts" / "cases" / "lro_nac_lola.toml"
-    found = mgsgraph.adjust(mgsgraph.read_case(case))
-    for j, lines in enumerate((-13.2, -18.6)):
-        offsets = registration_offsets(found, j).offset_before
-        assert offsets.shape == (52, 2)
-        assert offsets[:, 0].mean() == pytest.approx(lines, abs=0.1)
-        assert offsets[:, 0].std() < 0.05
-
-
-def test_thinned_shots_are_the_same_in_every_image(solution: Solution) -> None:
-    one, two = (registration_offsets(solution, j, most=7) for j in range(2))
-    assert one.points.size == 7
-    assert set(one.points) == set(two.points)
-
-
-# --- residuals, orientation, map
-
-
-def test_image_residuals_are_all_rays_of_the_image(solution: Solution) -> None:
-    every = [image_residuals(solution, j) for j in range(2)]
-    assert sum(one.used.size for one in every) == solution.network.rays.point.size
-    squares = sum(float(np.sum(one.residuals**2)) for one in every)
-    assert squares == pytest.approx(float(np.sum(solution.residuals**2)))
-    assert every[0].of(PointClass.LASER).size == 20
-    assert every[0].of(PointClass.CONTROL).size == 0
-
-
 def test_orientation_components_are_the_coefficients(solution: Solution) -> None:
     """At the image's middle u = 0: position and rotation corrections are the constant coefficients there."""
     profile = orientation_profile(solution, 0, 101)
@@ -207,13 +101,6 @@ def test_the_map_has_three_dimensional_sigmas_and_corrections_of_points(solution
     assert np.all(np.linalg.norm(shown.moved, axis=1) <= away + 1e-9)
 
 
-def test_enlarged_marks_stay_near_their_place(solution: Solution) -> None:
-    found = registration_offsets(solution, 0)
-    factor = magnification(found)
-    gap = np.ptp(found.lines) / 19.0
-    assert factor == 1.0 or np.quantile(np.abs(found.offset_before), 0.9) * factor < gap
-
-
 # --- files
 
 
@@ -224,7 +111,7 @@ def test_files_of_the_pair_whatever_the_users_style(
     with caplog.at_level(logging.WARNING):
         names = write_figures(solution, first)
     require_files(first, names, pixels=True)
-    assert {Path(name).stem for name in names} == {"residuals", "orientation", "registration", "map", "connectivity"}
+    assert {Path(name).stem for name in names} == {"residuals", "orientation", "map", "connectivity"}
     assert not caplog.records  # matplotlib complains by log, too
     assert dict(mpl.rcParams) == settings
     with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "svg.fonttype": "none", "text.usetex": False}):
@@ -235,21 +122,13 @@ def test_files_of_the_pair_whatever_the_users_style(
 
 
 @pytest.mark.usefixtures("light_figures")
-def test_without_laser_there_is_no_registration(case_file: Path, tmp_path: Path) -> None:
-    found = mgsgraph.adjust(mgsgraph.read_case(case_file, laser=False))
-    names = write_figures(found, tmp_path)
-    require_files(tmp_path, names)
-    assert kinds(names) == {"residuals", "orientation", "map", "connectivity"}
-
-
-@pytest.mark.usefixtures("light_figures")
 def test_without_ties(case_file: Path, tmp_path: Path) -> None:
     def change(text: str) -> str:
         head, rest = text.split("[ties]")
         return head + "[laser]" + rest.split("[laser]")[1]
 
     found = adjust_text(case_file, "no_ties.toml", change)
-    assert kinds(write_figures(found, tmp_path)) == {"residuals", "orientation", "registration", "map", "connectivity"}
+    assert kinds(write_figures(found, tmp_path)) == {"residuals", "orientation", "map", "connectivity"}
 
 
 @pytest.mark.usefixtures("light_figures")
@@ -342,10 +221,7 @@ def test_a_large_block_has_few_sheets_which_say_so(solution: Solution, tmp_path:
     names = write_figures(block, tmp_path)
     require_files(tmp_path, names)
     assert {"residuals.png", "orientation.png", "map.png"} <= set(names)
-    sheets = [name for name in names if name.startswith("registration")]
-    assert sheets == ["registration_1.png", "registration_2.png"]
     said = captions(block)
-    assert "of 40 images the" in said["registration_1"]
     assert said["orientation"].startswith("40 images")
     assert "of 40 images" in said["residuals"]
 
@@ -357,7 +233,6 @@ def test_many_points_are_cells_or_thinned_which_is_said(solution: Solution, tmp_
     require_files(tmp_path, write_figures(found, tmp_path))
     said = captions(found)
     assert "60000 points in this window, medians of" in said["map"]
-    assert f"{MOST_SHOTS} of 20000 shots" in said["registration"]
     assert len(encoded(next(iter(map_sheets(found))), "svg")) < 4e6
 
 
@@ -378,7 +253,7 @@ def test_one_image(solution: Solution, tmp_path: Path) -> None:
     found = mgsgraph.adjust_network(only, mgsgraph.SolverSettings(), "one image")
     require_files(tmp_path, write_figures(found, tmp_path))
     drawn = kinds([path.name for path in tmp_path.iterdir()])
-    assert drawn == {"residuals", "orientation", "registration", "map", "connectivity"}
+    assert drawn == {"residuals", "orientation", "map", "connectivity"}
 
 
 def test_units_of_the_map(solution: Solution) -> None:
