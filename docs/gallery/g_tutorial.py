@@ -33,7 +33,7 @@ print(*statements(solution), sep="\n")
 # Where everything lies: outlines, tie points by their sigma, laser points. Look for holes.
 from mgsgraph.results.figures.map import map_sheets
 
-ground_map = next(map_sheets(solution)
+ground_map = next(map_sheets(solution))
 
 # %%
 # What is left of every measure. A pattern would mean that the model lacks something.
