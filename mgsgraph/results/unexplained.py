@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.spacing.vibrations import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
+from mgsgraph.analysis.vibrations import ResidualVibrations, residual_vibrations
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.results.section import Section
@@ -67,7 +67,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
     seen = [
         {
             "image": one.image, "turn": one.turn, "share_shown": one.share, "named_from_px": None if one.blind else
-            one.limit, "highest_frequency_hz": one.spectrum.nyquist,
+            one.limit, "highest_frequency_hz": float(one.frequencies[-1]),
         }
         for one in found.spectra
     ]  # fmt: skip

@@ -1,5 +1,8 @@
-"""Residuals of image rays over time, and the spectrum of one series of them: fits of a cosine and a sine at all
-frequencies, and what noise alone shows.
+"""Vibrations that residuals of image rays show, for any camera: frequency, amplitude in pixels, and how sure each is.
+
+The surest vibration of all images is named, what it makes residuals of all images show is taken out, and
+what is left is searched again. What has gone with it in another image can't be told from it: two images show the
+difference of their vibrations, not either.
 
 At each frequency a cosine and a sine of a turn are fitted to an image's residuals by least squares (Lomb 1976),
 together with a polynomial of time, most of which any adjustment has taken up; rays need not be even in time. The fit
@@ -26,7 +29,7 @@ middle. Motions of the spacecraft do the same: residuals don't separate them fro
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
@@ -36,13 +39,14 @@ from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.spacing.rays import known_besides_rays, point_covariances, ray_slopes
-from mgsgraph.analysis.spacing.spectrum import FINE, ZOOM, Peak
+from mgsgraph.analysis.spacing import known_besides_rays, point_covariances, ray_slopes
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
+from mgsgraph.record import Record
+from mgsgraph.text import some
 
 Turn = Literal["pitch", "roll", "yaw"]
 """What moves rays: along lines, along samples, along lines at the image's left and right edge the opposite way."""
@@ -180,6 +184,12 @@ def _of_image(
         yield Series(image, one.name, turn, own, times, moves, shares[own, c], weights[own, c])
 
 
+FALSE_ALARMS = 0.01
+"""Share of turns without any vibration in which one is named all the same."""
+_FINE = 6.0
+"""Frequencies per reciprocal of the time that an image takes."""
+_ZOOM = 41
+"""Places on either side of a peak where its frequency is looked for."""
 _LOWEST = 4.0
 """Periods in that time, of the lowest frequency: what is slower is a drift."""
 _PER_WAVE = 4.0
@@ -195,6 +205,22 @@ _BINS = 32.0
 _DEGREE = 7
 """Of the polynomials of time beside the waves: adjustments have taken up the cubic ones, and may leave more of drifts.
 """
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """A wave of the camera: a peak of the spectrum."""
+
+    frequency: float
+    """Hz."""
+    amplitude: float
+    """px."""
+    sigma: float
+    """px, of the amplitude."""
+    test: float
+    """Chi-square of two degrees of freedom, were it noise."""
+    probability: float
+    """That noise alone shows one like it at any frequency."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,9 +268,9 @@ class SeriesSpectrum:
         # times are put into bins so short that a wave of the highest frequency keeps its amplitude to 0.2 %
         bins = int(_BINS * highest)
         self._bin = np.minimum((series.times / series.duration + 0.5) * bins, bins - 1).astype(np.int64)
-        self._length = round(FINE * bins)
-        self._numbers = np.arange(round(_LOWEST * FINE), round(highest * FINE))
-        self.grid: Array = np.asarray(self._numbers * once / FINE, dtype=np.float64)
+        self._length = round(_FINE * bins)
+        self._numbers = np.arange(round(_LOWEST * _FINE), round(highest * _FINE))
+        self.grid: Array = np.asarray(self._numbers * once / _FINE, dtype=np.float64)
         self.width = float(self.grid[-1] - self.grid[0]) * math.sqrt(4.0 * math.pi * float(np.var(series.times)))
         u = series.times / (0.5 * series.duration)
         polynomials = np.polynomial.legendre.legvander(u, _DEGREE) * series.moves[:, None]
@@ -268,7 +294,7 @@ class SeriesSpectrum:
         """(f, 2) sums of values (k,) times cosine and sine at multiples (f,) of the grid's step."""
         binned = np.bincount(self._bin, values, self._length)
         # a bin's time from the middle, in periods of the grid's step
-        ahead = 0.5 * (1.0 - self._length / FINE) / self._length
+        ahead = 0.5 * (1.0 - self._length / _FINE) / self._length
         found = np.fft.rfft(binned)[numbers] * np.exp(-2j * np.pi * numbers * ahead)
         return np.stack([found.real, -found.imag], axis=1)
 
@@ -299,16 +325,16 @@ class SeriesSpectrum:
         """(f,) running median of the tests over that of chi-square with two degrees of freedom, and its own freedom."""
         from scipy.ndimage import median_filter  # slow to import
 
-        size = min(2 * round(_ROUND_ABOUT * FINE) + 1, tests.size)
+        size = min(2 * round(_ROUND_ABOUT * _FINE) + 1, tests.size)
         floor = median_filter(tests, size=size, mode="reflect") / (2.0 * math.log(2.0))
-        freedom = max(2.0 * _EFFICIENCY * size / FINE, 4.0)
+        freedom = max(2.0 * _EFFICIENCY * size / _FINE, 4.0)
         return np.maximum(floor, 1e-12 * max(float(tests.max()), 1e-300)), freedom
 
     def wave(self, residuals: Array, fits: WaveFits) -> Wave:
         """The largest of fits, its frequency refined; how sure it is by the floor that it leaves, being taken out."""
         best = int(np.argmax(fits.tests))
-        step = self.resolution / FINE
-        near = fits.frequencies[best] + step * np.linspace(-1.0, 1.0, ZOOM)
+        step = self.resolution / _FINE
+        near = fits.frequencies[best] + step * np.linspace(-1.0, 1.0, _ZOOM)
         values, covariance, tests = self._directly(residuals, near)
         k = int(np.argmax(tests))
         phase = 2.0 * np.pi * near[k] * self.series.times
@@ -323,7 +349,6 @@ class SeriesSpectrum:
             sigma=math.sqrt(floor * float(along @ covariance[k] @ along)),
             test=test,
             probability=chance(test, self.width, fits.freedom),
-            beyond_prior=True,
         )
         return Wave(peak, moved)
 
@@ -349,3 +374,212 @@ def level_of_test(probability: float, width: float, freedom: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if chance(middle, width, freedom) > probability else (low, middle)
     return high
+
+
+BLIND = 0.01
+"""Share of a move, on the average, below which residuals count as not showing it: what they show then is of other
+turns, or nothing."""
+_FEWEST = 60
+"""Rays of an image without which nothing is asked."""
+_MOST_NAMED = 12
+_ALIKE = 0.5
+"""Share of a vibration's test that it has elsewhere, where it may be as well."""
+_TRACE, _NEAR = 0.25, 2.0
+"""Of the test of a vibration: what is less sure, of the same turn, and nearer than so many reciprocals of the time, is
+a trace of it: of an amplitude that isn't quite constant, or of two images' vibrations, whose times run otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vibration(Record):
+    """A vibration that residuals show."""
+
+    image: str
+    """Whose residuals show it best."""
+    turn: str
+    """pitch (lines), roll (samples) or yaw (lines, by the sample)."""
+    frequency: float
+    """Hz."""
+    frequency_sigma: float
+    """Hz."""
+    amplitude: float
+    """px, were it of this image alone; of a yaw at the image's edges."""
+    sigma: float
+    """px, of the amplitude."""
+    probability: float
+    """That noise alone shows one as clear at any frequency of this image and turn."""
+    alternatives: tuple[str, ...]
+    """Images, with their turns, of which it may be as well, or in part: residuals don't tell."""
+
+    @property
+    def sentence(self) -> str:
+        """In a sentence."""
+        chance = f"p = {self.probability:.1g}" if self.probability > 1e-12 else "p < 1e-12"
+        way = {"pitch": "along lines", "roll": "along samples", "yaw": "along lines at the edges"}[self.turn]
+        digits = max(2, min(4, 1 - math.floor(math.log10(max(self.frequency_sigma, 1e-9)))))
+        other = ""
+        if self.alternatives:
+            other = f"; or of {', '.join(self.alternatives)}, or of both: residuals show their difference alone"
+        return (
+            f"{self.image}: vibration of {self.frequency:.{digits}f} +- {self.frequency_sigma:.{digits}f} Hz, "
+            f"{self.amplitude:.2f} +- {self.sigma:.2f} px {way} ({self.turn}, or a motion that looks the same; "
+            f"{chance}){other}."
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSpectrum:
+    """What residuals of one image show of one turn of its camera."""
+
+    image: str
+    """Its name."""
+    turn: str
+    """pitch, roll or yaw."""
+    share: float
+    """Of a move along it that residuals show, mean over the rays."""
+    frequencies: Array
+    """(f,) Hz, increasing."""
+    amplitudes: Array
+    """(f,) px, before anything was taken out."""
+    floor: Array
+    """(f,) px, rms of what noise alone shows."""
+    level: Array
+    """(f,) px, amplitude that counts as a vibration, of the phase found there."""
+    peaks: tuple[Peak, ...]
+    """Vibrations that are named here."""
+
+    @property
+    def blind(self) -> bool:
+        """Whether residuals show so little of such a turn that vibrations of it stay unseen: points take them up."""
+        return self.share < BLIND
+
+    @property
+    def limit(self) -> float:
+        """px, amplitude from which on a vibration would be named, median over the frequencies."""
+        return float(np.median(self.level))
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualVibrations(Record):
+    """All that residuals show."""
+
+    spectra: tuple[ImageSpectrum, ...]
+    """Three of each image."""
+    vibrations: tuple[Vibration, ...]
+    """Clearest first."""
+
+    @property
+    def sentences(self) -> list[str]:
+        """Sentences: each vibration, and what would not be seen."""
+        found = [one.sentence for one in self.vibrations]
+        if not found:
+            found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per turn)."]
+        blind = [f"{one.turn} of {one.image}" for one in self.spectra if one.blind and one.turn != "yaw"]
+        if blind:
+            found.append(
+                f"Not seen would be vibrations in {some(blind, len(blind))}: points take them up as heights. To see "
+                "them, give control (laser, terrain model) or a third image."
+            )
+        return found
+
+
+def residual_vibrations(
+    of: Solution | Linearised,
+    false_alarms: float = FALSE_ALARMS,
+    progress: Callable[[int, int], None] = lambda _done, _most: None,
+) -> ResidualVibrations:
+    """Search the residuals of all images for vibrations.
+
+    Parameters
+    ----------
+    of : Solution or Linearised
+        With orientation that can't follow the vibrations looked for (polynomials, wide nodes): what close nodes have
+        followed is no longer in residuals.
+    false_alarms : float
+        Share of images and turns without any vibration in which one is named.
+    progress : callable
+        Called with the number of searches done, and of all at most.
+
+    Raises
+    ------
+    InputError
+        Where no image has rays enough.
+    """
+    residuals = residual_series(of, _FEWEST)
+    able = [SeriesSpectrum(one) for one in residuals.series]
+    found = _Found(residuals, able, false_alarms)
+    while len(found.waves) < _MOST_NAMED and found.next():
+        progress(len(found.waves), _MOST_NAMED)
+    progress(_MOST_NAMED, _MOST_NAMED)
+    return ResidualVibrations(found.spectra(), tuple(found.vibrations))
+
+
+class _Found:
+    """Vibrations named one after another."""
+
+    def __init__(self, residuals: Residuals, able: Sequence[SeriesSpectrum], false_alarms: float) -> None:
+        self._residuals, self._able, self._false_alarms = residuals, able, false_alarms
+        self._values = residuals.values
+        self._first = self._fits()
+        self._now = self._first
+        self.vibrations = list[Vibration]()
+        self.waves = list[tuple[int, Wave]]()
+        """Of each the number of its search; with traces."""
+
+    def _fits(self) -> list[WaveFits]:
+        return [one.fits(self._values[one.series.own, one.series.component]) for one in self._able]
+
+    def next(self) -> bool:
+        """Name the surest, and take it out; False where there is none."""
+        seeing = [k for k, one in enumerate(self._able) if one.series.share >= BLIND]
+        best = min(seeing, key=lambda k: self._now[k].probability, default=-1)
+        if best < 0 or self._now[best].probability > self._false_alarms:
+            return False
+        one = self._able[best]
+        wave = one.wave(self._values[one.series.own, one.series.component], self._now[best])
+        trace = any(self._traces(one, wave, *before) for before in self.waves)
+        near = [each.near(wave.peak.frequency, one.resolution) for each in self._now]
+        self._values = self._values - self._residuals.shown(one.series, wave.moved)
+        self._now = self._fits()
+        # what was as clear in another image, and has gone with it, may as well be that image's
+        alike = tuple(
+            f"{self._able[k].series.name} ({self._able[k].series.turn})" for k in seeing
+            if self._able[k].series.image != one.series.image and near[k] > _ALIKE * near[best]
+            and self._now[k].near(wave.peak.frequency, one.resolution) < _TRACE * near[k]
+        )  # fmt: skip
+        self.waves.append((best, wave))
+        if not trace:
+            self.vibrations.append(_vibration(one.series, wave.peak, alike))
+        return True
+
+    def _traces(self, one: SeriesSpectrum, wave: Wave, number: int, before: Wave) -> bool:
+        """Whether a wave is a trace of one that was named before it."""
+        near = abs(wave.peak.frequency - before.peak.frequency) < _NEAR * one.resolution
+        same = self._able[number].series.turn == one.series.turn
+        return near and same and wave.peak.test < _TRACE * before.peak.test
+
+    def spectra(self) -> tuple[ImageSpectrum, ...]:
+        """Before anything was taken out."""
+        named = {(one.image, one.turn, one.frequency) for one in self.vibrations}
+        return tuple(
+            _spectrum(one, self._first[k], [wave.peak for j, wave in self.waves if j == k], named, self._false_alarms)
+            for k, one in enumerate(self._able)
+        )
+
+
+def _vibration(series: Series, peak: Peak, alternatives: tuple[str, ...]) -> Vibration:
+    spread = math.sqrt(3.0) * peak.sigma / (math.pi * series.duration * peak.amplitude)
+    return Vibration(
+        series.name, series.turn, peak.frequency, spread, peak.amplitude, peak.sigma, peak.probability, alternatives
+    )
+
+
+def _spectrum(
+    one: SeriesSpectrum, fits: WaveFits, peaks: Sequence[Peak], named: set[tuple[str, str, float]], false_alarms: float
+) -> ImageSpectrum:
+    amplitudes, (image, turn) = np.hypot(*fits.values.T), (one.series.name, one.series.turn)
+    needed = level_of_test(false_alarms, one.width, fits.freedom)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = np.where(fits.tests > 0.0, amplitudes * np.sqrt(needed / fits.tests), np.inf)
+    floor = np.sqrt(fits.floor * np.trace(fits.covariance, axis1=1, axis2=2))
+    mine = tuple(peak for peak in peaks if (image, turn, peak.frequency) in named)
+    return ImageSpectrum(image, turn, one.series.share, one.grid, amplitudes, floor, level, mine)
