@@ -9,17 +9,15 @@ docs/jitter_study.md by default. Seeds are fresh for each run that gives another
 
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from study import DOCS, at_least, command, show, table, write_page
+from study import DOCS, at_least, command, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.vibrations import Vibration, residual_vibrations
+from mgsgraph.analysis.vibrations import residual_vibrations
 from mgsgraph.simulation.ctx import (
     PIXEL,
     ControlSettings,
@@ -27,12 +25,8 @@ from mgsgraph.simulation.ctx import (
     JitterSettings,
     Look,
     SimulatedCtxPair,
-    dense_truth,
-    height_errors,
-    ripple,
     simulate_ctx_pair,
 )
-from mgsgraph.simulation.strip_truth import correction_at
 
 PLAIN = SolverSettings(starts=0)
 LOOKS: tuple[Look, ...] = ("across", "along")

@@ -41,8 +41,8 @@ from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.components import group_redundancy
 from mgsgraph.analysis.grouping import group_rows
-from mgsgraph.analysis.helmert import group_redundancy
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT, Inseparable, inseparable
 from mgsgraph.errors import InputError
@@ -90,7 +90,10 @@ class Evidence:
         known = _known(solution, rows)
         found, push = known.prior - known.prior @ known.posterior @ known.prior, known.prior @ known.values
         parts = [
-            tuple((rows[one.of_pass, one.component], _process_covariance(network.passes[one.of_pass], one)) for one in members)
+            tuple(
+                (rows[one.of_pass, one.component], _process_covariance(network.passes[one.of_pass], one))
+                for one in members
+            )
             for members in wanted
         ]
         return cls(0.5 * (found + found.T), push, tuple(parts))

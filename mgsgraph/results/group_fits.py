@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.fit import ABSURD
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
-from mgsgraph.analysis.group_fits import ODDS, GroupFit, group_fits
+from mgsgraph.analysis.residual_tests import ODDS, GroupFit, group_fits
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.results.section import Section
 from mgsgraph.text import listed

@@ -7,8 +7,7 @@
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.separability import mixtures, separations
-from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
+from mgsgraph.analysis.separability import SharedEstimate, mixtures, separations, shared_estimates
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.results.section import Section
 from mgsgraph.text import some

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from mgsgraph.adjustment.fit import ABSURD
-from mgsgraph.adjustment.implausible import IMPOSSIBLE
+from mgsgraph.adjustment.fit import ABSURD, IMPOSSIBLE
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.soundness import MOST, Loss, soundness
 from mgsgraph.results.section import Section

@@ -15,8 +15,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.flight import node_times, strip_corrections
-from mgsgraph.analysis.height_cells import height_cells
-from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, owners, two_step_statistics
+from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, height_cells, owners, two_step_statistics
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array

@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
-from mgsgraph.analysis.common_points import CommonPoints
-from mgsgraph.analysis.group_medians import medians, span
+from mgsgraph.analysis.statistics import CommonPoints, medians, span
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.aggregate import cell_means, cell_numbers, limit
 from mgsgraph.results.figures.overview_map import GroundFrame, draw_cells, ground_frame

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import counts, medians, span
+from mgsgraph.analysis.statistics import counts, medians, span
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Mask

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import CommonPoints
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.map_plane import centre_of, east_north

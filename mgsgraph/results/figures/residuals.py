@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import median_residuals, worst_first
+from mgsgraph.analysis.statistics import median_residuals, worst_first
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned
