@@ -3,10 +3,6 @@
 These quantities are divided among images and among points, at the state that the adjustment has reached:
 
 * the cost: each measure's part of it belongs to its image and to its point, an a-priori orientation's to its image;
-* the next step, with the damping of the last one. An image's part are the squares of its step in a-priori sigmas. A
-  point's part are the squares by which its whitened residuals change: over all rows these add up to the square of the
-  step's length in posterior sigmas;
-* the rise of the cost, where that step would raise it: measures whose own cost rises;
 * the points that have no place: behind a camera, on rays that part, or not determined by their rays. They are sought at
   the state itself and after the next step, whose cost they make infinite.
 
@@ -20,6 +16,7 @@ Finds which images and points drive an adjustment (`drivers`).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -51,10 +48,6 @@ class Quantity(StrEnum):
     """Points without a place at that state."""
     BLOCKING = "blocking points"
     """Points without a place after the next step, so that it can't be taken."""
-    RISE = "rise"
-    """What the next step adds to the cost of those measures whose cost it raises."""
-    STEP = "step"
-    """The squared length of the next step in sigmas."""
 
 
 class Kind(StrEnum):
@@ -114,15 +107,10 @@ class Drivers(Record):
         return tuple(one for one in self.contributions if one.outstanding)
 
 
-_FIRST = (Quantity.COST, Quantity.LOST, Quantity.BLOCKING)
-"""Quantities that are spoken of wherever something stands out; the others only where nothing does in these."""
-
-
 def driver_sentences(found: Drivers, network: Network) -> list[str]:
     """Which images and points stand out, by name; or that none does."""
-    told = [one for one in found.outstanding if one.quantity in _FIRST] or list(found.outstanding[:1])
-    if told:
-        sentences = [_sentence(one, network) for one in _without_repeated(told)]
+    if found.outstanding:
+        sentences = [_sentence(one, network) for one in _without_repeated(found.outstanding)]
         return [f"What drives it: {sentences[0]}", *sentences[1:]]
     largest = [one for one in found.contributions if one.quantity == Quantity.COST and one.members.size]
     shares = " and ".join(f"{_names(one, network, 1)} with {_percent(one.shares[0])}" for one in largest)
@@ -130,7 +118,7 @@ def driver_sentences(found: Drivers, network: Network) -> list[str]:
     return [f"No image and no point stands out: nothing in particular drives it.{most}"]
 
 
-def _without_repeated(told: list[Contributions]) -> list[Contributions]:
+def _without_repeated(told: Sequence[Contributions]) -> list[Contributions]:
     """Of the points without a place, the images where these say it, else the points."""
     seen, left = set[Quantity](), list[Contributions]()
     for one in told:
@@ -147,15 +135,11 @@ def _sentence(one: Contributions, network: Network) -> str:
     share, plural = _percent(one.share), count != 1
     if one.quantity == Quantity.COST:
         return f"{who} {'carry' if plural else 'carries'} {share} of the cost: {names}."
-    if one.quantity in (Quantity.LOST, Quantity.BLOCKING):
-        when = "where it stopped" if one.quantity == Quantity.LOST else "after the next step, which can't be taken"
-        what = "no place (behind a camera, on rays that part, or not determined by them)"
-        if one.kind == Kind.POINT:
-            return f"{who} {'have' if plural else 'has'} {what} {when}: {names}."
-        return f"{who} {'see' if plural else 'sees'} most of the points that have {what} {when}: {names}."
-    if one.quantity == Quantity.RISE:
-        return f"{who} {'have' if plural else 'has'} {share} of what the next step would add to the cost: {names}."
-    return f"{who} {'make' if plural else 'makes'} {share} of the next step: {names}."
+    when = "where it stopped" if one.quantity == Quantity.LOST else "after the next step, which can't be taken"
+    what = "no place (behind a camera, on rays that part, or not determined by them)"
+    if one.kind == Kind.POINT:
+        return f"{who} {'have' if plural else 'has'} {what} {when}: {names}."
+    return f"{who} {'see' if plural else 'sees'} most of the points that have {what} {when}: {names}."
 
 
 def _names(one: Contributions, network: Network, most: int = 3) -> str:
@@ -174,7 +158,7 @@ def _percent(share: float) -> str:
 _FEW = 20.0
 """Times more that is asked of an image with one measure; of one with n measures the n-th part of it."""
 LEAST = 1.0
-"""Mean square, or step in a-priori sigmas, that stands out at least."""
+"""Mean square that stands out at least."""
 _SHARE = 0.1
 """Share of a quantity that those who stand out have together at least."""
 FEWEST = 5
@@ -184,9 +168,8 @@ _COVERED, _RATIO = 0.8, 3.0
 
 
 def outstanding(
-    values: Array, measures: Array, factor: float, whole: float | None = None, share: float = _SHARE,
-    least: float = LEAST, pulled: float = 0.0,
-) -> Mask:  # fmt: skip
+    values: Array, measures: Array, factor: float, whole: float | None = None, pulled: float = 0.0
+) -> Mask:
     """(n,) whose mean square per measure is many times the median, and a share `pulled` of the largest, if together
     they have a share of the whole.
     """
@@ -194,9 +177,9 @@ def outstanding(
         level = np.where(measures > 0.0, values / measures, 0.0)
         few = np.where(measures > 0.0, _FEW / measures, 0.0)
     typical = float(np.median(level[measures > 0.0])) if np.any(measures > 0.0) else 0.0
-    found = (level >= least) & (level > typical * (factor + few))
+    found = (level >= LEAST) & (level > typical * (factor + few))
     found &= level >= pulled * np.max(level, initial=0.0, where=found)
-    enough = values[found].sum() >= share * (values.sum() if whole is None else whole)
+    enough = values[found].sum() >= _SHARE * (values.sum() if whole is None else whole)
     return np.asarray(found & enough)
 
 
@@ -247,10 +230,6 @@ _UNADJUSTED = 25.0
 """The same of images where nothing has been adjusted yet: there each has the cost of its own orientation's error."""
 _PULLED = 0.1
 """Share of the largest mean square of an image up to which others owe theirs to that image."""
-_STEPS = 30.0
-"""The same of an image's step: the squares of second-order terms are far from even by themselves."""
-_OF_STEP = 0.5
-"""The same of the step."""
 _MOST = 0.1
 """Share of all points beyond which those that stand out, or have no place, are rather the images' doing."""
 _DAMPED, _MOST_DAMPING = 100.0, 1e8
@@ -312,7 +291,7 @@ def drivers_of(
     Returns
     -------
     Drivers
-        What the step would do costs one sweep, and another one for its residuals.
+        What the step would do costs one sweep.
     """
     layout, network = graph.layout, graph.layout.network
     taking, states = layout.network_order(graph.rows.kind) != OUT, layout.network_order(reduction.states)
@@ -328,11 +307,7 @@ def drivers_of(
         trial = graph.reduction(reduction.orientation + step, COSTS, reduction)
         later = layout.network_order(trial.states)
         blocking, states = taking & ~lost & (later != GOOD), np.where(lost, states, later)
-        then = residuals(layout, trial.orientation, trial.points, graph.sweeper)
-        there = _costs(graph, trial, then, lost | blocking)
         after = math.inf if np.any(lost | blocking) else graph.cost(trial)
-        every += _of_rise(network, here, there, redescending)
-        every += _of_step(graph, step, here, _changes(network, known, then, here))
     for quantity, points in ((Quantity.LOST, lost), (Quantity.BLOCKING, blocking)):
         every += _of_lost(network, quantity, points, here, redescending)
     behind = np.flatnonzero(taking & (states == BEHIND))
@@ -392,15 +367,6 @@ def _by_image(layout: Layout, values: Array) -> Array:
     return found
 
 
-def _changes(network: Network, before: Residuals, after: Residuals, costs: _Costs) -> Array:
-    """(n,) squares by which the whitened residuals of each point's rays and ranges change."""
-    size = len(network.points)
-    rays = np.nansum(((after.image - before.image) / network.rays.sigmas) ** 2, axis=1)
-    ranges = np.nan_to_num((after.ranges - before.ranges) / network.ranges.sigmas) ** 2
-    found = np.bincount(network.rays.point, rays, size) + np.bincount(network.ranges.point, ranges, size)
-    return np.where(costs.of_points()[1] > 0, found, 0.0)
-
-
 # --- who has how much of each quantity
 
 
@@ -426,30 +392,6 @@ def _of_cost(network: Network, costs: _Costs, factor: float) -> list[Contributio
     return [one for one in (found[::-1] if points_first else found) if one.members.size]
 
 
-def _of_rise(network: Network, before: _Costs, after: _Costs, redescending: bool) -> list[Contributions]:
-    """Of what the step adds to the cost of images, and of points, where the whole of it rises."""
-    if after.values.sum() + after.own.sum() <= before.values.sum() + before.own.sum():
-        return []
-    (images, measures), (points, rays) = before.of_images(), before.of_points()
-    images, points = (
-        np.maximum(later - now, 0.0) for later, now in ((after.of_images()[0], images), (after.of_points()[0], points))
-    )
-    of_images, of_points = outstanding(images, measures, _IMAGES), outstanding(points, rays, _POINTS)
-    if redescending:
-        of_images, of_points = np.zeros_like(of_images), np.zeros_like(of_points)
-    return _first_of(network, Quantity.RISE, (images, of_images), (points, of_points))
-
-
-def _of_step(graph: BundleGraph, step: Array, costs: _Costs, changes: Array) -> list[Contributions]:
-    """Of the next step (columns,): images by a-priori sigmas, points by changes (n,) of their residuals."""
-    network, redescending = graph.layout.network, graph.layout.model.loss == TUKEY
-    images = _by_image(graph.layout, (step / graph.layout.scales) ** 2)
-    wide = _by_image(graph.layout, np.ones(graph.layout.columns))
-    far = outstanding(images, wide, _STEPS, share=_OF_STEP, least=0.0) & (images >= LEAST)
-    points = outstanding(changes, costs.of_points()[1], _POINTS, share=_OF_STEP)
-    return _first_of(network, Quantity.STEP, (images, far), (changes, points & (not redescending)))
-
-
 def _of_lost(
     network: Network, quantity: Quantity, lost: Mask, costs: _Costs, redescending: bool
 ) -> list[Contributions]:
@@ -468,15 +410,3 @@ def _of_lost(
         contributions(quantity, Kind.IMAGE, number, far, level, count),
     ]
     return found[::-1] if np.any(far) else found
-
-
-def _first_of(
-    network: Network, quantity: Quantity, images: tuple[Array, Mask], points: tuple[Array, Mask]
-) -> list[Contributions]:
-    """Parts of images and points in a quantity; of the two only those stand out that explain the others."""
-    points_first = bool(np.any(points[1])) and not covered(network, *images, points[1])
-    found = [
-        contributions(quantity, Kind.IMAGE, images[0], images[1] & (not points_first)),
-        contributions(quantity, Kind.POINT, points[0], points[1] & points_first),
-    ]
-    return [one for one in (found[::-1] if points_first else found) if one.members.size]

@@ -41,8 +41,8 @@ from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.components import group_redundancy
 from mgsgraph.analysis.grouping import group_rows
+from mgsgraph.analysis.helmert import group_redundancy
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT, Inseparable, inseparable
 from mgsgraph.errors import InputError

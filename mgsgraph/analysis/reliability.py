@@ -169,12 +169,24 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     out = empty_measures(ends[-1])
     rays, ranges, apriori, surface, on_stereo, priors = (out.part(a, b) for a, b in pairwise(ends))
     squares = sum(_rays(rays, at, numbers, used, roots, levels))
-    squares += _ranges(ranges, at, numbers, shots, roots, levels)
+    network, index = at.network, at.layout.observation_rows
+    root = None if roots is None else roots.ranges[shots]
+    squares += _singles(
+        ranges, MeasureKind.RANGE, numbers, network.ranges.sigmas[shots], root, levels,
+        shots, network.ranges.point[shots], network.ranges.image[shots], index.ranges[shots],
+    )  # fmt: skip
     thrice = np.repeat(points, 3)
     apriori.say(MeasureKind.GROUND, np.tile(np.arange(3), points.size), thrice, thrice, -1, np.repeat(places, 3))
     squares += judge_ground_priors(apriori, at.network.points.covariances[points], ground, levels)
-    squares += _heights(surface, at, numbers, heights, levels) + _priors(priors, at, known, levels)
-    squares += _stereo(on_stereo, at, numbers, stereo, roots, levels)
+    if network.surface is not None:
+        point = index.on_terrain[heights]
+        sigmas, where = network.surface.sigmas[point], (point, point, -1, index.heights[heights])
+        squares += _singles(surface, MeasureKind.HEIGHT, numbers, sigmas, None, levels, *where)
+    squares += _priors(priors, at, known, levels)
+    if network.stereo is not None and at.layout.stereo is not None:
+        point, root = at.layout.stereo.points[stereo], None if roots is None else roots.stereo[stereo]
+        sigmas, where = network.stereo.sigmas[point], (point, point, -1, index.stereo[stereo])
+        squares += _singles(on_stereo, MeasureKind.STEREO, numbers, sigmas, root, levels, *where)
     degrees = float(out.redundancy.sum())
     sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
     if levels.scaled:
@@ -266,42 +278,16 @@ def _rays(
     return in_threads(part, pairwise(edges))
 
 
-def _ranges(
-    out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: _Roots | None, levels: Levels
-) -> float:
-    """Fill in the ranges; their sum of squares."""
-    ranges, index = at.network.ranges, at.layout.observation_rows.ranges[shots]
-    out.say(MeasureKind.RANGE, _zeros(shots), shots, ranges.point[shots], ranges.image[shots], index)
-    root = None if roots is None else roots.ranges[shots]
+def _singles(
+    out: ScalarMeasures, kind: MeasureKind, numbers: Array, sigmas: Array, root: Array | None, levels: Levels,
+    row: Index, point: Index, image: Index | int, index: Index,
+) -> float:  # fmt: skip
+    """Fill in observations of one row with a-priori `sigmas`; their sum of squares."""
+    out.say(kind, _zeros(row), row, point, image, index)
     misfit, share, effect = numbers[index][:, [0, 2, 4]].T
-    judge_scalars(out, ranges.sigmas[shots], misfit, share, effect, root, levels)
-    return float(misfit @ misfit)
-
-
-def _heights(out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, levels: Levels) -> float:
-    """Fill in the heights above the terrain; their sum of squares."""
-    if at.network.surface is None:
-        return 0.0
-    point, index = at.layout.observation_rows.on_terrain[chosen], at.layout.observation_rows.heights[chosen]
-    out.say(MeasureKind.HEIGHT, _zeros(point), point, point, -1, index)
-    misfit, share, effect = numbers[index][:, [0, 2, 4]].T
-    # the kernel's are heights of the points above the terrain: predicted, where 0 is measured
-    judge_scalars(out, at.network.surface.sigmas[point], -misfit, share, effect, None, levels)
-    return float(misfit @ misfit)
-
-
-def _stereo(
-    out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, roots: _Roots | None, levels: Levels
-) -> float:
-    """Fill in the heights above stereo surfaces; their sum of squares."""
-    if at.network.stereo is None or at.layout.stereo is None:
-        return 0.0
-    point, index = at.layout.stereo.points[chosen], at.layout.observation_rows.stereo[chosen]
-    out.say(MeasureKind.STEREO, _zeros(point), point, point, -1, index)
-    misfit, share, effect = numbers[index][:, [0, 2, 4]].T
-    # as of the terrain, the kernel's are heights: predicted, where 0 is measured
-    root = None if roots is None else roots.stereo[chosen]
-    judge_scalars(out, at.network.stereo.sigmas[point], -misfit, share, effect, root, levels)
+    # the kernel's heights are those of the points above the model: predicted, where 0 is measured
+    sign = 1.0 if kind == MeasureKind.RANGE else -1.0
+    judge_scalars(out, sigmas, sign * misfit, share, effect, root, levels)
     return float(misfit @ misfit)
 
 

@@ -13,9 +13,7 @@ covariance of all unknowns (points eliminated) and N its inverse:
     correlation  S_kj / sqrt(S_kk S_jj)                         the largest, over all other unknowns j
     together     sqrt(1 - 1 / (S_kk N_kk))                      multiple correlation with all others
 
-S_kk N_kk is the variance inflation factor of regression. Both correlations are the posterior's, priors included. The
-determined mixtures are eigenvectors of the posterior of the shared unknowns, each in units of its a-priori sigma: an
-eigenvalue far below one is a combination that the measures determine, whatever its members are.
+S_kk N_kk is the variance inflation factor of regression. Both correlations are the posterior's, priors included.
 
 Unknowns that images share, and whether they can be separated from along-track pointing.
 
@@ -33,8 +31,9 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.analysis.flight import strip_turns
+from mgsgraph.analysis.measures import unknown_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import COMPONENTS, Angles
+from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
@@ -54,8 +53,6 @@ _LEAST_SHARE = 0.05
 """Of the largest, what a coefficient of a mixture is named from, both in posterior sigmas."""
 FROM_PRIOR = 0.9
 """Share of the a-priori sigma from which an unknown counts as determined by its prior alone."""
-_DETERMINED = 0.3
-"""Share of the a-priori sigmas up to which a mixture counts as determined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,24 +287,6 @@ class Separation(Record):
         }[self.verdict]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mixture(Record):
-    """A combination of shared unknowns that the measures determine."""
-
-    names: tuple[str, ...]
-    """Its members, two or more."""
-    coefficients: Array
-    """(k,) per a-priori sigma of each, the largest 1 or -1."""
-    gain: float
-    """Its posterior sigma over its a-priori one."""
-
-    @property
-    def words(self) -> str:
-        """As a formula in a-priori sigmas."""
-        terms = [f"{c:+.2g} {name}" for c, name in zip(self.coefficients.tolist(), self.names, strict=True)]
-        return f"{' '.join(terms)} (each per a-priori sigma), to {self.gain:.2g} of what was known of it"
-
-
 def separations(solution: Solution) -> tuple[Separation, ...]:
     """Of all components of all shared unknowns, in their order."""
     network, root = solution.network, solution.joint_covariance.square_root
@@ -335,28 +314,6 @@ def separations(solution: Solution) -> tuple[Separation, ...]:
     )
 
 
-def mixtures(solution: Solution) -> tuple[Mixture, ...]:
-    """Combinations of two or more shared unknowns that the measures determine, the best known first; those of a single
-    one are said by its own gain.
-    """
-    own = _shared_columns(solution)
-    if own.size < 2:
-        return ()
-    names = column_names(solution.network, solution.joint_covariance.square_root)
-    first = solution.network.first_shared
-    covariance = solution.joint_covariance.of(range(first, first + len(solution.network.shared)))
-    prior = np.concatenate([one.sigmas for one in solution.network.shared])
-    values, vectors = np.linalg.eigh(covariance / np.outer(prior, prior))
-    found = []
-    for value, vector in zip(values.tolist(), vectors.T, strict=True):
-        size = np.abs(vector) / np.abs(vector).max()
-        members = np.flatnonzero(size >= _IN_MIXTURE)
-        if np.sqrt(max(value, 0.0)) <= _DETERMINED and members.size > 1:
-            scaled = vector[members] / vector[np.abs(vector).argmax()]
-            found.append(Mixture(tuple(names[own[k]] for k in members), scaled, float(np.sqrt(max(value, 0.0)))))
-    return tuple(found)
-
-
 def _shared_columns(solution: Solution) -> Index:
     """Columns of the shared unknowns, in their order."""
     first, begins = solution.network.first_shared, solution.joint_covariance.square_root.first
@@ -369,24 +326,8 @@ def column_names(network: Network, root: SquareRoot) -> list[str]:
     names = [""] * root.columns
     for variable in root.adjusted.tolist():
         for inside in range(int(root.width[variable])):
-            names[int(root.first[variable]) + inside] = _name(network, variable, inside)
+            names[int(root.first[variable]) + inside] = unknown_name(network, variable, inside)[0]
     return names
-
-
-def _name(network: Network, variable: int, inside: int) -> str:
-    if variable < len(network.images):
-        power, component = divmod(inside, 6)
-        term = ("constant", "linear", "quadratic", "cubic")[power] if power < 4 else f"u^{power}"
-        return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}"
-    if variable >= network.first_of_passes[0]:
-        one, unknown = network.of_passes(variable)
-        what, component = one.part(unknown, inside)
-        return f"{COMPONENTS[component]} of {what} of pass {one.name}"
-    if variable < network.first_shared:
-        k = variable - len(network.images)
-        return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}"
-    shared = network.shared[variable - network.first_shared]
-    return f"{shared.name} {shared.kind.components[inside]}".strip()
 
 
 def information(root: SquareRoot, columns: Index) -> Array:

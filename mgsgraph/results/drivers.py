@@ -45,7 +45,7 @@ def drivers_table(solution: Solution) -> Table:
     return Table("drivers", "What drives the adjustment", (
         Column("quantity", _repeated([str(one.quantity) for one in every], sizes), page="s",
                meaning="cost; lost points: without a place where it stopped; blocking points: without one after the "
-               "next step; rise: of the cost by that step; step: its square in sigmas"),
+               "next step"),
         Column("kind", _repeated([str(one.kind) for one in every], sizes), page="s", meaning="image or point"),
         Column("name", list(chain.from_iterable(_names(solution, one) for one in every)), page="s",
                meaning="of the image, or id of the point"),
@@ -53,7 +53,7 @@ def drivers_table(solution: Solution) -> Table:
                meaning="of the quantity; of points without a place the share that the image has measured"),
         Column("stands_out", [("", "yes")[yes] for part in out for yes in part.tolist()], head="stands out", page="s",
                meaning="yes: far beyond the median of all others"),
-    ), "Shares of the cost where it stopped, and of the step that would be next; up to 100 images and points of each. ",
+    ), "Shares of the cost where it stopped; up to 100 images and points of each. ",
     )  # fmt: skip
 
 
