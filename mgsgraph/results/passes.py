@@ -136,7 +136,7 @@ def shared_table(solution: Solution) -> Table:
 
 
 def shared_section(solution: Solution) -> Section:
-    """Verdict on each column, and a sentence about each mixture of them that is determined."""
+    """Verdict on each column."""
     table, both = shared_table(solution), zip(shared_estimates(solution), separations(solution), strict=True)
     said = [
         f"{one.name[0].upper()}{one.name[1:]}{f', axis {one.axis}' if one.axis else ''}: "
