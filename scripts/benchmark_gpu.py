@@ -94,7 +94,7 @@ from peer_problem import PeerProblem, network  # noqa: E402
 from study import at_least, command, machine, require_writable, status, table, write_text  # noqa: E402
 
 from mgsgraph.adjustment.batch import levenberg_marquardt  # noqa: E402
-from mgsgraph.adjustment.gpu.devices import find_gpu  # noqa: E402
+from mgsgraph.adjustment.gpu import find_gpu  # noqa: E402
 from mgsgraph.adjustment.gpu.sweeper import GpuSweeper  # noqa: E402
 from mgsgraph.adjustment.graph.bundle import BundleGraph  # noqa: E402
 from mgsgraph.adjustment.graph.layout import Layout, lay_out  # noqa: E402

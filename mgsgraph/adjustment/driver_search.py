@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.drivers import LISTED, Contributions, Drivers, Kind, Quantity
+from mgsgraph.adjustment.fit import squares_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.parallel import nearly_parallel
+from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.residuals import Residuals, residuals
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
-from mgsgraph.adjustment.squares import squares_of
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, TUKEY, WEAK

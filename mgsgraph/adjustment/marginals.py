@@ -15,13 +15,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import lapack
 
-from mgsgraph.adjustment.blas_threads import many_threads, one_thread
-from mgsgraph.adjustment.square_root import SquareRoot, begins, eliminate
+from mgsgraph.adjustment.square_root import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -243,26 +241,6 @@ def _copy(source: Array, places: _Places, turned: bool, wanted: _Wanted, width: 
             found = sliding_window_view(source, columns)[places.only(piece).rows(rows)]
             goal = sliding_window_view(result, shape[1], writeable=True)
             goal[wanted.places.only(piece).rows(shape[0])] = np.swapaxes(found, 1, 2) if turned else found
-
-
-def marginals(linear: gtsam.GaussianFactorGraph, keys: Sequence[int | None], widths: Sequence[int]) -> JointCovariance:
-    """Joint covariance of the variables of a linear system.
-
-    Parameters
-    ----------
-    linear : GaussianFactorGraph
-        Factors on the adjusted variables alone.
-    keys : sequence of int or None
-        GTSAM key of each variable; None for a held one.
-    widths : sequence of int
-        Number of columns of each.
-
-    Raises
-    ------
-    RuntimeError
-        "Indeterminate linear system" in GTSAM's words, when it is not positive definite.
-    """
-    return joint_covariance(eliminate(linear, keys, widths))
 
 
 def joint_covariance(root: SquareRoot) -> JointCovariance:

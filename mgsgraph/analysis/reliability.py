@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.leverage import BETWEEN, EFFECT, MISFIT, SHARE
+from mgsgraph.adjustment.graph.bundle import BETWEEN, EFFECT, MISFIT, SHARE
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.redundancy import pair_tests, swept
 from mgsgraph.adjustment.residuals import residuals

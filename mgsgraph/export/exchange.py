@@ -33,7 +33,7 @@ from mgsgraph.files.networks.table_writing import table_parquet, table_text
 from mgsgraph.files.networks.thinning import thinned
 from mgsgraph.files.networks.uniting import united
 from mgsgraph.files.writing import Output, begins, fresh_file, require_free
-from mgsgraph.network.links import groups
+from mgsgraph.network.connectivity import groups
 from mgsgraph.record import Record
 from mgsgraph.text import many, some
 

@@ -12,7 +12,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import TERRAIN, PointClass
-from mgsgraph.network.terrain_control import Coverage, coverage
+from mgsgraph.network.terrain import Coverage, coverage
 from mgsgraph.results.section import Section
 from mgsgraph.text import listed, many, root_mean_square
 from mgsgraph.units import MRAD

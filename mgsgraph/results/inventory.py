@@ -23,14 +23,16 @@ from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, NodePrior, PointClass
-from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
-from mgsgraph.network.connectivity_words import (
+from mgsgraph.network.connectivity import (
+    Connectivity,
+    connectivity,
     connectivity_warnings,
     cut_image_statement,
     link_statement,
+    network_footprints,
     weakest_joints,
 )
-from mgsgraph.network.terrain_control import coverage
+from mgsgraph.network.terrain import coverage
 from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.results.crossings import crossing_sentences
 from mgsgraph.results.input_remarks import beyond_priors_statements, range_statements, reading_statements

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_reports
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import (
-    JointNodePrior,
     Network,
     NodePrior,
     Pass,
@@ -26,7 +25,7 @@ from mgsgraph.network import (
     ProcessPrior,
     SharedKind,
 )
-from mgsgraph.network.finding import mounting_angles
+from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.support import support
 from mgsgraph.results.section import Section
 from mgsgraph.text import many, some, span
@@ -166,8 +165,6 @@ def mounting_warnings(network: Network) -> list[str]:
 
 
 def _prior_words(prior: PassPrior) -> str:
-    if isinstance(prior, JointNodePrior):
-        return "of all nodes jointly"
     if isinstance(prior, PolynomialPrior):
         terms = [
             f"{name} {', '.join(span(row / unit) for row in sigmas)} {word}"

@@ -7,8 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.network.connectivity_words import connectivity_json, connectivity_statements
+from mgsgraph.network.connectivity import Connectivity, connectivity_json, connectivity_statements
 from mgsgraph.results.control import control_section, minima_section
 from mgsgraph.results.drivers import drivers_section
 from mgsgraph.results.group_fits import fits_section

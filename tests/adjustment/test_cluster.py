@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, parse_cluster, workers
-from mgsgraph.adjustment.cluster.address import cores, threads_of_each
+from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, parse_cluster
+from mgsgraph.adjustment.cluster.workers import cores, require_visible_file, threads_of_each
 from mgsgraph.errors import InputError, SolverError
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
@@ -146,7 +146,7 @@ def test_files_that_workers_see_and_do_not(two: Connection, tmp_path: Path) -> N
     two.require_visible_file(path)
     for answer in ("No such file or directory", "0" * 64):
         with pytest.raises(InputError, match=r"worker tcp://far: it does not see .*record"):
-            workers.require_visible_file(_Far(answer), path, "--cluster tcp://far", 0.0)
+            require_visible_file(_Far(answer), path, "--cluster tcp://far", 0.0)
 
 
 class _Far:

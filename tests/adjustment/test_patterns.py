@@ -14,8 +14,8 @@ from strategies import along
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
-from mgsgraph.adjustment.graph.parallel import nearly_parallel, parallel
 from mgsgraph.adjustment.graph.patterns import Observation, group_blocks
+from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation

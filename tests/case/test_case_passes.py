@@ -16,8 +16,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.time_scales import tdb_of_utc
 from mgsgraph.network import Pass, ProcessPrior
-from mgsgraph.network.finding import found_passes
-from mgsgraph.network.joining import mountings
+from mgsgraph.network.joining import found_passes, mountings
 from mgsgraph.network.node_priors import normalised
 from mgsgraph.units import MGON, MRAD
 

@@ -15,7 +15,7 @@ from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.graph import Layout, lay_out, stereo
 from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
-from mgsgraph.adjustment.graph.observations import measurement, observation_factor
+from mgsgraph.adjustment.graph.explicit import measurement, observation_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors import collinearity

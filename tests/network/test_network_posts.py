@@ -13,7 +13,7 @@ from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import PointClass, SharedKind
-from mgsgraph.network.posts import TerrainModel, posts_of, with_posts
+from mgsgraph.network.terrain import TerrainModel, posts_of, with_posts
 from mgsgraph.units import DEG
 
 RADIUS = 3_390_000.0

@@ -12,8 +12,9 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
-from mgsgraph.network.connectivity import Connectivity, common_points
-from mgsgraph.network.connectivity_words import (
+from mgsgraph.network.connectivity import (
+    Connectivity,
+    common_points,
     connectivity_json,
     connectivity_statements,
     cut_image_statement,

@@ -13,7 +13,7 @@ from networks import as_nodes, network, pair
 from strip_files import block, write_block
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.datum.frames import flight_frame
+from mgsgraph.adjustment.frames import flight_frame
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.flight import node_times, strip_corrections, strip_reports

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_rows, mix_values
+from mgsgraph.adjustment.graph.loops import by_point, counted, distinct, mix_rows, mix_values
 from mgsgraph.adjustment.graph.stereo import StereoRows, columns, combinations
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.adjustment.marginals import JointCovariance

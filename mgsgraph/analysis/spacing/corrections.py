@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import FLIGHT
+from mgsgraph.adjustment.frames import FLIGHT
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.linearised import at_solution

@@ -19,8 +19,8 @@ from mgsgraph.analysis.process_strengths import Strength, estimated_strengths
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.network import Network, NodePrior
+from mgsgraph.network.conditioning import Process
 from mgsgraph.network.node_priors import ProcessPrior
-from mgsgraph.network.processes import Process
 
 PER_WAVE = 8.0
 """Nodes in a period of the highest frequency: Lagrange's polynomials then follow a sine to 1 % of its amplitude."""

@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.analysis.spacing.choice import Choice
 from mgsgraph.analysis.spacing.corrections import CorrectionSeries
 from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS, Spectrum

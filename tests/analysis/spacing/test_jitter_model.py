@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from joint_prior import JointNodePrior
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.spacing.jitter_model import JitterModel, jitter_model
 from mgsgraph.errors import InputError
-from mgsgraph.network import JointNodePrior
 from mgsgraph.simulation.ctx import PIXEL, ControlSettings, CtxSettings, SimulatedCtxPair, simulate_ctx_pair
 from mgsgraph.simulation.jitter import JitterSettings
 from mgsgraph.simulation.jitter_heights import dense_truth, height_errors, ripple
@@ -75,6 +75,6 @@ def test_what_ties_do_not_see_is_said_and_taken_over() -> None:
 def test_other_priors_are_refused() -> None:
     network = short(False)[0].network
     one = network.passes[0]
-    joint = JointNodePrior(np.eye(6 * len(one.nodes)), np.zeros(0))
+    joint = JointNodePrior(np.eye(6 * len(one.nodes)))
     with pytest.raises(InputError, match="JointNodePrior"):
         jitter_model(replace(network, passes=(replace(one, prior=joint), network.passes[1])), PLAIN, [], PIXEL)
