@@ -292,8 +292,8 @@ def settled_minimum(
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
 ) -> Outcome[Array]:
-    """Minimise a problem's cost and settle (`settled`), where the cost is too rough to tell one step from another: from where the cost hardly falls any more, or should steps not
-    settle from there, from where it doesn't.
+    """Minimise a problem's cost, too rough near the optimum to tell one step from another, and settle (`settled`): from
+    where it hardly falls any more, or should steps not settle from there, from where it doesn't.
     """
     early = replace(settings, cost_tolerance=max(settings.cost_tolerance, EARLY))
     found = levenberg_marquardt(problem, start, early, progress)
