@@ -150,7 +150,8 @@ def test_rows_have_the_derivatives_of_all_five() -> None:
     assert made.variables.angular[-5:].tolist() == [False, False, False, True, True]
     observations = [
         (i, j) for pattern, first, count in made.rows.piece[:, :3].tolist() for i in range(first, first + count)
-        for j, observation in enumerate(made.patterns.observations[pattern]) if observation.kind == SURFACE
+        for j, kind in enumerate(made.patterns.kind[slice(*made.patterns.first[pattern : pattern + 2])])
+        if kind == SURFACE
     ]  # fmt: skip
     for i, j in observations:
         point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]

@@ -161,7 +161,7 @@ def explicit_graph(
                 continue
             if rows.kind[i] != FIXED:
                 values.insert(point_key(i), points[i])
-            for j in range(len(layout.patterns.observations[pattern])):
+            for j in range(layout.patterns.first[pattern + 1] - layout.patterns.first[pattern]):
                 weights = rows.weight[:, place + j * count + i - first]
                 if weights[0] > 0.0:
                     graph.add(_factor(layout, rows, i, pattern, j, weights))
@@ -170,18 +170,19 @@ def explicit_graph(
 
 def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: Array) -> gtsam.CustomFactor:
     """Factor of the j-th observation of a point (place in the layout)."""
-    observation, network = layout.patterns.observations[pattern][j], layout.network
-    variables = observation.variables
+    patterns, network = layout.patterns, layout.network
+    s = patterns.first[pattern] + j
+    variables = list(dict.fromkeys(patterns.entry_variable[patterns.entry[s] : patterns.entry[s + 1]].tolist()))
     label = f"point {network.points.ids[layout.point_order[i]]}"
-    if observation.image >= 0:
-        label += f", image {network.images[observation.image].name}"
+    if patterns.image[s] >= 0:
+        label += f", image {network.images[patterns.image[s]].name}"
     return observation_factor(
         [variable_key(layout, v) for v in variables],
         [int(layout.variables.width[v]) for v in variables],
         rows.start[i] if rows.kind[i] == FIXED else point_key(i),
         one_observation(rows, layout.groups, i, j),
         layout.model,
-        observation_noise(observation.kind, weights, layout.model),
+        observation_noise(int(patterns.kind[s]), weights, layout.model),
         label,
     )
 
