@@ -6,7 +6,6 @@ vectors on the orientation coefficients are built here, about the network's midd
 matrix is compared with them; what of it is none of them is named by image and axis.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -61,7 +60,6 @@ def _start(vectors: Array) -> Array:
     return np.asarray(left @ right)
 
 
-_NODE = re.compile(r"node (\d+) of (\d+) of (pass .+)")
 _LEAST = 0.01
 """Share of a direction from which a part is kept."""
 _NAMED_SHARE = 0.08
@@ -150,30 +148,12 @@ def _group(terms: Sequence[_Term]) -> str:
 
 def _owners(owners: Sequence[str]) -> str:
     images = [owner.removeprefix("image ") for owner in owners if owner.startswith("image ")]
-    rest = _with_runs([owner for owner in owners if not owner.startswith("image ")])
+    rest = [owner for owner in owners if not owner.startswith("image ")]
+    rest = [some(rest, len(rest), _MOST - 1)] if len(rest) > _MOST else rest
     if len(images) > _MOST:
         images = [some(images, len(images), _MOST - 1)]
         return listed([f"images {images[0]}", *rest])
     return listed([f"image{'s' * (len(images) > 1)} {listed(images)}", *rest]) if images else listed(rest)
-
-
-def _with_runs(owners: Sequence[str]) -> list[str]:
-    """Owners, nodes of one pass put together: "nodes 2-5 and 9 of 12 of pass A", or "all 12 nodes of pass A"."""
-    of_passes, others = dict[tuple[str, str], list[int]](), list[str]()
-    for owner in owners:
-        if found := _NODE.fullmatch(owner):
-            of_passes.setdefault((found[2], found[3]), []).append(int(found[1]))
-        else:
-            others.append(owner)
-    for (count, owner), numbers in of_passes.items():
-        if len(numbers) == int(count):
-            others.append(f"all {count} nodes of {owner}")
-        else:
-            runs = np.split(np.sort(numbers), np.flatnonzero(np.diff(np.sort(numbers)) > 1) + 1)
-            texts = [f"{run[0]}-{run[-1]}" if run.size > 1 else f"{run[0]}" for run in runs]
-            which = some(texts, len(texts)) if len(texts) > _MOST else listed(texts)
-            others.append(f"node{'s' * (len(numbers) > 1)} {which} of {count} of {owner}")
-    return others
 
 
 def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:

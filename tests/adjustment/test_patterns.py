@@ -52,7 +52,8 @@ def expected_observations(net: Network) -> list[Counter[Name]]:
 def told(found: Patterns, pattern: int) -> Counter[Name]:
     """Kind, image and the only variable of a pattern's observations; -1 for none."""
     first, last = found.first[pattern : pattern + 2].tolist()
-    variables = [next(iter(found.entry_variable[slice(*found.entry[s : s + 2])].tolist()), -1) for s in range(first, last)]
+    entries = (found.entry_variable[slice(*found.entry[s : s + 2])].tolist() for s in range(first, last))
+    variables = [next(iter(mine), -1) for mine in entries]
     return Counter(zip(found.kind[first:last].tolist(), found.image[first:last].tolist(), variables, strict=True))
 
 
