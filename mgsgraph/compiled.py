@@ -164,9 +164,9 @@ def _watch_compiler() -> None:
 
 def threads() -> int:
     """Threads that compiled code may take: NUMBA_NUM_THREADS, by default one per processor."""
-    from numba import get_num_threads
+    from numba import config  # get_num_threads would start numba's own threads, whose lock a killed fork keeps for ever
 
-    return int(get_num_threads())
+    return int(config.NUMBA_NUM_THREADS)
 
 
 def in_threads(

@@ -32,7 +32,7 @@ from mgsgraph.network import Network
 from mgsgraph.network.joining import seconds
 from mgsgraph.network.parts import without_images
 from mgsgraph.simulation.hrsc_block import BlockSettings, TerrainErrors, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.segments import in_segments
+from mgsgraph.simulation.strip_truth import in_segments
 from mgsgraph.units import KM, MGON
 
 FORGETFUL = TrajectoryErrors(0.0, 0.0, 10.0 * MGON, 0.0, 0.0, 20.0, 5.0)

@@ -27,8 +27,8 @@ from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
+from mgsgraph.simulation.case_files import image_file, json_text, laser_text, support_data, tie_network_text
 from mgsgraph.simulation.files import write_texts
-from mgsgraph.simulation.isis_files import image_file, json_text, laser_text, support_data, tie_network_text
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.units import MRAD
 

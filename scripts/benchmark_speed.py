@@ -74,7 +74,6 @@ threads each; medians. {machine}. Compare ratios, not seconds: the machine was s
 """
 
 
-
 # --- one run, of ours and of the peer's
 
 
@@ -84,6 +83,7 @@ def run_once(path: Path, line: Line = "measured") -> dict[str, Any]:
     """
     from mgsgraph.adjustment.adjust import adjust_network  # the kernel: not before --threads counts
     from mgsgraph.adjustment.results import versions
+    from mgsgraph.compiled import threads
 
     start = time.perf_counter()
     problem = read_problem(path)
@@ -120,13 +120,6 @@ def run_once(path: Path, line: Line = "measured") -> dict[str, Any]:
         "bytes_per_observation": (peak - before) / rays,
         "versions": versions(),
     }
-
-
-def threads() -> int:
-    """Threads of the kernel."""
-    import numba
-
-    return int(numba.get_num_threads())
 
 
 def resident() -> float:

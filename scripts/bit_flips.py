@@ -34,9 +34,9 @@ from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.csv_json import write_json
 from mgsgraph.files.output.folders import EXPORT
 from mgsgraph.files.records import FILES, MATCH, read_record
-from mgsgraph.project.campaign import run_campaign
 from mgsgraph.project.campaign.record import RECORD as CAMPAIGN
 from mgsgraph.project.campaign.record import open_record
+from mgsgraph.project.campaign.run import run_campaign
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import comparison_with_truth

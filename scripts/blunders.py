@@ -30,7 +30,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import redraw

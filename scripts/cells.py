@@ -46,11 +46,11 @@ from mgsgraph.registration.relief_records import ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, averaged_pair, cells_of
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.matches import true_matches
+from mgsgraph.simulation.ground import grid_shift
+from mgsgraph.simulation.imagery import true_matches
 from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
-from mgsgraph.simulation.terrain import grid_shift
 
 HEIGHT_SIGMA = 5.0
 """m, a-priori sigma of the model's height as a whole, from which it is drawn."""

@@ -25,10 +25,9 @@ from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.case_files import site_case
-from mgsgraph.simulation.ground import SiteTerrain, make_terrain
+from mgsgraph.simulation.ground import SiteTerrain, cell_means, grid_shift, make_terrain
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
-from mgsgraph.simulation.terrain import cell_means, grid_shift
 from mgsgraph.units import MRAD
 
 WORDS = """# Errors of simulated sites over their stated sigmas

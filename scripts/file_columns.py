@@ -38,7 +38,7 @@ from mgsgraph.results.shared import shared_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.results.terrain_model import shots_table
 from mgsgraph.results.unexplained import unexplained_table, vibrations_table
-from mgsgraph.simulation.demo.disagreement import disagreement_table
+from mgsgraph.simulation.demo.truth import disagreement_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair

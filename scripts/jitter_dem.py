@@ -26,11 +26,18 @@ from study import DOCS, at_least, command, show, status, table
 from mgsgraph.analysis.spacing.vibrations import residual_vibrations
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.archive import read_solution
-from mgsgraph.simulation.ctx import PIXEL, CtxSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
+from mgsgraph.simulation.case_files import image_file, json_text, support_data
+from mgsgraph.simulation.ctx import (
+    PIXEL,
+    CtxSettings,
+    DenseTruth,
+    SimulatedCtxPair,
+    image_times,
+    ripple,
+    simulate_ctx_pair,
+)
 from mgsgraph.simulation.files import write_texts
 from mgsgraph.simulation.imagery import render
-from mgsgraph.simulation.isis_files import image_file, json_text, support_data
-from mgsgraph.simulation.jitter_heights import DenseTruth, ripple
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.text import root_mean_square as rms
 from mgsgraph.units import MRAD

@@ -21,9 +21,18 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.spacing.jitter_model import JitterModel, jitter_model
 from mgsgraph.analysis.spacing.vibrations import Vibration, residual_vibrations
-from mgsgraph.simulation.ctx import PIXEL, ControlSettings, CtxSettings, Look, SimulatedCtxPair, simulate_ctx_pair
-from mgsgraph.simulation.jitter import JitterSettings
-from mgsgraph.simulation.jitter_heights import dense_truth, height_errors, ripple
+from mgsgraph.simulation.ctx import (
+    PIXEL,
+    ControlSettings,
+    CtxSettings,
+    JitterSettings,
+    Look,
+    SimulatedCtxPair,
+    dense_truth,
+    height_errors,
+    ripple,
+    simulate_ctx_pair,
+)
 from mgsgraph.simulation.strip_truth import correction_at
 
 PLAIN = SolverSettings(starts=0)

@@ -34,8 +34,8 @@ from mgsgraph.files.networks.pvl_writing import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
+from mgsgraph.simulation.case_files import image_file, json_text, support_data
 from mgsgraph.simulation.files import write_pair, write_strip, write_texts
-from mgsgraph.simulation.isis_files import image_file, json_text, support_data
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import MRAD
 

@@ -15,7 +15,7 @@ from mgsgraph.case.reading import read_case
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.registration import relief_surfaces
 from mgsgraph.results.archive import write_archive
-from mgsgraph.simulation.matches import true_matches
+from mgsgraph.simulation.imagery import true_matches
 
 NOISE = 0.1
 """pixels, of a match."""

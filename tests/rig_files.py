@@ -9,7 +9,7 @@ from rigs import rig
 
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.simulation.isis_files import json_text, support_data, tie_network_text
+from mgsgraph.simulation.case_files import json_text, support_data, tie_network_text
 
 PASS = """
 [[passes]]

@@ -21,6 +21,7 @@ from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.camera import BORESIGHT_SAMPLE
 from mgsgraph.simulation.files import writing
+from mgsgraph.simulation.ground import areoid_under, terrain_grid
 from mgsgraph.simulation.mgs_files import (
     image_label,
     kernel_segment,
@@ -31,7 +32,6 @@ from mgsgraph.simulation.mgs_files import (
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr, write_pedr
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import CAMERA, CAMERA_FRAME_TEXT, ephemeris_time, write_kernels
-from mgsgraph.simulation.terrain import areoid_under, terrain_grid
 from mgsgraph.units import DEG, KM
 
 ROOTS = ("images", "kernels", "leap_seconds", "pedr", "megdr")

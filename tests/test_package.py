@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -122,21 +123,20 @@ def wrong_ways(found: dict[str, Path]) -> list[str]:
 
 def circles(found: dict[str, Path]) -> list[set[str]]:
     """Files of which each imports, by way of others of them, all of the others."""
-    below = {
-        name: {target for target in imports(path) if target in found and target != name}
-        for name, path in found.items()
-        if name != "mgsgraph"
-    }
-    reached: dict[str, set[str]] = {}
-    for name in below:
-        seen, open_ones = set[str](), [name]
-        while open_ones:
-            new = below.get(open_ones.pop(), set()) - seen
-            seen |= new
-            open_ones += new
-        reached[name] = seen
-    rings = {frozenset(other for other in reached[name] if name in reached.get(other, ())) for name in below}
+    known = {name: reached(found, [name]) for name in found if name != "mgsgraph"}
+    rings = {frozenset(other for other in known[name] if name in known.get(other, ())) for name in known}
     return sorted((set(ring) for ring in rings if ring), key=sorted)
+
+
+def reached(found: dict[str, Path], start: Iterable[str]) -> set[str]:
+    """Modules that some import, by way of others; not by way of the package's list of public names."""
+    seen, open_ones = set[str](), [name for name in start if name in found]
+    while open_ones:
+        name = open_ones.pop()
+        new = {one for one in imports(found[name]) if one in found and one not in {name, "mgsgraph"}} - seen
+        seen |= new
+        open_ones += new
+    return seen
 
 
 DOOR = {
@@ -279,6 +279,22 @@ def test_equations_and_kernel_stay_below_the_adjustment() -> None:
     assert not wrong
 
 
+REACH = 345
+"""Files that adjusting a case may reach; whoever reads how an adjustment works has to know no others."""
+
+
+def test_adjusting_a_case_reaches_few_files() -> None:
+    """By every import of the verb's function, of what that imports, and so on."""
+    found = modules()
+    verb = next(
+        node for node in ast.walk(ast.parse(found["mgsgraph.cli.cases"].read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef) and node.name == "adjust"
+    )  # fmt: skip
+    start = {node.module for node in ast.walk(verb) if isinstance(node, ast.ImportFrom) and node.module}
+    files = {"mgsgraph.cli.cases", "mgsgraph.cli.options"} | start | reached(found, {*start, "mgsgraph.cli.options"})
+    assert len(files) <= REACH, sorted(files)
+
+
 def test_no_file_outgrows_its_room() -> None:
     assert not {n: k for n, p in modules().items() if (k := len(p.read_text(encoding="utf-8").splitlines())) > 520}
 
@@ -291,7 +307,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_dask_is_imported_only_when_it_is_asked_for() -> None:
     code = (
-        "import sys, mgsgraph.project.campaign, mgsgraph.project.campaign.run, mgsgraph.adjustment.cluster;"
+        "import sys, mgsgraph.project.campaign, mgsgraph.project.campaign.run, mgsgraph.adjustment.cluster.connection;"
         "print([m for m in ('dask', 'distributed') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mgsgraph.adjustment.cluster import Connection
+from mgsgraph.adjustment.cluster.connection import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
 from mgsgraph.adjustment.graph import Layout, lay_out

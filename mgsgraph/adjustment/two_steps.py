@@ -16,7 +16,7 @@ import numpy as np
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
-from mgsgraph.adjustment.cluster import Connection
+from mgsgraph.adjustment.cluster.connection import Connection
 from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS

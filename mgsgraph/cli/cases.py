@@ -25,11 +25,11 @@ from mgsgraph.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.cluster import Connection
+    from mgsgraph.adjustment.cluster.connection import Connection
     from mgsgraph.adjustment.settings import SolverSettings
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.case.reading import Case
-    from mgsgraph.project.campaign import Overrides
+    from mgsgraph.project.campaign.record import Overrides
     from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 
 
@@ -89,7 +89,8 @@ def adjust(
     absurd sigma0, orientations beyond 100 a-priori sigmas (results are written); 2 bad input.
     """
     from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.adjustment.cluster import open_cluster, parse_cluster
+    from mgsgraph.adjustment.cluster.connection import open_cluster
+    from mgsgraph.adjustment.cluster.workers import parse_cluster
     from mgsgraph.analysis.process_strengths import estimated_strengths
     from mgsgraph.analysis.soundness import is_result
     from mgsgraph.case.reading import read_case
@@ -203,8 +204,7 @@ def campaign(
     or did not converge, 2 bad input.
     """
     from mgsgraph.cli.progress import CaseBar
-    from mgsgraph.project.campaign import run_campaign
-    from mgsgraph.project.campaign.run import summary
+    from mgsgraph.project.campaign.run import run_campaign, summary
 
     bar = CaseBar(verbose)
     try:

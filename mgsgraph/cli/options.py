@@ -70,7 +70,7 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
         device: "Device | None",
         **others: Any,
     ) -> None:
-        from mgsgraph.project.campaign import Overrides
+        from mgsgraph.project.campaign.record import Overrides
 
         verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts, tables, device), **others)
 

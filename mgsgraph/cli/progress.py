@@ -14,7 +14,7 @@ from mgsgraph.progress import Stages
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.batch import Iteration
-    from mgsgraph.project.campaign import CampaignEntry
+    from mgsgraph.project.campaign.record import CampaignEntry
 
 _EXPLAIN_AFTER = 4.0
 """s of compiling after which it is said."""

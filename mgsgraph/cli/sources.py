@@ -63,8 +63,7 @@ def demo(
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.files.output.folders import fresh_folder
-    from mgsgraph.simulation.demo.demonstration import STAGES
-    from mgsgraph.simulation.demo.simulate import DEMONSTRATED, simulation_options
+    from mgsgraph.simulation.demo.demonstration import DEMONSTRATED, STAGES, simulation_options
     from mgsgraph.simulation.demo.summary import write_demo
 
     def adjusting(case: Case) -> Solution:
@@ -134,7 +133,12 @@ def simulate(
     vibrate (1.5 pixels), matches that err together. What can be known of them by a sigma, case.toml states.
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.simulation.demo.simulate import chosen_archive, simulation_options, strip_settings, write_simulation
+    from mgsgraph.simulation.demo.demonstration import (
+        chosen_archive,
+        simulation_options,
+        strip_settings,
+        write_simulation,
+    )
 
     options = simulation_options(site, attitude_time_bias, not no_pictures, effects=effects)
     strip = strip_settings(site, images, ties, steps, options.world)

@@ -8,11 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.compiled import cached_kernel
+from mgsgraph.compiled import cached_kernel, threads
 from mgsgraph.kernel.covariance import covariance_tile
 from mgsgraph.kernel.elimination import eliminate_tile, move_basis
 from mgsgraph.kernel.lanes import (
@@ -262,11 +261,11 @@ def sweep_all(
     joint: Array | None = None,
     values: Array | None = None,
 ) -> tuple[Array, Array]:
-    """A sweep over all pieces, shared by numba's number of threads (NUMBA_NUM_THREADS); blocks and gradient, summed.
+    """A sweep over all pieces, shared by `threads`; blocks and gradient, summed.
 
     The threads' sums are added in their order, so that the result depends on their number alone (in the last digits).
     """
-    count = min(numba.get_num_threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
+    count = min(threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
     edges = even_parts(rows, count) if count > 1 else np.array([0, rows.piece.shape[0]])
     whole, with_gradient = task == SYSTEM, task in (GRADIENT, SYSTEM)
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states

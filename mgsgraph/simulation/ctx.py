@@ -3,7 +3,7 @@
 CTX: focal length 352.9 mm and pixels of 7 um (mro_ctx_v11.ti), lines of 1.877 ms, 6 m on the ground from 300 km. One
 image looks to the nadir, the other one, from another orbit, aside by a roll (`across`, as CTX takes stereo) or ahead
 along the track (`along`, as MOC did); both turn with the orbit. The TRUE orientation is the nominal one (+)
-`simulation.jitter`; ties are true image points plus noise that neighbours have partly in common. A coarse terrain
+`simulation.ctx`; ties are true image points plus noise that neighbours have partly in common. A coarse terrain
 model, off in the plane as a whole and with noise of each post, may serve as control.
 
 What an adjustment can see of jitter is a matter of this geometry: along the epipolar line (across the track where the
@@ -13,29 +13,93 @@ do the two images contradict each other. And there they show the difference of t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
-from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry import rotation
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
-from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.names import Names
-from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
-from mgsgraph.simulation.camera import interior_orientation, line_image, one_rate
-from mgsgraph.simulation.ground import SiteTerrain, make_terrain
-from mgsgraph.simulation.jitter import JitterSettings, TrueJitter, drawn_jitter
-from mgsgraph.simulation.mars import GRAVITY, body_matrix
-from mgsgraph.simulation.observations import MARGIN, project, require_count, require_positive, require_seed
-from mgsgraph.simulation.orbit import HEADING, Orbit, sampled_trajectory
-from mgsgraph.simulation.terrain import block_grid
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
+from mgsgraph.simulation.camera import interior_orientation
+from mgsgraph.simulation.ground import SiteTerrain, block_grid, make_terrain
+from mgsgraph.simulation.mars import GRAVITY, MARS, body_matrix
+from mgsgraph.simulation.observations import MARGIN, project, tie_network, well_inside
+from mgsgraph.simulation.orbit import HEADING, CentralBody, CircularPass
+from mgsgraph.simulation.rig import MountedCamera
+from mgsgraph.simulation.strip_truth import correction_at, strip_correction
 from mgsgraph.simulation.world import World, common_errors
 from mgsgraph.units import DEG, MM
+
+_NODES_PER_WAVE = 24
+"""True nodes in a period; Lagrange's polynomials then follow a sine to 0.02 % of its amplitude."""
+
+
+@dataclass(frozen=True, slots=True)
+class JitterSettings:
+    """What a camera's attitude does that its tables don't have; amplitudes in pixels."""
+
+    pitch: float = 0.5
+    """px, amplitude of the vibration about the camera's y: along lines."""
+    roll: float = 0.5
+    """px, amplitude of the vibration about the camera's x: along samples."""
+    frequency: float = 2.0
+    """Hz, of both."""
+    drift: float = 3.0
+    """px, amplitude of the slow drift of pitch and of roll."""
+    angle: float = 1e-4
+    """rad, sigma of the constant error about each axis."""
+    position: float = 10.0
+    """m, sigma of the constant error of the position, along X, Y, Z."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueJitter:
+    """True orientation of one image = nominal (+) `correction`."""
+
+    correction: OrientationCorrection
+    """Of all: constant, drift and vibration; nodes over the image's time, about the camera's axes."""
+    phasors: Array
+    """(2, 2) rad, of pitch and of roll the vibration's cosine and sine amounts, t from the nodes' epoch."""
+    frequency: float
+    """Hz."""
+
+
+def drawn_jitter(
+    settings: JitterSettings, epoch: float, coverage: tuple[float, float], pixel: float, rng: np.random.Generator
+) -> TrueJitter:
+    """The truth of one image.
+
+    Parameters
+    ----------
+    settings : JitterSettings
+        Sizes.
+    epoch, coverage : float, (float, float)
+        s TDB past J2000, and first and last time, s past it, of the image's lines.
+    pixel : float
+        rad, by which the view of one pixel differs from that of the next, along and across.
+    rng : numpy.random.Generator
+        Of phases and constant errors.
+    """
+    nodes = evenly_spaced("lagrange", epoch, coverage, 1.0 / (_NODES_PER_WAVE * settings.frequency))
+    duration = coverage[1] - coverage[0]
+    phases, slow = rng.uniform(0.0, 2.0 * np.pi, (2, 2))
+    wave = 2.0 * np.pi * settings.frequency * nodes.times
+    along = np.pi * (nodes.times - coverage[0]) / duration
+    values = np.zeros((len(nodes), 6))
+    values[:, :3] = settings.position * rng.standard_normal(3)
+    values[:, 3:] = settings.angle * rng.standard_normal(3)
+    phasors = np.zeros((2, 2))
+    for k, (axis, amplitude) in enumerate(((4, settings.pitch), (3, settings.roll))):
+        phasors[k] = pixel * amplitude * np.array([np.sin(phases[k]), np.cos(phases[k])])
+        values[:, axis] += pixel * settings.drift * np.cos(along + slow[k])
+        values[:, axis] += phasors[k, 0] * np.cos(wave) + phasors[k, 1] * np.sin(wave)
+    return TrueJitter(strip_correction(nodes, values), phasors, settings.frequency)
+
+
 
 Look = Literal["across", "along"]
 """Where the second image looks from nadir: aside by a roll, or ahead along the track."""
@@ -51,8 +115,7 @@ SOURCE = "simulated CTX pair"
 
 _EPOCHS = (300_000_000.0, 302_400_000.0)
 """s TDB past J2000 of the images' middles; whole numbers, so that table times are exact in files."""
-_STEP, _BEYOND = 0.5, 2.0
-"""s between the records of the tables, and by which these reach beyond the image."""
+_MARS = CentralBody(MARS, GRAVITY, body_matrix)
 _ROUNDS = 8
 """Of drawing ties, before images count as sharing too little ground."""
 
@@ -67,11 +130,6 @@ class ControlSettings:
     """m rms, noise of each post."""
     planimetric: float = 100.0
     """m, sigma eastward and northward of its common shift, an unknown of the network."""
-
-    def __post_init__(self) -> None:
-        require_count("control settings, posts per degree", self.posts_per_degree, 1)
-        for name in ("vertical", "planimetric"):
-            require_positive(f"control settings, {name}", getattr(self, name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,16 +167,6 @@ class CtxSettings:
     spacing: float = 8.0
     """s between the network's nodes, at most; the default gives the four of a polynomial of degree 3."""
 
-    def __post_init__(self) -> None:
-        for name, least in (("lines", 16 * MARGIN), ("samples", 8 * MARGIN), ("ties", 1)):
-            require_count(f"CTX settings, {name}", getattr(self, name), least)
-        for name in ("altitude", "angle", "tie_noise", "window", "spacing"):
-            require_positive(f"CTX settings, {name}", getattr(self, name))
-        require(self.angle < 60.0 * DEG, "CTX settings, angle", f"{self.angle / DEG:.1f} deg", "less than 60 deg")
-        looks = get_args(Look)
-        require(self.look in looks, "CTX settings, look", repr(self.look), f"one of {', '.join(looks)}")
-        require(0.0 <= self.matching < 1.0, "CTX settings, matching", f"{self.matching}", "a share below 1")
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCtxPair:
@@ -138,10 +186,6 @@ class SimulatedCtxPair:
     """(n, 3) m, body-fixed, of the network's points."""
     terrain: SiteTerrain
     """True ground."""
-
-    def __post_init__(self) -> None:
-        n = len(self.network.points)
-        assign(self, true_points=frozen(self.true_points, "CTX pair, true points", (n, 3)))
 
     @property
     def corrections(self) -> tuple[OrientationCorrection, ...]:
@@ -179,7 +223,6 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
         Where the images do not share enough ground for the ties asked for.
     """
     settings = settings or CtxSettings()
-    require_seed(SOURCE, seed)
     of_jitter, of_ties, of_terrain = np.random.default_rng([seed, 17]).spawn(3)
     terrain = make_terrain(settings.site, settings.ground)
     images = ctx_images(settings, terrain)
@@ -191,7 +234,14 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     points, pixels = _drawn_ties(settings, images, true, terrain, of_ties)
     rays = _measured(settings, pixels, seed, of_ties)
     surface, shift = _surface(settings.control, terrain, points, of_terrain)
-    network = _network(settings, images, rays, surface, len(points))
+    prior = smooth_prior(settings.jitter)
+    passes = [
+        Pass(image.name, np.array([k]), evenly_spaced(
+            settings.basis, image.trajectory.epoch, image_times(image), settings.spacing
+        ), prior)
+        for k, image in enumerate(images)
+    ]  # fmt: skip
+    network = tie_network(images, passes, rays, len(points), surface)
     return SimulatedCtxPair(settings, seed, network, truth, shift, points, terrain)
 
 
@@ -207,43 +257,16 @@ def image_times(image: PushbroomImage) -> tuple[float, float]:
 def ctx_images(settings: CtxSettings, terrain: SiteTerrain) -> tuple[PushbroomImage, PushbroomImage]:
     """The nominal images, nadir one first; the middles of both see the middle of the site."""
     site = terrain.on_ground(np.array([terrain.centre_lon]), np.array([terrain.centre_lat]))[0]
-    first, second = (
-        _image(settings, name, _trajectory(settings, epoch, site, angle))
-        for name, epoch, angle in (("CTX/A", _EPOCHS[0], 0.0), ("CTX/B", _EPOCHS[1], settings.angle))
-    )
-    return first, second
-
-
-def _image(settings: CtxSettings, name: str, trajectory: Trajectory) -> PushbroomImage:
     interior = interior_orientation(FOCAL_LENGTH, PITCH, 0.5 * settings.samples)
-    timing = one_rate(-0.5 * settings.lines * PERIOD, PERIOD)
-    return line_image(name, (settings.lines, settings.samples), interior, timing, trajectory)
-
-
-def _trajectory(settings: CtxSettings, epoch: float, site: Array, angle: float) -> Trajectory:
-    """A circle from which a camera that turns with the orbit meets the site (3,) at the epoch, `angle` off nadir."""
-    to_inertial = body_matrix(np.array([epoch]))[0].T
-    zenith = to_inertial @ (site / np.linalg.norm(site))
-    east = np.cross(to_inertial[:, 2], zenith)
-    east /= np.linalg.norm(east)
-    flight = np.cos(HEADING) * np.cross(zenith, east) + np.sin(HEADING) * east
-    distance = float(np.linalg.norm(site))
-    radius = distance + settings.altitude
-    apart = np.arcsin(radius / distance * np.sin(angle)) - angle  # at the body's centre, site to spacecraft
-    # aside: the spacecraft is beside the site; ahead: it has not reached it
-    towards = np.cross(flight, zenith) if settings.look == "across" else -flight
-    outward = np.cos(apart) * zenith + np.sin(apart) * towards
-    flight = flight - (flight @ outward) * outward
-    orbit = Orbit(epoch, outward, flight / np.linalg.norm(flight), radius, 0.0)
-    axis = to_inertial @ site - radius * outward
-    axis /= np.linalg.norm(axis)
-    side = np.cross(axis, orbit.flight)
-    side /= np.linalg.norm(side)
-    reach = np.ceil((0.5 * settings.lines * PERIOD + _BEYOND) / _STEP)
-    times: Array = _STEP * np.arange(-reach, reach + 0.5)
-    turned = np.sqrt(GRAVITY / radius**3) * times[:, None] * np.cross(orbit.outward, orbit.flight)
-    camera = np.stack([np.cross(side, axis), side, axis]) @ rotation.exponential(-turned)
-    return sampled_trajectory(epoch, times, orbit.state(times), camera, body_matrix(epoch + times))
+    camera, ahead = MountedCamera("CTX", interior, settings.samples, np.eye(3)), settings.look == "along"
+    first, second = (
+        camera.image(
+            name, CircularPass(epoch, site, HEADING, settings.altitude, angle, _MARS, ahead, turning=True),
+            settings.lines, PERIOD,
+        )
+        for name, epoch, angle in (("CTX/A", _EPOCHS[0], 0.0), ("CTX/B", _EPOCHS[1], settings.angle))
+    )  # fmt: skip
+    return first, second
 
 
 # --- observations
@@ -293,33 +316,87 @@ def _surface(
     return Surface(grid, grid.control_sigmas(points), control.planimetric), shift
 
 
-def _network(
-    settings: CtxSettings,
-    images: tuple[PushbroomImage, ...],
-    rays: ImageRays,
-    surface: Surface | None,
-    points: int,
-) -> Network:
-    prior, none = smooth_prior(settings.jitter), np.zeros(0)
-    passes = tuple(
-        Pass(image.name, np.array([k]), evenly_spaced(
-            settings.basis, image.trajectory.epoch, image_times(image), settings.spacing
-        ), prior)
-        for k, image in enumerate(images)
-    )  # fmt: skip
-    return Network(
-        images=images,
-        priors=(OrientationPrior(prior.node_sigmas(np.zeros(1))),) * 2,  # of no effect: passes have their own
-        held=np.zeros(2, dtype=bool),
-        points=GroundPoints(
-            ids=Names.of(f"TIE{i + 1:05d}" for i in range(points)),
-            classes=np.full(points, int(PointClass.TIE)),
-            kinds=np.full(points, int(PointKind.FREE)),
-            places=np.full((points, 3), np.nan),
-            covariances=np.zeros((points, 3, 3)),
-        ),
-        rays=rays,
-        ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
-        surface=surface,
-        passes=passes,
+
+_BAND = 0.25
+"""Of the frequency, to either side, that counts as the ripple."""
+_DEGREE = 3
+"""Of the polynomial of time, of which the ripple is free."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseTruth:
+    """Correspondences of a pair without noise: r lines by c samples of the first image."""
+
+    times: Array
+    """(r,) s past the first image's epoch, of its lines."""
+    first: Array
+    """(n, 2) px, line and sample in the first image, of those that the second one shows, too."""
+    second: Array
+    """(n, 2) px in the second image."""
+    points: Array
+    """(n, 3) m, body-fixed, true."""
+    row: Array
+    """(n,) which of the lines."""
+
+
+def dense_truth(pair: SimulatedCtxPair, line_step: int = 16, columns: int = 9) -> DenseTruth:
+    """Correspondences every `line_step` lines, at so many samples (columns) of the first image."""
+    first, second = pair.network.images
+    lines = np.arange(0.5 * line_step, first.lines, line_step)
+    samples = np.linspace(0.1, 0.9, columns) * first.samples
+    grid = np.stack([one.ravel() for one in np.meshgrid(lines, samples, indexing="ij")], axis=1)
+    points = pair.terrain.intersect(*first.sightlines(grid[:, 0], grid[:, 1], pair.corrections[0]))
+    places = second.ground_to_image(points, pair.corrections[1])[0]
+    seen = well_inside(second, places)
+    row = np.repeat(np.arange(float(lines.size)), columns)
+    return DenseTruth(first.timing.at(lines)[0], grid[seen], places[seen], points[seen], row[seen])
+
+
+def height_errors(
+    truth: DenseTruth, images: Sequence[PushbroomImage], corrections: Sequence[OrientationCorrection]
+) -> Array:
+    """(n,) m, intersections with some orientations less the true points, upwards."""
+    sight = [
+        image.sightlines(places[:, 0], places[:, 1], correction)
+        for image, places, correction in zip(images, (truth.first, truth.second), corrections, strict=True)
+    ]
+    n = truth.points.shape[0]
+    origins, directions = (np.concatenate([each[k] for each in sight]) for k in range(2))
+    places, _, _ = intersect_rays(origins, directions, np.tile(np.arange(n), 2), n)
+    up = truth.points / np.linalg.norm(truth.points, axis=1, keepdims=True)
+    return np.asarray(np.einsum("ni,ni->n", places - truth.points, up))
+
+
+def ripple(truth: DenseTruth, heights: Array, frequency: float) -> float:
+    """Amplitude (m) of the ripple that height errors (n,) in m have along the track in a band about a frequency (Hz).
+
+    Means over each line's samples, less a cubic polynomial of time; the root of twice the power in the band, so that a
+    sine gives its amplitude.
+    """
+    row = truth.row.astype(np.int64)
+    count = np.bincount(row, minlength=truth.times.size)
+    there = count > 0
+    times = truth.times[there]
+    mean = np.bincount(row, heights, truth.times.size)[there] / count[there]
+    u = 2.0 * (times - times[0]) / (times[-1] - times[0]) - 1.0
+    slow = np.polynomial.legendre.legvander(u, _DEGREE)
+    mean = mean - slow @ np.linalg.lstsq(slow, mean, rcond=None)[0]
+    once = 1.0 / (times[-1] - times[0])
+    band = np.arange(np.ceil((1.0 - _BAND) * frequency / once), np.floor((1.0 + _BAND) * frequency / once) + 1.0) * once
+    phase = 2.0 * np.pi * band[:, None] * times
+    amounts = 2.0 / times.size * np.stack([np.cos(phase) @ mean, np.sin(phase) @ mean])
+    return float(np.sqrt(np.sum(amounts**2)))
+
+
+def attitude_errors(
+    pair: SimulatedCtxPair, corrections: Sequence[OrientationCorrection], number: int, count: int = 2000
+) -> tuple[Array, Array]:
+    """Times (n,) in s past the epoch, and by how much pitch and roll (n, 2) in rad of one image's adjusted orientation
+    exceed the true ones.
+    """
+    image = pair.network.images[number]
+    times = np.linspace(*image_times(image), count)
+    found, true = (
+        correction_at(one, times, image.trajectory.epoch) for one in (corrections[number], pair.corrections[number])
     )
+    return times, (found - true)[:, [4, 3]]

@@ -20,8 +20,17 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.case_files import campaign_case, papers_case, site_case, three_sites_case
-from mgsgraph.simulation.isis_files import image_file, json_text, laser_text, support_data, tie_network_text
+from mgsgraph.simulation.case_files import (
+    campaign_case,
+    image_file,
+    json_text,
+    laser_text,
+    papers_case,
+    site_case,
+    support_data,
+    three_sites_case,
+    tie_network_text,
+)
 from mgsgraph.simulation.mgs_files import (
     image_label,
     kernel_segment,

@@ -14,25 +14,28 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
-from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
 from mgsgraph.geometry.track_gaps import track_gaps
-from mgsgraph.names import Names
-from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
+from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
-from mgsgraph.simulation.ground import SiteTerrain, block_terrain
-from mgsgraph.simulation.hrsc_flight import PericentrePass, Readout, strip_images
-from mgsgraph.simulation.hrsc_points import FlownStrip, PointMatching, matched_points
+from mgsgraph.simulation.ground import SiteTerrain, block_grid, block_terrain
+from mgsgraph.simulation.hrsc_flight import (
+    FlownStrip,
+    PericentrePass,
+    PointMatching,
+    Readout,
+    matched_points,
+    strip_images,
+)
 from mgsgraph.simulation.mars import MARS
-from mgsgraph.simulation.observations import Visible, require_count, require_positive
+from mgsgraph.simulation.observations import Visible, tie_network
 from mgsgraph.simulation.strip_truth import Jitter, true_correction
-from mgsgraph.simulation.terrain import block_grid
-from mgsgraph.simulation.world import BLOCK_EFFECTS, World, common_errors, drawn_period, of_tracks
-from mgsgraph.units import DEG, KM, MGON
+from mgsgraph.simulation.world import World, common_errors, drawn_period, of_tracks
+from mgsgraph.units import DEG, MGON
 
 _SHORTEST, _LONGEST = 50e3, 4500e3
 """m, of strips: the orbit leaves the heights of the survey beyond."""
@@ -98,13 +101,6 @@ class TerrainErrors(Record):
     missing: float = 0.0
     """Share of posts that are missing."""
 
-    def __post_init__(self) -> None:
-        require_count("block settings, posts per degree", self.posts_per_degree, 1)
-        require_positive("block settings, vertical error of the terrain model", self.vertical)
-        where, found = "block settings, planimetric error of the terrain model", f"{self.planimetric} m"
-        require(0.0 <= self.planimetric < np.inf, where, found, "a positive number, or 0")
-        _require_share("missing posts", self.missing)
-
 
 @dataclass(frozen=True, slots=True)
 class BlockSettings(Record):
@@ -148,29 +144,6 @@ class BlockSettings(Record):
     """What the world does besides: tracks, jitter, matching."""
     ground: int = 1
     """Seed of the true ground, which blocks of several seeds share."""
-
-    def __post_init__(self) -> None:
-        require_count("block settings, strips", self.strips, 1)
-        require_count("block settings, points", self.points, 1)
-        require_count("block settings, ground", self.ground, 0)
-        require_count("block settings, crossing strips", self.crossing, 0)
-        found = f"{self.crossing} of {self.strips}"
-        require(self.crossing < self.strips, "block settings, crossing strips", found, "fewer than all")
-        expected = f"{_SHORTEST / KM:.0f} .. {_LONGEST / KM:.0f} km"
-        require(_SHORTEST <= self.length <= _LONGEST, "block settings, length", f"{self.length / KM:g} km", expected)
-        for value in self.altitudes:
-            require(150e3 <= value <= 1500e3, "block settings, altitudes", f"{value / KM:g} km", "150 .. 1500 km")
-        require(0.0 <= self.eccentricity < 0.9, "block settings, eccentricity", f"{self.eccentricity}", "0 .. 0.9")
-        _require_share("pericentre", self.pericentre)
-        _require_share("overlap", self.overlap)
-        require_positive("block settings, spacing", self.spacing)
-        for name in self.world.effects:
-            require(name in BLOCK_EFFECTS, "block settings, world", repr(name), f"some of {', '.join(BLOCK_EFFECTS)}")
-        if self.true_spacing is not None:
-            require_positive("block settings, true spacing", self.true_spacing)
-        known, latitude = np.all(np.isfinite(self.centre)), self.centre[1] / DEG
-        found = f"latitude {latitude:g} deg"
-        require(known and abs(latitude) <= 70.0, "block settings, centre", found, "within 70 deg of the equator")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,7 +209,6 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     Network(10 images, 30 points (30 tie), 149 rays, 0 ranges)
     """
     settings = settings or BlockSettings()
-    require_count("simulated block, seed", seed, 0)
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
     relief, prior = block_terrain(*settings.centre, settings.ground), settings.errors.prior
     flown, nodes = list[FlownStrip](), list[OrientationImages]()
@@ -254,7 +226,10 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
     rays, blunders = _rays(visible, settings.matches, world, seed, of_points)
     surface, shifts = _surface(settings.terrain, relief, points, world, seed, of_terrain)
-    network = _network(flown, nodes, prior, len(points), rays, surface)
+    trajectories = [
+        Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
+    ]
+    network = tie_network([image for one in flown for image in one.images], trajectories, rays, len(points), surface)
     corrections = tuple(one.true for one in flown for _ in STEREO)
     return SimulatedBlock(settings, seed, network, corrections, shifts, points, blunders, relief)
 
@@ -332,38 +307,3 @@ def _surface(
         grid = replace(grid, gaps=track_gaps(grid, counts))
     sigmas = np.nan_to_num(grid.control_sigmas(points), nan=np.inf)
     return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]
-
-
-def _network(
-    strips: list[FlownStrip],
-    nodes: list[OrientationImages],
-    prior: NodePrior,
-    points: int,
-    rays: ImageRays,
-    surface: Surface | None,
-) -> Network:
-    images = tuple(image for one in strips for image in one.images)
-    own = OrientationPrior(prior.node_sigmas(np.zeros(1)))  # of no effect: images of strips have none of their own
-    none = np.zeros(0)
-    return Network(
-        images=images,
-        priors=(own,) * len(images),
-        held=np.zeros(len(images), dtype=bool),
-        points=GroundPoints(
-            ids=Names.of(f"P{i:07d}" for i in range(points)),
-            classes=np.full(points, int(PointClass.TIE)),
-            kinds=np.full(points, int(PointKind.FREE)),
-            places=np.full((points, 3), np.nan),
-            covariances=np.zeros((points, 3, 3)),
-        ),
-        rays=rays,
-        ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
-        surface=surface,
-        passes=tuple(
-            Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
-        ),
-    )
-
-
-def _require_share(what: str, value: float) -> None:
-    require(0.0 <= value < 1.0, f"block settings, {what}", f"{value}", "a share, 0 .. 1")

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.megdr import REFERENCE_RADIUS
 from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.simulation.ground import areoid_under
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import KernelSegment
-from mgsgraph.simulation.terrain import areoid_under
 from mgsgraph.units import MILLISECOND
 
 _LABEL_BYTES = 2048

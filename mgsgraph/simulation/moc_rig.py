@@ -13,19 +13,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.names import Names
-from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
+from mgsgraph.network import ImageRays, Network, PointClass, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors, displaced_footprints
-from mgsgraph.simulation.observations import Visible, require_count, require_positive, require_seed
-from mgsgraph.simulation.rig import PassErrors, SimulatedRig, TrueRig, joined, measured, seen_twice
+from mgsgraph.simulation.observations import Visible
+from mgsgraph.simulation.rig import PassErrors, SimulatedRig, TrueRig, given_points, joined, measured, seen_twice
 
 WIDE, BEAM = "boresight of MOC-WA", "boresight of MOLA"
 
@@ -98,13 +95,6 @@ class MocSettings:
     errors: PassErrors = field(default_factory=lambda: PassErrors((100.0, 20.0), (3e-4, 1e-4, 3e-5, 1e-5)))
     """Of the pass's trajectory."""
 
-    def __post_init__(self) -> None:
-        for name in ("ties", "control", "shots"):
-            require_count(f"MOC settings, {name}", getattr(self, name), 0)
-        require_positive("MOC settings, range sigma", self.range_sigma)
-        found = f"{self.discrepancy} m"
-        require(np.isfinite(self.discrepancy), "MOC settings, discrepancy", found, "a number")
-
 
 def simulate_moc_rig(
     images: Sequence[PushbroomImage], settings: MocSettings | None = None, seed: int = 1
@@ -122,7 +112,6 @@ def simulate_moc_rig(
         nothing else.
     """
     settings = settings or MocSettings()
-    require_seed("simulated MOC rig", seed)
     of_truth, of_ties, of_control, of_shots, of_noise, of_places = np.random.default_rng([seed, 24]).spawn(6)
     narrow, wide = images
     one = joined("M04/02852", images, 0, settings.errors)
@@ -131,18 +120,28 @@ def simulate_moc_rig(
     ties, control = _tie_places(truth, settings, of_ties), _control_places(truth, settings, of_control)
     mounted = one.axes_of(1)
     assert mounted is not None
-    shots, times, ranges = _shots(truth, settings, turned, rotation.exponential(beam) @ mounted, of_shots)
+    beam_axis = rotation.exponential(-turned) @ (rotation.exponential(beam) @ mounted)[:, 2]
+    heights = _HEIGHT + _RELIEF * of_shots.standard_normal(settings.shots)
+    shots, times, ranges = truth.shots(1, np.linspace(0.1, 0.9, settings.shots), beam_axis, heights)
     points = np.concatenate([ties, control, shots])
     kinds = np.repeat([0, 1, 2], [len(ties), len(control), len(shots)])
     given = points.copy()
     given[kinds == 2] = displaced_footprints(
         wide, times - wide.trajectory.epoch, shots, InstrumentErrors(altimeter_boresight=beam)
     )
+    sigmas = np.array([
+        [flat, flat, height]
+        for flat, height in (settings.grid_sigmas, settings.control_sigmas, settings.footprint_sigmas)
+    ])[kinds]  # fmt: skip
     network = Network(
         images=(narrow, wide),
         priors=(OrientationPrior(settings.errors.sigmas),) * 2,
         held=np.zeros(2, dtype=bool),
-        points=_given(given, kinds, settings, of_places),
+        points=given_points(
+            [f"{'TCS'[kind]}{i:04d}" for i, kind in enumerate(kinds.tolist())],
+            np.array([PointClass.TIE, PointClass.CONTROL, PointClass.LASER], dtype=np.int64)[kinds],
+            np.ones(len(kinds), dtype=bool), given, sigmas, sigmas * of_places.standard_normal(points.shape),
+        ),
         rays=_rays(truth, points, kinds, settings, of_noise),
         ranges=Ranges(
             np.flatnonzero(kinds == 2), np.ones(len(shots), dtype=np.int64), times,
@@ -191,24 +190,6 @@ def _control_places(truth: TrueRig, settings: MocSettings, rng: np.random.Genera
     return truth.ground(1, pixels, _HEIGHT + _RELIEF * rng.standard_normal(settings.control))
 
 
-def _shots(
-    truth: TrueRig, settings: MocSettings, turned: Array, mounted: Array, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """True footprints (n, 3) in m, times (n,) in s TDB past J2000 and ranges (n,) in m. `mounted` (3, 3) turns the
-    narrow angle's axes to the wide one's, and the beam with them.
-    """
-    image = truth.images[1]
-    lines = np.linspace(0.1, 0.9, settings.shots) * image.lines
-    elapsed, _ = image.timing.at(lines)
-    times = image.trajectory.epoch + elapsed
-    lines = image.timing.lines(times - image.trajectory.epoch)  # of the time as float64 has it
-    pose = image.pose(lines, truth.corrections[1])
-    beams = np.einsum("nji,j->ni", pose.matrix, rotation.exponential(-turned) @ mounted[:, 2])
-    heights = _HEIGHT + _RELIEF * rng.standard_normal(lines.size)
-    places, _, _ = intersect_ellipsoid(pose.position, beams, image.body, heights)
-    return places, times, np.linalg.norm(places - pose.position, axis=1)
-
-
 def _rays(
     truth: TrueRig, points: Array, kinds: Array, settings: MocSettings, rng: np.random.Generator
 ) -> ImageRays:
@@ -219,21 +200,3 @@ def _rays(
         wanted.add(point[keep], image[keep], pixels[keep])
     of_kind = np.array([settings.tie_sigmas, settings.tie_sigmas, settings.shot_sigmas])
     return measured(wanted, of_kind[kinds], rng)
-
-
-def _given(places: Array, kinds: Array, settings: MocSettings, rng: np.random.Generator) -> GroundPoints:
-    """Points with their a-priori places: on MOLA's grid, of its map, and footprints."""
-    of_kind = np.array([[s[0], s[0], s[1]] for s in (
-        settings.grid_sigmas, settings.control_sigmas, settings.footprint_sigmas,
-    )])  # fmt: skip
-    sigmas, up = of_kind[kinds], places / np.linalg.norm(places, axis=1)[:, None]
-    frames = np.concatenate([east_north(places), up[:, None]], axis=1)
-    errors = sigmas * rng.standard_normal(places.shape)
-    classes = np.array([PointClass.TIE, PointClass.CONTROL, PointClass.LASER], dtype=np.int64)[kinds]
-    return GroundPoints(
-        Names.of(f"{'TCS'[kind]}{i:04d}" for i, kind in enumerate(kinds.tolist())),
-        classes,
-        np.full(len(kinds), int(PointKind.CONSTRAINED)),
-        places + np.einsum("nk,nkj->nj", errors, frames),
-        np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames),
-    )

@@ -13,22 +13,26 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mgsgraph.errors import require
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.distortion import LrocNacDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.moon import MOON, MOON_BODY
-from mgsgraph.simulation.observations import require_count, require_positive, require_seed
 from mgsgraph.simulation.orbit import CircularPass, site_at
-from mgsgraph.simulation.rig import MountedCamera, PassErrors, SimulatedRig, TrueRig, joined, measured, seen_twice
+from mgsgraph.simulation.rig import (
+    MountedCamera,
+    PassErrors,
+    SimulatedRig,
+    TrueRig,
+    given_points,
+    joined,
+    measured,
+    seen_twice,
+)
 from mgsgraph.units import DEG
 
 BORESIGHT = "boresight of NAC-R"
@@ -91,13 +95,6 @@ class NacSettings:
     errors: PassErrors = field(default_factory=PassErrors)
     """Of each pass's trajectory."""
 
-    def __post_init__(self) -> None:
-        for name, least in (("ties", 10), ("beside", 0), ("shots", 0), ("control", 0), ("lines", 1000)):
-            require_count(f"NAC settings, {name}", getattr(self, name), least)
-        for name in ("altitude", "period", "tie_sigma", "shot_sigma", "range_sigma", "track_sigma", "control_sigma"):
-            require_positive(f"NAC settings, {name}", getattr(self, name))
-        require(self.boresight >= 0.0, "NAC settings, boresight", f"{self.boresight} m", "a positive number, or 0")
-
 
 def nac_cameras() -> tuple[MountedCamera, MountedCamera]:
     """NAC-L and NAC-R, their optical axes as far to the left of the spacecraft's +Z as to its right."""
@@ -132,14 +129,13 @@ def nac_images(settings: NacSettings) -> tuple[PushbroomImage, ...]:
 def simulate_nac_pair(settings: NacSettings | None = None, seed: int = 1) -> SimulatedRig:
     """Simulate two passes; the same settings and seed give the same."""
     settings = settings or NacSettings()
-    require_seed("simulated NAC pair", seed)
     of_truth, of_points, of_shots, of_noise = np.random.default_rng([seed, 24]).spawn(4)
     images = nac_images(settings)
     passes = tuple(joined(f"pass {k + 1}", images[2 * k : 2 * k + 2], 2 * k, settings.errors) for k in (0, 1))
     boresight = _drawn_boresight(settings, of_truth)
     truth = TrueRig.drawn(images, passes, settings.errors, np.array([0.0, 1.0] * 2)[:, None] * boresight, of_truth)
     ties = _tie_places(truth, settings, of_points)
-    shots, ranges, carrier = _shots(truth, images, settings, of_shots)
+    shots, ranges, carrier = _shots(truth, settings, of_shots)
     points = np.concatenate([ties, shots])
     rays = _rays(truth, points, len(ties), settings, of_noise)
     given, shifts = _given(ties, shots, carrier, _of_one_pass(rays, len(points)), settings, of_noise)
@@ -198,23 +194,14 @@ def _tie_places(truth: TrueRig, settings: NacSettings, rng: np.random.Generator)
 
 
 def _shots(
-    truth: TrueRig, images: tuple[PushbroomImage, ...], settings: NacSettings, rng: np.random.Generator
+    truth: TrueRig, settings: NacSettings, rng: np.random.Generator
 ) -> tuple[Array, Array, Index]:
     """True footprints (n, 3) in m, times and ranges (n, 2) in s and m, and the image (n,) that carries each range."""
-    footprints, ranges, carriers = [np.zeros((0, 3))], [np.zeros((0, 2))], [np.zeros(0, dtype=np.int64)]
     beam = nac_cameras()[0].mount @ [0.0, 0.0, 1.0]
-    for left in (0, 2) if settings.shots else ():
-        image, lines = truth.images[left], np.linspace(0.02, 0.98, settings.shots) * truth.images[left].lines
-        elapsed, _ = image.timing.at(lines)
-        pose = image.pose(lines, truth.corrections[left])
-        directions = np.einsum("nji,j->ni", pose.matrix, beam)
-        heights = _RELIEF * rng.standard_normal(lines.size)
-        places, _, _ = intersect_ellipsoid(pose.position, directions, image.body, heights)
-        footprints.append(places)
-        times = image.trajectory.epoch + elapsed
-        ranges.append(np.column_stack([times, np.linalg.norm(places - pose.position, axis=1)]))
-        carriers.append(np.full(lines.size, left))
-    return np.concatenate(footprints), np.concatenate(ranges), np.concatenate(carriers)
+    shares = np.linspace(0.02, 0.98, settings.shots)
+    found = [truth.shots(left, shares, beam, _RELIEF * rng.standard_normal(shares.size)) for left in (0, 2)]
+    places, times, ranges = (np.concatenate(each) for each in zip(*found, strict=True))
+    return places, np.column_stack([times, ranges]), np.repeat([0, 2], shares.size)
 
 
 def _rays(
@@ -240,9 +227,6 @@ def _given(
     the boresight's error makes them meet behind the cameras.
     """
     n, m = len(ties), len(shots)
-    frames = east_north(np.concatenate([ties, shots]))
-    up = np.concatenate([ties, shots]) / np.linalg.norm(np.concatenate([ties, shots]), axis=1)[:, None]
-    frames = np.concatenate([frames, up[:, None]], axis=1)
     flat, height = settings.footprint_sigmas
     known = alone | (np.arange(n + m) >= n)
     control = rng.permutation(n)[: settings.control]
@@ -254,14 +238,8 @@ def _given(
     errors[n:, :2] -= shifts[profile]
     classes = np.full(n + m, int(PointClass.TIE))
     known[control], classes[control], classes[n:] = True, int(PointClass.CONTROL), int(PointClass.LASER)
-    places = np.concatenate([ties, shots]) + np.einsum("nk,nkj->nj", errors, frames)
-    covariances = np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames)
     names = [f"T{i:04d}" for i in range(n)] + [f"S{i:04d}" for i in range(m)]
-    points = GroundPoints(
-        Names.of(names), classes,
-        np.where(known, int(PointKind.CONSTRAINED), int(PointKind.FREE)),
-        np.where(known[:, None], places, np.nan), np.where(known[:, None, None], covariances, 0.0),
-    )  # fmt: skip
+    points = given_points(names, classes, known, np.concatenate([ties, shots]), sigmas, errors)
     if not m:
         return points, None
     of_point = np.concatenate([np.full(n, -1), profile])

@@ -12,6 +12,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
 from mgsgraph.record import Record
 from mgsgraph.simulation.ground import rays_to_sines
 
@@ -120,6 +121,31 @@ def free_points(
         measure_image=RepeatedNames.of(images),
         measures=measures,
         measure_sigmas=np.broadcast_to(sigma, (k, 2)),
+    )
+
+
+def tie_network(
+    images: Sequence[PushbroomImage], passes: Sequence[Pass], rays: ImageRays, count: int, surface: Surface | None
+) -> Network:
+    """Images whose orientation is that of their passes, `count` free tie points, their rays, and a terrain model."""
+    prior = passes[0].prior
+    assert isinstance(prior, NodePrior)
+    own, none = OrientationPrior(prior.node_sigmas(np.zeros(1))), np.zeros(0)  # of no effect: passes have their own
+    return Network(
+        images=tuple(images),
+        priors=(own,) * len(images),
+        held=np.zeros(len(images), dtype=bool),
+        points=GroundPoints(
+            ids=Names.of(f"P{i:07d}" for i in range(count)),
+            classes=np.full(count, int(PointClass.TIE)),
+            kinds=np.full(count, int(PointKind.FREE)),
+            places=np.full((count, 3), np.nan),
+            covariances=np.zeros((count, 3, 3)),
+        ),
+        rays=rays,
+        ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
+        surface=surface,
+        passes=tuple(passes),
     )
 
 

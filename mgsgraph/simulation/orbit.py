@@ -136,9 +136,11 @@ class CircularPass:
     altitude: float
     """m, of the orbit above the site's distance from the centre."""
     off_nadir: float = 0.0
-    """rad, at the spacecraft between the optical axis and nadir, across track; zero for tracking nadir."""
+    """rad, at the spacecraft between the optical axis and nadir, aside unless `ahead`; zero for tracking nadir."""
     body: CentralBody = MARS_BODY
     """About which it flies."""
+    ahead: bool = False
+    """Whether the axis looks ahead along the track by `off_nadir`, not aside."""
     turning: bool | None = None
     """Whether the camera turns about the orbit's normal as nadir does; otherwise it is held in inertial space. None:
     held where the axis is off nadir, as MGS did it."""
@@ -164,8 +166,10 @@ def circular_orbit(flown: CircularPass) -> Orbit:
     if flown.off_nadir >= 0.5 * np.pi or sine >= 1.0:
         found = f"{flown.off_nadir / DEG:.1f} deg, which looks past the body"
         raise InputError("simulated orbit, off_nadir", found, "less, about 20 deg")
-    aside = np.arcsin(sine) - flown.off_nadir  # angle at the body's centre between the site and the orbit's plane
-    outward = np.cos(aside) * zenith + np.sin(aside) * np.cross(flight, zenith)
+    apart = np.arcsin(sine) - flown.off_nadir  # angle at the body's centre between site and spacecraft
+    outward = np.cos(apart) * zenith + np.sin(apart) * (-flight if flown.ahead else np.cross(flight, zenith))
+    if flown.ahead:
+        flight = np.cos(apart) * flight + np.sin(apart) * zenith
     return Orbit(flown.epoch, outward, flight, radius, 0.0, flown.body.gravity)
 
 
@@ -174,7 +178,11 @@ def circular_attitude(flown: CircularPass, times: Array) -> Array:
     orbit = circular_orbit(flown)
     axis = flown.body.to_fixed(np.array([flown.epoch]))[0].T @ flown.site - orbit.radius * orbit.outward
     axis = axis / np.linalg.norm(axis)
-    camera = np.stack([orbit.flight, np.cross(axis, orbit.flight), axis])
+    side = np.cross(axis, orbit.flight)
+    camera = np.stack([orbit.flight, side, axis])
+    if flown.ahead:
+        side /= np.linalg.norm(side)
+        camera = np.stack([np.cross(side, axis), side, axis])
     swept = np.sqrt(orbit.gravity / orbit.radius**3) * times if flown.turns else np.zeros(times.size)
     turned = swept[:, None] * np.cross(orbit.outward, orbit.flight)
     return np.asarray(camera @ rotation.exponential(-turned))

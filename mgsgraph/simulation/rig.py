@@ -11,19 +11,21 @@ a spacecraft; the adjustment adds b and A c as one rotation vector, which differ
 1.6 and 0.15 mrad).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import intersect_ellipsoid
+from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Index, assign, frozen
-from mgsgraph.network import ImageRays, Network, Pass
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.names import Names
+from mgsgraph.network import GroundPoints, ImageRays, Network, Pass
 from mgsgraph.network.joining import mountings, seconds
 from mgsgraph.network.node_priors import PolynomialPrior
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, line_image, one_rate
@@ -47,9 +49,6 @@ class MountedCamera:
     """Of a line."""
     mount: Array
     """(3, 3) rotation from the spacecraft's axes (+X forward, +Z down) to the camera's."""
-
-    def __post_init__(self) -> None:
-        assign(self, mount=frozen(self.mount, f"camera {self.name}, mount", (3, 3)))
 
     def image(self, name: str, flown: CircularPass, lines: int, period: float) -> PushbroomImage:
         """Nominal image whose middle line is taken at the pass's epoch; `period` in s per line."""
@@ -152,6 +151,17 @@ class TrueRig:
         origins, directions = one.sightlines(pixels[:, 0], pixels[:, 1], self.corrections[image])
         return intersect_ellipsoid(origins, directions, one.body, heights)[0]
 
+    def shots(self, image: int, shares: Array, beam: Array, heights: Array) -> tuple[Array, Array, Array]:
+        """Laser shots at shares (n,) of an image's lines along a beam (3,) in its axes: true footprints (n, 3) in m at
+        heights (n,) above the ellipsoid, times (n,) in s TDB past J2000 and ranges (n,) in m.
+        """
+        one = self.images[image]
+        times = one.trajectory.epoch + one.timing.at(shares * one.lines)[0]
+        pose = one.pose(one.timing.lines(times - one.trajectory.epoch), self.corrections[image])  # as float64 has them
+        beams = np.einsum("nji,j->ni", pose.matrix, beam)
+        places, _, _ = intersect_ellipsoid(pose.position, beams, one.body, heights)
+        return places, times, np.linalg.norm(places - pose.position, axis=1)
+
     def seen(self, points: Array) -> Visible:
         """Where images show points (n, 3) in m, well inside their edges."""
         visible = Visible()
@@ -181,6 +191,22 @@ class SimulatedRig:
 
     def __repr__(self) -> str:
         return f"SimulatedRig({self.network!r})"
+
+
+def given_points(
+    names: Iterable[str], classes: Index, known: Mask, places: Array, sigmas: Array, errors: Array
+) -> GroundPoints:
+    """Points as an adjustment is given them: `known` ones (n,) at their true places (n, 3) and errors (n, 3), east,
+    north and up, of these sigmas (n, 3), all in m; the others without a place.
+    """
+    up = places / np.linalg.norm(places, axis=1)[:, None]
+    frames = np.concatenate([east_north(places), up[:, None]], axis=1)
+    return GroundPoints(
+        Names.of(names), classes,
+        np.where(known, int(PointKind.CONSTRAINED), int(PointKind.FREE)),
+        np.where(known[:, None], places + np.einsum("nk,nkj->nj", errors, frames), np.nan),
+        np.where(known[:, None, None], np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames), 0.0),
+    )  # fmt: skip
 
 
 def measured(visible: Visible, sigmas: Array, rng: np.random.Generator) -> ImageRays:

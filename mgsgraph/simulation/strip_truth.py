@@ -1,15 +1,16 @@
 """True orientation of a strip's images: nodes drawn from their prior, and jitter that no prior knows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array
-from mgsgraph.network import NodePrior
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.node_priors import normalised
 from mgsgraph.record import Record
 
@@ -30,13 +31,6 @@ class Jitter(Record):
     """Hz."""
     axis: Axis = "pitch"
     """About which it turns."""
-
-    def __post_init__(self) -> None:
-        for name, unit in (("amplitude", "rad"), ("frequency", "Hz")):
-            value = getattr(self, name)
-            require(0.0 < value < np.inf, f"jitter, {name}", f"{value} {unit}", "a positive number")
-        axes = get_args(Axis)
-        require(self.axis in axes, "jitter, axis", repr(self.axis), f"one of {', '.join(axes)}")
 
     @property
     def component(self) -> int:
@@ -95,3 +89,45 @@ def true_correction(
     phase = rng.uniform(0.0, 2.0 * np.pi)
     values[:, jitter.component] += jitter.amplitude * np.sin(2.0 * np.pi * jitter.frequency * fine.times + phase)
     return strip_correction(fine, values)
+
+
+
+
+def segment(image: PushbroomImage, name: str, first: int, stop: int) -> PushbroomImage:
+    """Lines `first` to `stop` (exclusive) of an image as an image of their own."""
+    timing = image.timing
+    later = np.flatnonzero((timing.first_lines > first) & (timing.first_lines < stop))
+    start, period = timing.at(np.array([float(first)]))
+    cut = LineTiming(
+        np.append(0.0, timing.first_lines[later] - first), np.append(start, timing.start_times[later]),
+        np.append(period, timing.periods[later]),
+    )  # fmt: skip
+    return replace(image, name=name, lines=stop - first, timing=cut)
+
+
+def in_segments(network: Network, count: int) -> Network:
+    """A network with every image cut into `count` segments of equal length, NAME/1 to NAME/count; rays are those of the
+    segment that they fall in. Laser ranges, shared unknowns and stereo surfaces are left out.
+    """
+    images, edges = list[PushbroomImage](), list[Index]()
+    for image in network.images:
+        edge = np.linspace(0, image.lines, count + 1).astype(np.int64)
+        edges.append(edge)
+        cut = zip(edge[:-1].tolist(), edge[1:].tolist(), strict=True)
+        images += [segment(image, f"{image.name}/{k + 1}", first, stop) for k, (first, stop) in enumerate(cut)]
+    rays, table = network.rays, np.array(edges)[network.rays.image]
+    inner = np.clip(np.sum(rays.places[:, :1] >= table, axis=1) - 1, 0, count - 1)
+    places = rays.places - np.column_stack([table[np.arange(inner.size), inner], np.zeros(inner.size)])
+    passes = tuple(
+        replace(
+            one, images=(one.images[:, None] * count + np.arange(count)).ravel(),
+            axes=None if one.axes is None else np.repeat(one.axes, count, axis=0),
+        )
+        for one in network.passes
+    )  # fmt: skip
+    return replace(
+        network, images=tuple(images), priors=tuple(np.repeat(np.array(network.priors, dtype=object), count).tolist()),
+        held=np.repeat(network.held, count), rays=replace(rays, image=rays.image * count + inner, places=places),
+        ranges=network.ranges.chosen(np.zeros(network.ranges.point.size, dtype=bool)), passes=passes, shared=(),
+        stereo=None,
+    )  # fmt: skip

@@ -19,7 +19,7 @@ from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching
 
 LIMIT = SolverSettings(reject=4.0)
 

@@ -17,8 +17,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, parse_cluster
-from mgsgraph.adjustment.cluster.workers import cores, require_visible_file, threads_of_each
+from mgsgraph.adjustment.cluster import connection
+from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
+from mgsgraph.adjustment.cluster.workers import cores, parse_cluster, require_visible_file, threads_of_each
 from mgsgraph.errors import InputError, SolverError
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")

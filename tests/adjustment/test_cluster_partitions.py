@@ -20,7 +20,8 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment import cluster
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, partitions
+from mgsgraph.adjustment.cluster import connection, partitions
+from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
 from mgsgraph.adjustment.cluster.partitions import Answer, Order, Partitions
 from mgsgraph.adjustment.cluster.workers import Worker, require_memory
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out

@@ -10,7 +10,7 @@ from networks import network, pair, with_shift_and_surface
 from sharing import block, camera_clock, drawn, shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.cluster import open_cluster
+from mgsgraph.adjustment.cluster.connection import open_cluster
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile

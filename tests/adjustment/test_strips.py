@@ -25,7 +25,7 @@ from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
 PRIOR = NodePrior(

@@ -36,7 +36,7 @@ from mgsgraph.simulation.hrsc_block import (
     TrajectoryErrors,
     simulate_hrsc_block,
 )
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching
 
 SETTINGS = SolverSettings(reject=4.0)
 WRONG, HIGH = 7, 900.0

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from commands import COMMAND, run
 
-from mgsgraph.adjustment.cluster import open_cluster
+from mgsgraph.adjustment.cluster.connection import open_cluster
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 

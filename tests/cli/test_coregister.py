@@ -38,9 +38,16 @@ from mgsgraph.results.relief import (
     relief_statements,
     slopes_of,
 )
-from mgsgraph.simulation.demo.disagreement import BY_RELIEF, KERNELS, TIES, disagreement_table, disagreements, overall
-from mgsgraph.simulation.demo.truth import true_shots
-from mgsgraph.simulation.terrain import GRID_VERTICAL, grid_shift
+from mgsgraph.simulation.demo.truth import (
+    BY_RELIEF,
+    KERNELS,
+    TIES,
+    disagreement_table,
+    disagreements,
+    overall,
+    true_shots,
+)
+from mgsgraph.simulation.ground import GRID_VERTICAL, grid_shift
 
 APART = 20.0
 """m, by which images and profiles may disagree after the adjustment."""

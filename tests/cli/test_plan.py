@@ -12,8 +12,8 @@ from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.planning.candidates_file import decode_candidates
 from mgsgraph.results.archive import read_solution
+from mgsgraph.simulation.case_files import image_file, json_text, support_data
 from mgsgraph.simulation.files import write_strip, write_texts
-from mgsgraph.simulation.isis_files import image_file, json_text, support_data
 from mgsgraph.units import MRAD
 
 ORIENTATION = (

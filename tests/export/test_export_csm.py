@@ -31,7 +31,7 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.simulation.isis_files import json_text, support_data
+from mgsgraph.simulation.case_files import json_text, support_data
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 DOUBLES = (

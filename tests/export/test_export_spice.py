@@ -28,8 +28,8 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.simulation.case_files import image_file
 from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.isis_files import image_file
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"

@@ -1,6 +1,5 @@
 """Sweeps: threads share one, and it matters little where its inner solves begin."""
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -32,9 +31,6 @@ def all_results(system: System, x: np.ndarray) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", ["more than a tile", "groups of one point"])
 def test_threads_share_the_same_work(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    most = numba.get_num_threads()
-    if most < 2:
-        pytest.skip("one thread is all that numba has here (NUMBA_NUM_THREADS)")
     parts, calls, results = sweep.even_parts, list[int](), list[dict[str, np.ndarray]]()
 
     def counted(rows: Rows, count: int) -> np.ndarray:
@@ -46,12 +42,9 @@ def test_threads_share_the_same_work(name: str, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(patterns, "PIECE", 32)
     now = case(NETWORKS[name]())
     system = of_layout(now.layout, now.rows)
-    try:
-        for threads in (1, 2):
-            numba.set_num_threads(threads)
-            results.append(all_results(system, state(system)))
-    finally:
-        numba.set_num_threads(most)
+    for threads in (1, 2):
+        monkeypatch.setattr(sweep, "threads", lambda threads=threads: threads)
+        results.append(all_results(system, state(system)))
     assert calls == [2, 2]  # one thread has nothing to divide
     for what, one in results[0].items():
         np.testing.assert_allclose(results[1][what], one, rtol=0.0, atol=1e-12 * np.abs(one).max(), err_msg=what)

@@ -20,7 +20,7 @@ from mgsgraph.planning.state import CurrentState, correction_of, state_of_soluti
 from mgsgraph.planning.targets import TargetSigmas, targets_of
 from mgsgraph.planning.update import added, updated
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.segments import in_segments
+from mgsgraph.simulation.strip_truth import in_segments
 from mgsgraph.units import MGON
 
 AS_PROMISED = 0.01

@@ -15,7 +15,7 @@ from mgsgraph.analysis.spacing.study import NodeStudy, study_nodes
 from mgsgraph.results.figures.spacing import corrections_sheet, spacing_sheet, spectrum_sheet
 from mgsgraph.results.spacing import node_statements, nodes_json, nodes_section, write_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.units import MGON
 

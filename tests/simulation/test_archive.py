@@ -18,8 +18,8 @@ from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.pvl import Document, flat_label, whole_label
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.simulation.ground import GRID_VERTICAL
 from mgsgraph.simulation.site import SimulatedSite
-from mgsgraph.simulation.terrain import GRID_VERTICAL
 from mgsgraph.units import DEG
 
 IMAGE = "images/mgsc_1142/e02006/e0200665.imq"

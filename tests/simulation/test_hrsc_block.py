@@ -14,8 +14,7 @@ from mgsgraph.geometry.orientation_images import Basis
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Readout
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching, Readout
 from mgsgraph.simulation.observations import MARGIN
 from mgsgraph.simulation.strip_truth import Jitter, correction_at
 from mgsgraph.units import DEG, MGON
@@ -334,41 +333,3 @@ def test_redraws_draw_strips_from_their_priors(block: SimulatedBlock) -> None:
             assert k == 0 or mine[0] is not draw.corrections[0]
     values = np.array([draw.corrections[5 * k].coefficients[1:] for draw in draws for k in (0,)])
     assert np.all(np.ptp(values, axis=0) > 0.0)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"strips": 0}, "strips: 0"),
-        ({"strips": 2, "crossing": 2}, "crossing strips: 2 of 2"),
-        ({"length": 9000e3}, "length: 9000 km; expected 50 .. 4500 km"),
-        ({"altitudes": (265e3, 5000e3)}, "altitudes: 5000 km"),
-        ({"eccentricity": 1.2}, "eccentricity: 1.2"),
-        ({"overlap": 1.0}, "overlap: 1.0"),
-        ({"spacing": -1.0}, "spacing: -1.0"),
-        ({"true_spacing": 0.0}, "true spacing: 0.0"),
-        ({"centre": (0.0, 80 * DEG)}, "centre: latitude 80 deg"),
-        ({"points": 0}, "points: 0"),
-        ({"altitudes": (np.nan, 300e3)}, "altitudes: nan km"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=f"^block settings, {message}"):
-        replace(SMALL, **change)  # type: ignore[arg-type]
-
-
-def test_parts_of_settings_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(InputError, match="add up to 1"):
-        PointMatching(shares=(0.5, 0.5, 0.5))
-    with pytest.raises(InputError, match="blunders: 2"):
-        PointMatching(blunders=2.0)
-    with pytest.raises(InputError, match="macropixels"):
-        Readout(macropixels=(1, 2, 3, 1, 1))
-    with pytest.raises(InputError, match="jitter, axis"):
-        Jitter(1e-5, 1.0, "x")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="jitter, frequency"):
-        Jitter(1e-5, 0.0)
-    with pytest.raises(InputError, match="missing posts"):
-        TerrainErrors(missing=1.5)
-    with pytest.raises(InputError, match="seed"):
-        simulate_hrsc_block(SMALL, -1)

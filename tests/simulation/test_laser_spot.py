@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.laser_spot import ranges_over_spots
+from mgsgraph.simulation.site import ranges_over_spots
 
 HIGH, SIGMA = 400e3, 42.0
 """m, of the spacecraft; standard deviation of the energy on the ground."""

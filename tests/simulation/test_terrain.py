@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.simulation import relief
-from mgsgraph.simulation.ground import SITES, SiteTerrain, make_terrain
+from mgsgraph.simulation.ground import SITES, SiteTerrain, grid_shift, make_terrain, terrain_grid
 from mgsgraph.simulation.relief import PeriodicSurface
-from mgsgraph.simulation.terrain import grid_shift, terrain_grid
 from mgsgraph.units import DEG
 
 

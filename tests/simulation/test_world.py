@@ -9,7 +9,7 @@ import pytest
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.simulation.demo.simulate import simulation_options
+from mgsgraph.simulation.demo.demonstration import simulation_options
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.strip import StripSettings, simulate_strip

@@ -14,8 +14,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
-from mgsgraph.registration.measured import registration_discrepancy as registration_discrepancy
-from mgsgraph.registration.measured import registration_offsets as registration_offsets
 from mgsgraph.results.figures.aggregate import LARGE_BLOCK
 from mgsgraph.results.figures.closeups import closeup_sheets
 from mgsgraph.results.figures.connectivity import links_sheet

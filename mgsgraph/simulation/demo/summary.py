@@ -27,17 +27,27 @@ from mgsgraph.results.results import write_into
 from mgsgraph.simulation.demo.demonstration import (
     DRAWING,
     INPUTS,
+    PAIR,
     Demonstration,
     demonstrate,
     demonstrate_pair,
     true_points,
 )
-from mgsgraph.simulation.demo.disagreement import BY_RELIEF, KERNELS, TIES, disagreement_table, overall
-from mgsgraph.simulation.demo.simulate import PAIR
-from mgsgraph.simulation.demo.truth import AgainstTruth, BeforeAfter, pair_statements, point_errors, point_statements
+from mgsgraph.simulation.demo.truth import (
+    BY_RELIEF,
+    KERNELS,
+    TIES,
+    AgainstTruth,
+    BeforeAfter,
+    disagreement_table,
+    overall,
+    pair_statements,
+    point_errors,
+    point_statements,
+)
+from mgsgraph.simulation.ground import grid_shift
 from mgsgraph.simulation.mgs_files import grid_file
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions
-from mgsgraph.simulation.terrain import grid_shift
 from mgsgraph.text import many, root_mean_square
 from mgsgraph.units import ARCMIN, ARCSEC
 

@@ -11,9 +11,17 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.spacing.jitter_model import JitterModel, jitter_model
 from mgsgraph.errors import InputError
-from mgsgraph.simulation.ctx import PIXEL, ControlSettings, CtxSettings, SimulatedCtxPair, simulate_ctx_pair
-from mgsgraph.simulation.jitter import JitterSettings
-from mgsgraph.simulation.jitter_heights import dense_truth, height_errors, ripple
+from mgsgraph.simulation.ctx import (
+    PIXEL,
+    ControlSettings,
+    CtxSettings,
+    JitterSettings,
+    SimulatedCtxPair,
+    dense_truth,
+    height_errors,
+    ripple,
+    simulate_ctx_pair,
+)
 
 PLAIN = SolverSettings(starts=0)
 

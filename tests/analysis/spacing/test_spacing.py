@@ -29,7 +29,7 @@ from mgsgraph.network.support import (
     useful_rays,
 )
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import PointMatching
+from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.units import MGON
 

@@ -16,8 +16,15 @@ from mgsgraph.analysis.spacing.vibrations import residual_vibrations
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.vibrations import vibrations_sheet
-from mgsgraph.simulation.ctx import PIXEL, ControlSettings, CtxSettings, Look, SimulatedCtxPair, simulate_ctx_pair
-from mgsgraph.simulation.jitter import JitterSettings
+from mgsgraph.simulation.ctx import (
+    PIXEL,
+    ControlSettings,
+    CtxSettings,
+    JitterSettings,
+    Look,
+    SimulatedCtxPair,
+    simulate_ctx_pair,
+)
 
 CALM = JitterSettings(pitch=0.0, roll=0.0)
 

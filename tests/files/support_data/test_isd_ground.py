@@ -21,7 +21,7 @@ from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.support_data.optics import support_optics
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.simulation.isis_files import support_data
+from mgsgraph.simulation.case_files import support_data
 
 FILES = (
     *(f"lro_nac_lola/lidarObservationImage{k}.isd" for k in (1, 2)),

@@ -16,7 +16,7 @@ from strip_files import block
 from mgsgraph.errors import InputError
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.simulation.isis_files import support_data
+from mgsgraph.simulation.case_files import support_data
 
 CENTRE = 255744697.39357847
 """center_ephemeris_time of h5270_0000_ir2."""

@@ -11,13 +11,12 @@ from typing import Any
 import pytest
 
 import mgsgraph
-from mgsgraph.adjustment.cluster import Lost
+from mgsgraph.adjustment.cluster.connection import Lost
 from mgsgraph.atomic_write import beside
 from mgsgraph.errors import InputError, SolverError
-from mgsgraph.project.campaign import AS_WRITTEN, Campaign, CampaignEntry, Overrides, run_campaign
 from mgsgraph.project.campaign import run as campaign_run
-from mgsgraph.project.campaign.record import RECORD
-from mgsgraph.project.campaign.run import line, summary
+from mgsgraph.project.campaign.record import AS_WRITTEN, RECORD, CampaignEntry, Overrides
+from mgsgraph.project.campaign.run import Campaign, line, run_campaign, summary
 from mgsgraph.results.results import write_results
 
 TABLES = ("points.csv", "orientation.csv", "residuals.csv")

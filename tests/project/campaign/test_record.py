@@ -9,8 +9,7 @@ import msgspec
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.project.campaign import CampaignEntry, Overrides
-from mgsgraph.project.campaign.record import RECORD, open_record
+from mgsgraph.project.campaign.record import RECORD, CampaignEntry, Overrides, open_record
 
 
 def entry(case: str = "a.toml", **changed: Any) -> CampaignEntry:

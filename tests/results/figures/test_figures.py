@@ -19,7 +19,8 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
-from mgsgraph.results.figures import registration_discrepancy, registration_offsets, write_figures
+from mgsgraph.registration.measured import registration_discrepancy, registration_offsets
+from mgsgraph.results.figures import write_figures
 from mgsgraph.results.figures.content import image_residuals
 from mgsgraph.results.figures.ground_map import map_sheet, tie_sigmas
 from mgsgraph.results.figures.orientation import components, coupling, orientation_sheets

@@ -11,9 +11,16 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network import PointClass
 from mgsgraph.simulation.demo import demonstration
-from mgsgraph.simulation.demo.demonstration import DRAWING, RELIEF, STAGES, Demonstration, demonstrate
-from mgsgraph.simulation.demo.disagreement import KERNELS, TIES, overall
-from mgsgraph.simulation.demo.simulate import DEMONSTRATED, PAIR, simulation_options
+from mgsgraph.simulation.demo.demonstration import (
+    DEMONSTRATED,
+    DRAWING,
+    PAIR,
+    RELIEF,
+    STAGES,
+    Demonstration,
+    demonstrate,
+    simulation_options,
+)
 from mgsgraph.simulation.demo.summary import (
     MOST_SIGMAS,
     closing_lines,
@@ -21,7 +28,7 @@ from mgsgraph.simulation.demo.summary import (
     largest_sigmas_off,
     summary_json,
 )
-from mgsgraph.simulation.demo.truth import contradiction_at
+from mgsgraph.simulation.demo.truth import KERNELS, TIES, contradiction_at, overall
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.text import root_mean_square
 
