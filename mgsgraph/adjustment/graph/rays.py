@@ -64,41 +64,6 @@ class Share(NamedTuple):
             yield int(number[order[a]]), order[a:b]
 
 
-class RayPlaces(NamedTuple):
-    """Where k image rays are among all t observations of m pieces; q patterns, s observations of patterns."""
-
-    piece: Index
-    """(m, 5) as in Rows."""
-    begins: Index
-    """(m + 1,) first observation of each piece, and the number of all."""
-    observation: Index
-    """(q + 1,) first observation of each pattern."""
-    before: Index
-    """(q, j) numbers per point that a pattern's observations before the j-th store."""
-    rays: Index
-    """(q,) how many of a pattern's observations, the first ones, are image rays."""
-    image: Index
-    """(s,) whose they are."""
-    ray: NDArray[np.int32]
-    """(t,) ray of each observation, -1 for other ones; a small number, for there are many."""
-
-    def each(self, work: Callable[[Share], None]) -> None:
-        """Do some work on all rays, shared by threads."""
-        total = int(self.begins[-1])
-        edges = np.unique(np.searchsorted(self.begins, [*range(0, total, _SHARE), total])).tolist()
-        in_threads(lambda ends: work(self._share(*ends)), list(pairwise(edges)))
-
-    def _share(self, first: int, last: int) -> Share:
-        most = int(self.begins[last] - self.begins[first])
-        ray = np.empty(most, dtype=np.int32)
-        at, stride, place, image = (np.empty(most, dtype=np.int64) for _ in range(4))
-        count = rays_inside(
-            first, last, self.piece, self.before, self.observation, self.rays, self.image, self.ray, ray, at, stride,
-            place, image,
-        )  # fmt: skip
-        return Share(first, last, ray[:count], at[:count], stride[:count], place[:count], image[:count])
-
-
 class Crossing(NamedTuple):
     """Where nominal rays cross; n points in network order."""
 
@@ -138,7 +103,7 @@ class RayConstants:
         """(k,) place of each ray among all observations; int32, for there are many."""
         places_of_rays(network.rays.point, slot, patterns.point_index, piece_of, piece, self.among, ray)
         counts = np.diff(rays[patterns.first])
-        self._places = RayPlaces(piece, begins, patterns.first, before, counts, patterns.image, ray)
+        self._piece, self._before, self._begins, self._rays, self._ray = piece, before, begins, counts, ray
 
     def fill(self, data: Array, weight: Array, terms: Terms, bent: Array, crossing: Crossing | None) -> None:
         """Constants (but for the scale of the measured-line form, `fill_scales`) and weights of all rays, and where
@@ -151,11 +116,26 @@ class RayConstants:
             units = _NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
             self._put_poses(share, data, terms, values, units, True)
             if crossing is not None:
-                piece, before, rays = self._places.piece, self._places.before, self._places.rays
-                ways = piece, before, rays, self._patterns.point_order
+                ways = self._piece, self._before, self._rays, self._patterns.point_order
                 crossings(share.first, share.last, *ways, data, units, *crossing)
 
-        self._places.each(fill)
+        self._each(fill)
+
+    def _each(self, work: Callable[[Share], None]) -> None:
+        """Do some work on all rays, shared by threads."""
+        total = int(self._begins[-1])
+        edges = np.unique(np.searchsorted(self._begins, [*range(0, total, _SHARE), total])).tolist()
+        in_threads(lambda ends: work(self._share(*ends)), list(pairwise(edges)))
+
+    def _share(self, first: int, last: int) -> Share:
+        most = int(self._begins[last] - self._begins[first])
+        ray = np.empty(most, dtype=np.int32)
+        at, stride, place, image = (np.empty(most, dtype=np.int64) for _ in range(4))
+        count = rays_inside(
+            first, last, self._piece, self._before, self._patterns.first, self._rays, self._patterns.image, self._ray,
+            ray, at, stride, place, image,
+        )  # fmt: skip
+        return Share(first, last, ray[:count], at[:count], stride[:count], place[:count], image[:count])
 
     def renewable(self, terms: Terms) -> bool:
         """Whether rays about other lines depend on the same nodes as those that were laid out."""
@@ -164,7 +144,7 @@ class RayConstants:
     def renew(self, data: Array, terms: Terms, bent: Array) -> None:
         """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
         values = self._variables.split(bent)
-        self._places.each(lambda share: self._put_poses(share, data, terms, values, _NO_UNITS, False))
+        self._each(lambda share: self._put_poses(share, data, terms, values, _NO_UNITS, False))
 
     def fill_scales(self, data: Array, starts: Array) -> None:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
@@ -179,7 +159,7 @@ class RayConstants:
                 scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
                 put_scale(mine, share.at, share.stride, first, scale.reshape(-1, 4), data)
 
-        self._places.each(rescale)
+        self._each(rescale)
 
     @cached_property
     def _axes(self) -> list[Array | None]:
