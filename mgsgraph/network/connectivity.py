@@ -304,7 +304,30 @@ def connectivity_statements(connected: Connectivity) -> list[str]:
 
 def connectivity_warnings(connected: Connectivity) -> list[str]:
     """Sentences about islands, and pairs of images whose points and footprints disagree."""
-    return [*_islands(connected), *_untied(connected), *_apart(connected)]
+    said, names = list[str](), connected.names
+    if len(connected.islands) > 1:
+        parts = [f"({some([names[j] for j in one[:NAMED]], len(one))})" for one in connected.islands[:NAMED]]
+        said.append(
+            f"The block is split into {len(connected.islands)} parts without common points: "
+            f"{some(parts, len(connected.islands))}. Measure tie points between them."
+        )
+    if (rows := worth_tying(connected)).size:
+        overlap = [_overlap(connected, row).replace(" and overlap", "") for row in rows[:NAMED]]
+        verb = "overlaps" if rows.size == 1 else "overlap"
+        said.append(
+            f"{many(rows.size, 'pair')} of images {verb} without any common point: "
+            f"{_named(connected, rows, overlap)}. Measure ties there."
+        )
+    if (rows := connected.apart).size:
+        gaps_of = [
+            f" ({many(int(connected.points[row]), 'point')}, {connected.gaps[row] / KM:.3g} km apart)"
+            for row in rows[:NAMED]
+        ]
+        said.append(
+            f"{many(rows.size, 'pair')} of images {'has' if rows.size == 1 else 'have'} common points, but separate "
+            f"footprints: {_named(connected, rows, gaps_of)}. Check these points and the orientation."
+        )
+    return said
 
 
 def weakest_joints(connected: Connectivity) -> list[str]:
@@ -334,62 +357,23 @@ def _weak(connected: Connectivity, row: int) -> str:
     lost = connected.cut_off(row)
     if not lost or len(connected.names) == 2:
         return text
-    return f"{text}, the only link of {_those(connected, lost)} to the rest"
-
-
-def _those(connected: Connectivity, images: tuple[int, ...]) -> str:
-    return connected.names[images[0]] if len(images) == 1 else f"{len(images)} images"
+    whose = connected.names[lost[0]] if len(lost) == 1 else f"{len(lost)} images"
+    return f"{text}, the only link of {whose} to the rest"
 
 
 def _both(connected: Connectivity, row: int) -> str:
     return " and ".join(connected.names[j] for j in connected.pairs[row])
 
 
+def _named(connected: Connectivity, rows: Index, said: Sequence[str]) -> str:
+    """The first pairs of images, each with what is said of it."""
+    named = "; ".join(f"{_both(connected, row)}{more}" for row, more in zip(rows.tolist(), said, strict=False))
+    return named + (f" and {rows.size - NAMED} more" if rows.size > NAMED else "")
+
+
 def _overlap(connected: Connectivity, row: int) -> str:
     area, share = float(connected.areas[row]) / KM**2, float(connected.shares[row])
     return f" and overlap by {area:.4g} km^2, {100.0 * share:.0f} % of the smaller one" if area > 0.0 else ""
-
-
-def _islands(connected: Connectivity) -> list[str]:
-    if len(connected.islands) < 2:
-        return []
-    parts = [some([connected.names[j] for j in island[:NAMED]], len(island)) for island in connected.islands[:NAMED]]
-    return [
-        f"The block is split into {len(connected.islands)} parts without common points: "
-        f"{some([f'({part})' for part in parts], len(connected.islands))}. Measure tie points between them."
-    ]
-
-
-def _untied(connected: Connectivity) -> list[str]:
-    rows = worth_tying(connected)
-    if rows.size == 0:
-        return []
-    named = [f"{_both(connected, row)}{_overlap(connected, row).replace(' and overlap', '')}" for row in rows[:NAMED]]
-    verb = "overlaps" if rows.size == 1 else "overlap"
-    return [
-        f"{many(rows.size, 'pair')} of images {verb} without any common point: {_more('; '.join(named), rows.size)}. "
-        "Measure ties there."
-    ]
-
-
-def _apart(connected: Connectivity) -> list[str]:
-    rows = connected.apart
-    if rows.size == 0:
-        return []
-    named = [
-        f"{_both(connected, row)} ({many(int(connected.points[row]), 'point')}, "
-        f"{connected.gaps[row] / KM:.3g} km apart)"
-        for row in rows[:NAMED]
-    ]
-    verb = "has" if rows.size == 1 else "have"
-    return [
-        f"{many(rows.size, 'pair')} of images {verb} common points, but separate footprints: "
-        f"{_more('; '.join(named), rows.size)}. Check these points and the orientation."
-    ]
-
-
-def _more(text: str, total: int) -> str:
-    return text + (f" and {total - NAMED} more" if total > NAMED else "")
 
 
 def cut_image_statement(connected: Connectivity) -> list[str]:
