@@ -48,7 +48,8 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.geometry", "mgsgraph.matching",
-        "mgsgraph.registration.dem", "mgsgraph.results.stac_item", "mgsgraph.studio.ground",
+        "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.stac_item",
+        "mgsgraph.studio.ground",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

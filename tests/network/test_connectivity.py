@@ -127,7 +127,7 @@ def test_rejected_rays_do_not_join() -> None:
     used = ~((net.rays.point == 5) & (net.rays.image == 2))  # the one point that joins images 1 and 2
     found = connectivity(net, footprints(3, [0.0] * 3), used)
     assert found.islands == ((0, 1), (2,))
-    assert found.seen.tolist() == [2, 4, 0]
+    assert found.seen.tolist() == [3, 4, 1]
     assert found.unconnected.tolist() == [2]
     assert len(found.untied) == 2
 
