@@ -19,7 +19,7 @@ from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.connectivity import WEAKEST, Connectivity, connectivity_statements, worth_tying
 from mgsgraph.results.figures.aggregate import MOST_ROWS, image_rows
-from mgsgraph.results.figures.ground_map import frame, map_axes
+from mgsgraph.results.figures.map import frame, map_axes
 from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, plain_style, short
 from mgsgraph.units import KM
 
