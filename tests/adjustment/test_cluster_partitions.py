@@ -18,7 +18,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.adjustment import cluster
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster import connection, partitions
 from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
@@ -318,7 +317,7 @@ def at_hand(two: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
         assert where == "local:2"
         yield two
 
-    monkeypatch.setattr(cluster, "open_cluster", reached)
+    monkeypatch.setattr(connection, "open_cluster", reached)
 
 
 @pytest.mark.usefixtures("at_hand")
