@@ -383,7 +383,7 @@ def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegist
     assert any(line.startswith("Before, 38 profiles") for line in said)
     assert any(line.startswith("1 of 40 profiles are not tied") for line in said)
     names = save(relief_sheets(made), tmp_path)
-    assert len(names) == 2 + 5 + 1
+    assert len(names) == 1 + 5 + 1
 
 
 def test_shots_beside_the_surface_have_no_height(registration: ReliefRegistration) -> None:
