@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, Method, SolverSettings
+from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.mountings import MountingInput
 from mgsgraph.case.nodes import Factor, Positive, Sigma
@@ -263,7 +263,6 @@ class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Choices of the solver; see SolverSettings, which has their meaning and their defaults."""
 
     form: Form = _DEFAULTS.form
-    method: Method = _DEFAULTS.method
     line: Line = _DEFAULTS.line
     angles: Angles = _DEFAULTS.angles
     loss: Loss = _DEFAULTS.loss

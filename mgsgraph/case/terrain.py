@@ -15,7 +15,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, areoid_grid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic, track_gaps
-from mgsgraph.network.terrain_control import box_of, in_degrees
+from mgsgraph.network.terrain import box_of, in_degrees
 from mgsgraph.units import DEG, KM
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ from mgsgraph.files.networks.pvl_writing import network_text
 from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, Duplicates
 from mgsgraph.files.networks.table import read_table, table_parquet, table_text
 from mgsgraph.files.writing import Output, begins, fresh_file, require_free
-from mgsgraph.network.links import groups
+from mgsgraph.network.connectivity import groups
 from mgsgraph.record import Record
 from mgsgraph.text import many, some
 

@@ -29,7 +29,7 @@ from mgsgraph.network.definitions import Definitions, definitions, joining, unit
 from mgsgraph.network.joining import seconds
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
-from mgsgraph.network.terrain_control import over_terrain
+from mgsgraph.network.terrain import over_terrain
 from mgsgraph.project.journal import Measure, all_set_aside
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings

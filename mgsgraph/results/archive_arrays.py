@@ -29,7 +29,7 @@ from mgsgraph.geometry.records import assign
 from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory
 from mgsgraph.names import Names
-from mgsgraph.network import JointNodePrior, NodePrior, PolynomialPrior, ProcessPrior
+from mgsgraph.network import NodePrior, PolynomialPrior, ProcessPrior
 
 Arrays = dict[str, NDArray[Any]]
 """Arrays by the path of fields that leads to them."""
@@ -44,7 +44,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
 }
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
-_KIND_NAMES |= {one.__name__ for one in (NodePrior, JointNodePrior, PolynomialPrior, ProcessPrior, PackedSurface)}
+_KIND_NAMES |= {one.__name__ for one in (NodePrior, PolynomialPrior, ProcessPrior, PackedSurface)}
 _NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
 _ANEW = "write it anew with the program that made it"
 _HEADER = re.compile(
@@ -241,7 +241,7 @@ def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Ar
 
 def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any:
     hints = _field_types(kind)
-    for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
+    for name in sorted(set(value) - set(hints) - {"kind", "method"})[:1]:  # the solver had a choice of methods
         raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
     # a field that the writer didn't know yet takes its default; one that has none fails there
     parts = {name: from_arrays(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}

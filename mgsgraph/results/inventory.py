@@ -23,16 +23,18 @@ from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
-from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
-from mgsgraph.network.connectivity_words import (
+from mgsgraph.network.connectivity import (
     WEAKEST,
+    Connectivity,
+    connectivity,
     connectivity_warnings,
     cut_image_statement,
     link_statement,
+    network_footprints,
 )
-from mgsgraph.network.finding import mounting_angles
+from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.support import support
-from mgsgraph.network.terrain_control import coverage
+from mgsgraph.network.terrain import coverage
 from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_reports
 from mgsgraph.analysis.separability import SharedEstimate, separations, shared_estimates

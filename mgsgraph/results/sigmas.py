@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.files.output.folders import PROGRAM

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.network.connectivity_words import connectivity_json, connectivity_statements
+from mgsgraph.network.connectivity import Connectivity, connectivity_json, connectivity_statements
 from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.images import images_section
 from mgsgraph.results.passes import passes_section, shared_section

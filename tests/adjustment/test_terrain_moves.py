@@ -13,10 +13,10 @@ from networks import network, pair, terrain, with_tilting_surface
 from redraw import redraw
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.datum.frames import Frames
+from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shift_key
-from mgsgraph.adjustment.graph.observations import observation_factor
+from mgsgraph.adjustment.graph.explicit import observation_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import group_rows, scaled
@@ -150,7 +150,8 @@ def test_rows_have_the_derivatives_of_all_five() -> None:
     assert made.variables.angular[-5:].tolist() == [False, False, False, True, True]
     observations = [
         (i, j) for pattern, first, count in made.rows.piece[:, :3].tolist() for i in range(first, first + count)
-        for j, observation in enumerate(made.patterns.observations[pattern]) if observation.kind == SURFACE
+        for j, kind in enumerate(made.patterns.kind[slice(*made.patterns.first[pattern : pattern + 2])])
+        if kind == SURFACE
     ]  # fmt: skip
     for i, j in observations:
         point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]

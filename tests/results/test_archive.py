@@ -360,6 +360,11 @@ def test_records_that_do_not_fit(
     assert_refused(in_record(archive, tmp_path / "x.npz", change), says)
 
 
+def test_a_solver_that_had_a_choice_of_methods(archive: Path, tmp_path: Path) -> None:
+    path = in_record(archive, tmp_path / "x.npz", lambda record: record["settings"].update(method="dogleg"))
+    assert read_solution(path).settings == read_solution(archive).settings
+
+
 def test_members_that_the_record_does_not_name(archive: Path, tmp_path: Path) -> None:
     path = edited(archive, tmp_path / "x.npz", lambda parts: parts.update(places_2=np.zeros(3)))
     assert_refused(path, "places_2: an array that the archive's record does not name")
