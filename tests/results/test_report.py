@@ -179,7 +179,7 @@ def test_unknowns_that_images_share() -> None:
 @pytest.mark.usefixtures("no_figures")
 def test_a_case_without_profiles_says_so(solution: Solution, case: Case, tmp_path: Path) -> None:
     text = text_of(solution, tmp_path, case=replace(case, profiles=()))
-    assert "case.toml names no laser profile" in text
+    assert "if the case names profiles of MOLA" in text
     assert 'data-name="overlay' not in text
 
 
