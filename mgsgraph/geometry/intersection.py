@@ -67,8 +67,7 @@ def meet_terrain(origins: Array, directions: Array, terrain: TerrainGrid) -> Arr
     """Points (n, 3) in m, body-fixed, at which rays come down to a terrain model for the first time.
 
     A ray is followed from the height of the model's highest post to that of its lowest one, in steps of half a post,
-    and the step in which it falls below the surface is divided until the height there is 1e-7 m (regula falsi, Dowell
-    & Jarratt 1971's Illinois form).
+    and the step in which it falls below the surface is halved until the height there is 1e-7 m.
 
     Parameters
     ----------
@@ -110,17 +109,13 @@ def _meet(origins: Array, directions: Array, terrain: TerrainGrid) -> Array:
 
 
 def _refined(origins: Array, unit: Array, before: Array, after: Array, terrain: TerrainGrid) -> Array:
-    above, below = (_clearance(origins, unit, at, terrain) for at in (before, after))
     at = after
     for _ in range(_REFINEMENTS):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            at = np.where(above > below, before + (after - before) * above / (above - below), after)
+        at = 0.5 * (before + after)
         clear = _clearance(origins, unit, at, terrain)
         if not np.any(np.abs(clear) > _TOLERANCE):
             break
-        over = clear > 0.0
-        below, above = np.where(over, 0.5 * below, clear), np.where(over, clear, 0.5 * above)
-        before, after = np.where(over, at, before), np.where(over, after, at)
+        before, after = np.where(clear > 0.0, at, before), np.where(clear > 0.0, after, at)
     points: Array = origins + at[:, None] * unit
     return points
 

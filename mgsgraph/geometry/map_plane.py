@@ -21,11 +21,8 @@ def east_north(points: Array, centre: Array) -> Array:
 
     Distances and directions from the centre are true however large the block is (Snyder 1987, p. 191).
     """
-    radius = float(np.linalg.norm(centre))
-    up = centre / radius
-    planar = float(np.hypot(up[0], up[1]))
-    east = np.array([-up[1], up[0], 0.0]) / planar if planar > 0.0 else np.array([0.0, 1.0, 0.0])
-    flat = points @ np.stack([east, np.cross(up, east)], axis=1)
+    radius, up, axes = _axes(centre)
+    flat = points @ axes.T
     length = np.linalg.norm(flat, axis=1)
     angle = np.arctan2(length, points @ up)
     return np.asarray(flat * np.where(length > 0.0, radius * angle / np.where(length > 0.0, length, 1.0), 0.0)[:, None])
@@ -35,14 +32,20 @@ def places_at(plane: Array, centre: Array) -> Array:
     """(n, 3) m, body-fixed, on the sphere through a centre (3,), of east and north (n, 2) in m around it: the inverse
     of `east_north`.
     """
+    radius, up, axes = _axes(centre)
+    length = np.linalg.norm(plane, axis=1)
+    angle = length / radius
+    flat = plane * np.where(length > 0.0, np.sin(angle) / np.where(length > 0.0, length, 1.0), 0.0)[:, None]
+    return np.asarray(radius * (np.cos(angle)[:, None] * up + flat @ axes))
+
+
+def _axes(centre: Array) -> tuple[float, Array, Array]:
+    """Distance of a place (3,) from the origin; unit vectors upward (3,), and eastward and northward (2, 3) there."""
     radius = float(np.linalg.norm(centre))
     up = centre / radius
     planar = float(np.hypot(up[0], up[1]))
     east = np.array([-up[1], up[0], 0.0]) / planar if planar > 0.0 else np.array([0.0, 1.0, 0.0])
-    length = np.linalg.norm(plane, axis=1)
-    angle = length / radius
-    flat = plane * np.where(length > 0.0, np.sin(angle) / np.where(length > 0.0, length, 1.0), 0.0)[:, None]
-    return np.asarray(radius * (np.cos(angle)[:, None] * up + flat @ np.stack([east, np.cross(up, east)])))
+    return radius, up, np.stack([east, np.cross(up, east)])
 
 
 # --- error ellipses

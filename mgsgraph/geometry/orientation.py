@@ -30,13 +30,8 @@ COMPONENTS = ("X", "Y", "Z", "rotation x", "rotation y", "rotation z")
 
 def polynomial(u: Array, degree: int) -> tuple[Array, Array]:
     """Values and derivatives d/du of the basis 1, u, ..., u^degree at u (n,); two arrays (n, degree + 1)."""
-    powers = np.arange(degree + 1)
-    values = np.ones((u.size, degree + 1))
-    for k in range(degree):
-        values[:, k + 1] = values[:, k] * u
-    rates = np.zeros_like(values)
-    rates[:, 1:] = powers[1:] * values[:, :-1]
-    return values, rates
+    values = np.vander(u, degree + 1, increasing=True)
+    return values, np.hstack([np.zeros((u.size, 1)), np.arange(1, degree + 1) * values[:, :-1]])
 
 
 class Moments(NamedTuple):

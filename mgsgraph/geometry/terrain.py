@@ -112,6 +112,8 @@ TerrainKind = Literal["radius", "topography", "areoid", "counts"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid; shots."""
 _BEYOND = 3
 """Posts by which a grid is continued: so many make the surface level where it ends."""
+_SAME_PLACE = 1e-9
+"""rad, by which the outermost posts of two grids with the same posts may differ."""
 _EDGE = 1e-9
 """cells by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 
@@ -444,6 +446,11 @@ class TerrainGrid(Record):
             self.source, self.radii, self.points, self.vertical_sigma, self.planimetric_sigma, self.gaps
         )
 
+    def same_posts(self, other: "TerrainGrid") -> bool:
+        """Whether another grid has its posts at the same places."""
+        apart = np.abs(self.box - other.box).max()
+        return self.radii.shape == other.radii.shape and bool(apart < _SAME_PLACE)
+
     def _require(self, kind: TerrainKind, what: str) -> None:
         if self.kind != kind:
             raise InputError(f"terrain {self.source}", f"a grid of {self.kind}", f"a grid of {kind} for {what}")
@@ -458,11 +465,7 @@ def areoid_grid(radius: TerrainGrid, topography: TerrainGrid) -> TerrainGrid:
     if radius.kind != "radius" or topography.kind != "topography":
         found = f"grids of {radius.kind} and {topography.kind}"
         raise InputError(f"areoid of {radius.source} and {topography.source}", found, "radius and topography")
-    places = [
-        np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step])
-        for grid in (radius, topography)
-    ]
-    if radius.radii.shape != topography.radii.shape or not np.allclose(places[0], places[1], rtol=0.0, atol=1e-9):
+    if not radius.same_posts(topography):
         raise InputError(
             f"areoid of {radius.source} and {topography.source}", "grids with different posts", "the same posts"
         )

@@ -122,11 +122,7 @@ def track_gaps(grid: TerrainGrid, counts: TerrainGrid) -> Gaps:
     InputError
         Where the two grids have different posts, or too few posts with shots lie in line.
     """
-    places = [
-        np.array([one.first_longitude, one.first_latitude, one.longitude_step, one.latitude_step])
-        for one in (grid, counts)
-    ]
-    if grid.radii.shape != counts.radii.shape or not np.allclose(places[0], places[1], rtol=0.0, atol=1e-9):
+    if not grid.same_posts(counts):
         raise InputError(f"terrain {counts.source}", "other posts", f"those of {grid.source}", "give its counts")
     shots = (np.nan_to_num(np.asarray(counts.radii, dtype=np.float64)) > 0.0) & np.isfinite(grid.radii)
     if np.all(shots | np.isnan(grid.radii)):

@@ -74,18 +74,21 @@ def _past(minute: str) -> float:
 
 def utc_of_tdb(time: float) -> datetime:
     """UTC of a time in s TDB past J2000, from 1972 on."""
-    tai = time - float(_yearly_term(np.asarray(time))) - _TT_OF_TAI
+    return _J2000 + timedelta(seconds=float(_utc_past(np.array([time]))[0]))
+
+
+def _utc_past(times: Array) -> Array:
+    """S UTC past J2000 (n,) of times (n,) in s TDB past J2000, from 1972 on."""
+    tai = times - _yearly_term(times) - _TT_OF_TAI
     leaps = np.searchsorted(_STARTS + np.arange(_STARTS.size) + _FIRST_LEAPS, tai, side="right") - 1
-    return _J2000 + timedelta(seconds=tai - max(int(leaps), 0) - _FIRST_LEAPS)
+    return np.asarray(tai - np.maximum(leaps, 0) - _FIRST_LEAPS)
 
 
 def utc_texts(times: Array) -> Names:
     """UTC of times (n,) in s TDB past J2000, from 1972 on, as year, month, day, hour, minute, second and thousandths of
     it, cut off there.
     """
-    tai = times - _yearly_term(times) - _TT_OF_TAI
-    leaps = np.searchsorted(_STARTS + np.arange(_STARTS.size) + _FIRST_LEAPS, tai, side="right") - 1
-    part, whole = np.modf(tai - np.maximum(leaps, 0) - _FIRST_LEAPS)
+    part, whole = np.modf(_utc_past(times))
     past = whole.astype(np.int64) * 10**6 + np.rint(part * 1e6).astype(np.int64)
     since_1970 = past // 1000 + int(_J2000.timestamp()) * 1000
     texts = pa.array(since_1970).cast(pa.timestamp("ms")).cast(pa.large_string())

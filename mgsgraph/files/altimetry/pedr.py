@@ -57,11 +57,8 @@ _FIELDS: tuple[tuple[str, str, int, int], ...] = (
     ("spacecraft_longitude", "i4", 1, 16),
     ("spacecraft_radius", "u4", 1, 20),
     ("midpoint_range", "i4", 1, 24),
-    ("bad_shots", "u4", 1, 28),  # bits
-    ("quality", "u4", 4, 32),  # bits
     ("shot_radius", "u4", SHOTS, 48),
     ("midpoint_radius", "u4", 1, 128),
-    ("attitude", "i4", 3, 132),  # right ascension, declination, twist; scale not published
     ("received_energy", "i2", SHOTS, 144),
     ("reflectivity", "u2", SHOTS, 184),
     ("channel", "u1", SHOTS, 224),
@@ -80,11 +77,8 @@ _FIELDS: tuple[tuple[str, str, int, int], ...] = (
     ("frame_index", "i2", 1, 490),  # 1 .. 7 in the packet
     ("packet", "u2", 1, 494),  # the low 14 bits
     ("orbit_model", "i2", 1, 536),
-    ("attitude_flag", "i2", 1, 538),  # 2 part of the attitude is missing, 3 all of it
-    ("local_time", "i2", 1, 540),  # 1e-4 rad, as are the next three
-    ("phase", "i2", 1, 542),
-    ("incidence", "i2", 1, 544),
-    ("emission", "i2", 1, 546),
+    ("local_time", "i2", 1, 540),  # 1e-4 rad
+    ("emission", "i2", 1, 546),  # 1e-4 rad
     ("time", "f8", 1, 552),  # of the midpoint, s TDB past J2000, again
     ("raw_energy", "u1", SHOTS, 560),
     ("raw_width", "u1", SHOTS, 580),

@@ -30,10 +30,6 @@ from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Positio
 from mgsgraph.units import MM
 
 _HIGHEST, _HIGHEST_OF_PLATFORM_0 = 8, 4
-_HALVINGS = 16
-"""Of a sample's distance, at the most."""
-_ORDER = 4.0
-"""By which power of the distance between samples what is lost between them falls, at the best."""
 _MOST = 200_000
 """Samples; those of a WorldView image that jitter_solve has bent are 180,000."""
 _NORMS = 0.5, 2.0
@@ -180,12 +176,10 @@ def _trajectory(state: _State, interior: InteriorOrientation, timing: LineTiming
         off = table.at(times)[0] - rotation.to_matrix(_to_camera(turns.at(times)))
         return np.asarray(np.linalg.norm(off, axis=(1, 2)) / angle)
 
-    corners = places.times(np.arange(len(places.nodes) - 1)[:, None] + [_CORNER, 1.0 - _CORNER]).ravel()
-    samples = turns.times(np.arange(len(turns.nodes)))
     return FixedTrajectory(
         state.m_centerEphemerisTime,
-        _dense(corners, lambda times: _placed(places, times), misplaced, edges, f"{source}, m_positions"),
-        _dense(samples, lambda times: _turned(turns, times), misturned, edges, f"{source}, m_quaternions"),
+        _dense(places, _placed, misplaced, edges, f"{source}, m_positions"),
+        _dense(turns, _turned, misturned, edges, f"{source}, m_quaternions"),
     )
 
 
@@ -242,24 +236,21 @@ def _turned(turns: _EvenTable, times: Array) -> AttitudeTable:
 
 
 def _dense(
-    times: Array, made: Callable[[Array], Table], off: Callable[[Table, Array], Array], edges: Array, where: str
-) -> Table:
-    """A table at times and as many between them that its own interpolation is near enough to usgscsm's while the image
-    is taken, between its edges (2,).
+    samples: _EvenTable, made: Callable[[_EvenTable, Array], Table], off: Callable[[Table, Array], Array],
+    edges: Array, where: str,
+) -> Table:  # fmt: skip
+    """A table at so many times in each step that its own interpolation is near enough to usgscsm's while the image is
+    taken, between its edges (2,); just before and after each sample, for a path may turn sharply there.
     """
-    for _ in range(_HALVINGS):
-        table = made(times)
-        checked = np.flatnonzero((times[1:] > edges[0]) & (times[:-1] < edges[1]))
-        between = times[checked, None] + np.diff(times)[checked, None] * _BETWEEN
-        pixels = off(table, between.ravel()).reshape(-1, _BETWEEN.size).max(axis=1, initial=0.0)
-        poor = checked[~(pixels <= _TOLERANCE)]
-        if poor.size == 0:
+    steps, pixels, parts = np.arange(len(samples.nodes) - 1)[:, None], np.full(1, np.inf), 1
+    while parts * steps.size <= _MOST:
+        times = samples.times(steps + np.linspace(_CORNER, 1.0 - _CORNER, parts + 1)).ravel()
+        table, between = made(samples, times), (times[:-1, None] + np.diff(times)[:, None] * _BETWEEN).ravel()
+        pixels = off(table, between[(between > edges[0]) & (between < edges[1])])
+        if pixels.max(initial=0.0) <= _TOLERANCE:
             return table
-        halvings = np.log2(np.median(pixels[~(pixels <= _TOLERANCE)]) / _TOLERANCE) / _ORDER
-        if times.size + 0.5 * poor.size * 2.0**halvings > _MOST:
-            break
-        times = np.sort(np.concatenate([times, 0.5 * (times[poor] + times[poor + 1])]))
-    found = f"{poor.size} intervals with {pixels.max():.2g} pixels lost by interpolation, as dense as they may be"
+        parts *= 2
+    found = f"{pixels.max(initial=0.0):.2g} pixels lost by interpolation, as dense as samples may be"
     raise InputError(where, found, f"a path smooth enough to lose less than {_TOLERANCE:g}")
 
 
