@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.coarse import robust_sigma
 from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
