@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
-from mgsgraph.matching.spline import SplinePicture
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.coarse import robust_sigma
+from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
 from mgsgraph.matching.measuring import FINEST, SharpPictures, half_window
 from mgsgraph.matching.pairs import Pair, boxes, pairs_of
 from mgsgraph.matching.patches import MOST, NODE, Tile, disparities, node_pixels, opencv, ortho_patch
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
-from mgsgraph.matching.spline import SplinePicture
 from mgsgraph.matching.tiles import tiling
 from mgsgraph.progress import Progress, no_progress
 

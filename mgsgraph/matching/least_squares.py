@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index, Mask, frozen
 from mgsgraph.matching import equations, window
-from mgsgraph.matching.spline import SplinePicture
+from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.record import Record
 
 _SMALLEST = 3
@@ -82,7 +82,7 @@ class LeastSquaresMatches(Record):
     Examples
     --------
     >>> from mgsgraph.matching.least_squares import match_least_squares
-    >>> from mgsgraph.matching.spline import SplinePicture
+    >>> from mgsgraph.matching.equations import SplinePicture
     >>> picture = SplinePicture.of(np.random.default_rng(1).normal(128.0, 30.0, (60, 60)))
     >>> found = match_least_squares(picture, picture, [[30.5, 30.5]], [[30.5, 30.5]], np.eye(2)[None], (10, 10))
     >>> found.converged, found.pixels.round(3), found.correlation.round(3)
@@ -203,7 +203,7 @@ def match_least_squares(
     Examples
     --------
     >>> from mgsgraph.matching.least_squares import match_least_squares
-    >>> from mgsgraph.matching.spline import SplinePicture
+    >>> from mgsgraph.matching.equations import SplinePicture
     >>> line, sample = np.mgrid[:60, :60]
     >>> def waves(x, y):
     ...     return SplinePicture.of(128.0 + 40.0 * np.sin(0.4 * x + 0.2 * y) + 30.0 * np.cos(0.1 * x - 0.5 * y))

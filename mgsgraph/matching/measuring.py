@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
 from mgsgraph.matching.pairs import by_pair, star
 from mgsgraph.matching.patches import opencv
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.spline import SplinePicture
 from mgsgraph.matching.tiles import Links
 
 _READY = 8

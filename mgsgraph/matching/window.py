@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.matching.equations import (
     CORRELATION,
+    EXTREME,
+    MISSING,
     NO_CONTRAST,
     PLAIN,
     RELIEF,
@@ -39,7 +41,6 @@ from mgsgraph.matching.equations import (
     seen,
 )
 from mgsgraph.matching.influences import fill_covariance
-from mgsgraph.matching.spline import EXTREME, MISSING
 
 CONVERGED, LEFT, UNFINISHED, WANDERED, FLAT, SATURATED = 0, 1, 2, 3, 4, 5
 """How a match may end."""

@@ -9,9 +9,9 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.pictures import read_picture_part
 from mgsgraph.geometry.records import Array
+from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresSettings, MatchStatus, match_least_squares
 from mgsgraph.matching.measuring import FINEST
-from mgsgraph.matching.spline import SplinePicture
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.linked import LinkedImages
 

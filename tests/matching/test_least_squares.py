@@ -33,9 +33,8 @@ from textures import (
 
 import mgsgraph.matching
 from mgsgraph.errors import InputError
-from mgsgraph.matching.equations import spline_at
+from mgsgraph.matching.equations import SplinePicture, spline_at
 from mgsgraph.matching.least_squares import LeastSquaresMatches, LeastSquaresSettings, MatchStatus
-from mgsgraph.matching.spline import SplinePicture
 
 
 @pytest.fixture(scope="module")

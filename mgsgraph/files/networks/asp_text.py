@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import (
@@ -39,7 +40,7 @@ from mgsgraph.files.networks.record import (
     PointType,
     with_names,
 )
-from mgsgraph.files.networks.tie_points import tie_points
+from mgsgraph.files.networks.tie_points import arrays_of, tie_points
 from mgsgraph.files.opening import number_of, read_text
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, geodetic
@@ -93,40 +94,21 @@ def measures_of(network: ControlNetwork, types: Collection[PointType], least: in
 
     Raises InputError for a measure without a place and for an image twice in a point.
     """
-    points, images = list[ControlPoint](), dict[str, int]()
-    index, image, places, sigmas = list[int](), list[int](), list[tuple[float, float]](), list[tuple[float, float]]()
-    for point in network.points:
-        mine = [measure for measure in point.measures if not measure.ignore]
-        if not takes_part(point, types) or len(mine) < least:
-            continue
-        _require_sound(mine, network, point)
-        for measure in mine:
-            index.append(len(points))
-            image.append(images.setdefault(measure.serial_number, len(images)))
-            places.append((measure.line or 0.0, measure.sample or 0.0))
-            sigmas.append((_known(measure.line_sigma), _known(measure.sample_sigma)))
-        points.append(point)
-    return PixelMeasures(
-        tuple(points), tuple(images), np.array(index, dtype=np.int64), np.array(image, dtype=np.int64),
-        np.array(places, dtype=np.float64).reshape(-1, 2) - FROM_ASP,
-        np.array(sigmas, dtype=np.float64).reshape(-1, 2),
-    )  # fmt: skip
-
-
-def _known(sigma: float | None) -> float:
-    return sigma if sigma is not None and sigma > 0.0 else float("nan")
-
-
-def _require_sound(measures: list[ControlMeasure], network: ControlNetwork, point: ControlPoint) -> None:
-    where = f"{network.source}, point {point.id}" if network.source else f"point {point.id}"
-    seen = set[str]()
-    for measure in measures:
-        if measure.line is None or measure.sample is None:
-            raise InputError(f"{where}, image {measure.serial_number}", "a measure without line and sample", "both")
-        if measure.serial_number in seen:
-            found = f"two measures in image {measure.serial_number}"
-            raise InputError(where, found, "one per image", "remove the worse one")
-        seen.add(measure.serial_number)
+    chosen = [
+        structs.replace(point, measures=tuple(one for one in point.measures if not one.ignore), reference=None)
+        for point in network.points if takes_part(point, types)
+    ]  # fmt: skip
+    points = tuple(point for point in chosen if len(point.measures) >= least)
+    network = structs.replace(network, points=points)
+    arrays = arrays_of(network)
+    point = np.repeat(np.arange(len(points)), np.diff(arrays.first))
+    for k in np.flatnonzero(np.isnan(arrays.measures[:, :2]).any(axis=1))[:1].tolist():
+        where = network.where(int(point[k]), int(k - arrays.first[point[k]]))
+        raise InputError(where, "a measure without line and sample", "both")
+    arrays.require_once(network.where)
+    places, sigmas = arrays.measures[:, :2] - FROM_ASP, arrays.measures[:, 2:]
+    known = np.where(sigmas > 0.0, sigmas, np.nan)
+    return PixelMeasures(points, arrays.image.distinct, point, arrays.image.numbers, places, known)
 
 
 def candidate(image: str, row: float, column: float, row_sigma: float, column_sigma: float) -> ControlMeasure:

@@ -31,6 +31,7 @@ from mgsgraph.files.networks.messages import (
     read_point,
     second_versions,
 )
+from mgsgraph.files.networks.pvl import HEAD_TEXTS
 from mgsgraph.files.networks.pvl_writing import Value, keyword_lines, text_value
 from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, MeasureType, PointType, of_mars, with_names
 from mgsgraph.files.networks.tie_points import PointArrays
@@ -53,8 +54,6 @@ _LOOKED_AT = 4096
 _ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
 _OF_OLD = np.array([PointType.FREE, PointType.FIXED, *PointType])
 """Types of points by their numbers in the file: 0 and 1 are Tie and Ground of old."""
-_TEXTS = ("network_id", "target_name", "created", "last_modified", "description", "user_name")
-"""The head's texts."""
 
 
 def is_binary(data: bytes) -> bool:
@@ -137,7 +136,7 @@ def _head_of(head: Any, version: str, source: str) -> ControlNetwork:
     """Of a header's message a network without points."""
     texts = Texts()
     with errors_from(f"{source}, header"):
-        values = {name: texts[getattr(head, name)] for name in _TEXTS}
+        values = {name: texts[getattr(head, name)] for name in HEAD_TEXTS.values()}
         values["target_name"] = of_mars(values["target_name"])
         radii = _radii(head.target_radii) if version == "5" else ()
     return ControlNetwork(points=(), source=source, target_radii=radii, **values)
@@ -394,7 +393,7 @@ def binary_network(network: ControlNetwork) -> bytes:
 
 def network_header(network: ControlNetwork) -> bytes:
     """The header's message, of a network with or without its points."""
-    texts = {name: encoded(getattr(network, name)) or b"" for name in _TEXTS}  # all of them, as in ISIS
+    texts = {name: encoded(getattr(network, name)) or b"" for name in HEAD_TEXTS.values()}  # all of them, as in ISIS
     head = message_class("Header")(target_radii=_radii(network.target_radii), **texts)
     return head.SerializeToString()  # type: ignore[no-any-return]
 
@@ -417,19 +416,12 @@ def _label_text(network: ControlNetwork, counts: tuple[int, int], start: int, he
         ("PointsStartByte", f"{start + header}"),
         ("PointsBytes", f"{points}"),
     ]
-    radii = tuple(map(repr, network.target_radii))
     info: list[tuple[str, Value]] = [
-        ("NetworkId", _for_eyes(network.network_id)),
-        ("TargetName", _for_eyes(network.target_name)),
-        *([("TargetRadii", radii)] if radii else []),
-        ("UserName", _for_eyes(network.user_name)),
-        ("Created", _for_eyes(network.created)),
-        ("LastModified", _for_eyes(network.last_modified)),
-        ("Description", _for_eyes(network.description)),
-        ("NumberOfPoints", f"{counts[0]}"),
-        ("NumberOfMeasures", f"{counts[1]}"),
-        ("Version", "5"),
+        (key, _for_eyes(getattr(network, attribute))) for key, attribute in HEAD_TEXTS.items()
     ]
+    if network.target_radii:
+        info.insert(2, ("TargetRadii", tuple(map(repr, network.target_radii))))
+    info += [("NumberOfPoints", f"{counts[0]}"), ("NumberOfMeasures", f"{counts[1]}"), ("Version", "5")]
     return "\n".join([
         "Object = ProtoBuffer",
         "  Object = Core",

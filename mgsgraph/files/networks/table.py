@@ -24,7 +24,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.csv_columns import Columns, csv_columns, measured
 from mgsgraph.files.networks.network_file import read_control_network, read_network
 from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
-from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, MeasureType, PointType, require_shown
+from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
 from mgsgraph.files.networks.table_columns import (
     CARTESIAN,
     FLAGS,
@@ -365,7 +365,8 @@ def table_text(network: ControlNetwork) -> str:
     careful = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL)
     plain.writerow(names)
     for row in rows:
-        (careful if row["id"].startswith("#") else plain).writerow([row.get(name, "") for name in names])
+        values = ("true" if row.get(name) is True else row.get(name) for name in names)
+        (careful if str(row["id"]).startswith("#") else plain).writerow(["" if one is None else one for one in values])
     return text.getvalue()
 
 
@@ -374,57 +375,40 @@ def table_parquet(network: ControlNetwork) -> bytes:
     from pyarrow import parquet
 
     names, rows = _rows(network)
+    kinds = [pa.string() if name in TEXTS else pa.bool_() if name in TRUTHS else pa.float64() for name in names]
+    columns = [pa.array([row.get(name) for row in rows], kind) for name, kind in zip(names, kinds, strict=True)]
     out = io.BytesIO()
-    parquet.write_table(pa.table({name: _column(name, rows) for name in names}), out, compression="zstd")
+    parquet.write_table(pa.table(columns, names), out, compression="zstd")
     return out.getvalue()
 
 
-def _column(name: str, rows: Sequence[Mapping[str, str]]) -> pa.Array:
-    texts = [row.get(name) for row in rows]
-    if name in TEXTS:
-        return pa.array(texts, pa.string())
-    if name in TRUTHS:
-        return pa.array([None if text is None else text == "true" for text in texts], pa.bool_())
-    return pa.array([None if text is None else float(text) for text in texts], pa.float64())
-
-
-def _rows(network: ControlNetwork) -> tuple[list[str], list[dict[str, str]]]:
+def _rows(network: ControlNetwork) -> tuple[list[str], list[dict[str, str | float | None]]]:
     """Names of the columns that are filled, and rows: a measure in each, or a point without any."""
-    rows = list[dict[str, str]]()
+    rows, where = list[dict[str, str | float | None]](), network.source or "network"
     for point in network.points:
-        of_point = _point_fields(point, network.source or "network")
-        placed = [k for k, one in enumerate(point.measures) if one.line is not None and one.sample is not None]
-        rows += [of_point | _measure_fields(point, k, network.source or "network") for k in placed] or [of_point]
+        covariance = point.apriori_covariance if point.apriori is not None else ()
+        of_point: dict[str, str | float | None] = {
+            "id": _name(point.id, where), "type": point.type.name.lower(), "point_ignore": point.ignore or None,
+            **dict(zip(CARTESIAN, point.apriori or (), strict=False)),
+            **dict(zip(MATRIX, covariance, strict=False)),
+        }  # fmt: skip
+        of_measures = [
+            of_point | {
+                "image": _name(one.serial_number, where), "isis_line": one.line, "isis_sample": one.sample,
+                "measure_type": ISIS_MEASURE_TYPES[one.type], "sigma_line_px": _positive(one.line_sigma),
+                "sigma_sample_px": _positive(one.sample_sigma), "ignore": one.ignore or None,
+                "reference": point.reference == k or None,
+            }
+            for k, one in enumerate(point.measures) if one.line is not None and one.sample is not None
+        ]  # fmt: skip
+        rows += of_measures or [of_point]
     names = [*("id", "image", "type"), *ISIS]
-    filled = {name for row in rows for name in row}
+    filled = {name for row in rows for name, value in row.items() if value is not None}
     return [*names, *(name for name in (*OF_MEASURE, *OF_POINT) if name in filled and name not in names)], rows
 
 
-def _point_fields(point: ControlPoint, where: str) -> dict[str, str]:
-    fields = {"id": _name(point.id, where), "type": point.type.name.lower()}
-    if point.ignore:
-        fields["point_ignore"] = "true"
-    if point.apriori is not None:
-        fields |= zip(CARTESIAN, map(repr, point.apriori), strict=True)
-        if len(point.apriori_covariance) == len(MATRIX):
-            fields |= zip(MATRIX, map(repr, point.apriori_covariance), strict=True)
-    return fields
-
-
-def _measure_fields(point: ControlPoint, k: int, where: str) -> dict[str, str]:
-    measure = point.measures[k]
-    fields = {
-        "image": _name(measure.serial_number, where), "isis_line": repr(measure.line),
-        "isis_sample": repr(measure.sample), "measure_type": ISIS_MEASURE_TYPES[measure.type],
-    }  # fmt: skip
-    for name, value in (("sigma_line_px", measure.line_sigma), ("sigma_sample_px", measure.sample_sigma)):
-        if value is not None and value > 0.0:
-            fields[name] = repr(value)
-    if measure.ignore:
-        fields["ignore"] = "true"
-    if point.reference == k:
-        fields["reference"] = "true"
-    return fields
+def _positive(sigma: float | None) -> float | None:
+    return sigma if sigma is not None and sigma > 0.0 else None
 
 
 def _name(text: str, where: str) -> str:

@@ -81,7 +81,7 @@ class PointArrays:
                 measure_image=image, measures=measures, measure_sigmas=sigmas,
             )  # fmt: skip
         except InputError:
-            self._require_once(where)
+            self.require_once(where)
             raise
         if body is not None:
             require_body(self.head, ties, body)
@@ -117,7 +117,7 @@ class PointArrays:
                     raise InputError(where(i, measure, ""), f"no {key}", f"{key} of the measure")
                 raise InputError(where(i, measure, key), f"{values[k]:g} px", "a positive sigma")
 
-    def _require_once(self, where: Where) -> None:
+    def require_once(self, where: Where) -> None:
         """Raise InputError for an image twice in a point."""
         point = np.repeat(np.arange(self.ignored.size), np.diff(self.first))
         rows = np.flatnonzero(~self.left_out & ~self.ignored[point])
@@ -185,6 +185,11 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
         twice in a point; no point that is not ignored; a network of another body, by its name, its radii or where its
         points lie.
     """
+    return arrays_of(network).tie_points(where or network.where, body)
+
+
+def arrays_of(network: ControlNetwork) -> PointArrays:
+    """The points and measures of a network in columns."""
     points = network.points
     measures = [one for point in points for one in point.measures]
     rows = [(m.line, m.sample, m.line_sigma, m.sample_sigma) for m in measures]
@@ -198,7 +203,7 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
         image=RepeatedNames.of([one.serial_number for one in measures]),
         measures=np.array(rows, dtype=np.float64).reshape(-1, 4),
         left_out=np.array([one.ignore for one in measures], dtype=bool),
-    ).tie_points(where or network.where, body)  # fmt: skip
+    )  # fmt: skip
 
 
 def require_body(network: ControlNetwork, ties: TiePoints, body: Ellipsoid) -> None:
