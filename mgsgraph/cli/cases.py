@@ -248,7 +248,7 @@ def nodes(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.files.output.folders import NODES, require_replaceable
     from mgsgraph.results.analysis import require_used
-    from mgsgraph.results.spacing import nodes_section, seconds_of, write_nodes
+    from mgsgraph.results.spacing import nodes_section, seconds_of
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     wanted = seconds_of(spacings)
@@ -257,9 +257,10 @@ def nodes(
     read = read_case(case, ties=ties)
     with counting_bar("adjusting", "step") as bar:
         study = study_nodes(read.network, read.settings, read.name, wanted, hold_out, seed, densify, progress=bar)
+    section = nodes_section(study)
     if out is not None:
-        write_nodes(study, out, figures=not no_figures)
-    click.echo(nodes_section(study).text())
+        section.write_folder(out, NODES, figures=not no_figures)
+    click.echo(section.text())
     if out is not None:
         click.echo(f"The study is in {out}")
 

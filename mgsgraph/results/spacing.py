@@ -1,7 +1,6 @@
 """A study of orientation images in words, and as files: nodes.json, CSV files of all numbers, and figures."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,9 @@ from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS
 from mgsgraph.analysis.spacing.study import NodeStudy
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import picked
-from mgsgraph.files.output.folders import NODES
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, drawn, write_sections
+from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many, some
 from mgsgraph.units import ARCSEC, MGON
 
@@ -110,18 +108,6 @@ def nodes_section(study: NodeStudy) -> Section:
     return Section("nodes", "", node_statements(study),
                    [candidates, peaks.take(np.array(seen, dtype=np.int64))], nodes_json(study), csv,
                    sheets=drawn("mgsgraph.results.figures.spacing.node_sheets", study))
-
-
-def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> list[str]:
-    """Write a study to a folder that appears whole or not at all; the names of the files.
-
-    Raises
-    ------
-    InputError
-        If the folder holds anything but an earlier study of nodes, or can't be written.
-    """
-    section = nodes_section(study)
-    return write_sections([section], section.numbers, folder, NODES, figures)
 
 
 def nodes_json(study: NodeStudy) -> dict[str, Any]:

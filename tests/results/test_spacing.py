@@ -12,8 +12,9 @@ import pytest
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.spacing.study import NodeStudy, study_nodes
+from mgsgraph.files.output.folders import NODES
 from mgsgraph.results.figures.spacing import corrections_sheet, spacing_sheet, spectrum_sheet
-from mgsgraph.results.spacing import node_statements, nodes_json, nodes_section, write_nodes
+from mgsgraph.results.spacing import node_statements, nodes_json, nodes_section
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
@@ -73,7 +74,7 @@ def test_rays_put_aside_and_sigmas_that_are_wrong_are_named() -> None:
 
 @pytest.mark.usefixtures("light_figures")
 def test_files(tmp_path: Path) -> None:
-    names = write_nodes(study(), tmp_path / "out")
+    names = nodes_section(study()).write_folder(tmp_path / "out", NODES)
     assert sorted(names) == sorted(path.name for path in (tmp_path / "out").iterdir())
     record = json.loads((tmp_path / "out" / "nodes.json").read_text(encoding="utf-8"))
     assert record["chosen_s"] == 3.0
