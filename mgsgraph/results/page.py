@@ -135,16 +135,12 @@ def _registered(solution: Solution, registration: CaseRegistration | None) -> di
         none = "This solution has no laser points." if not laser else (
             "Footprints are shown on the images with the case file (--case), if the case names profiles of MOLA."
         )
-        return {"scenes": [], "about_scenes": "", "registered": None, "closeups": [], "without_scenes": none}
+        return {"registered": None, "footprints": [], "unregistered": none}
     from mgsgraph.results.figures.page import registration_figures
-    from mgsgraph.results.figures.page_scene import scenes
 
-    shown, about = scenes(registration)
-    return {
-        "scenes": shown, "about_scenes": about, "registered": registration_section(registration),
-        "closeups": registration_figures(registration),
-        "without_scenes": "" if shown else "No footprint falls in an image.",
-    }  # fmt: skip
+    drawn = registration_figures(registration)
+    none = "" if drawn else "No footprint falls in an image."
+    return {"registered": registration_section(registration), "footprints": drawn, "unregistered": none}
 
 
 def _key_figures(solution: Solution) -> list[tuple[str, str]]:

@@ -12,8 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_reports
-from mgsgraph.analysis.separability import mixtures, separations
-from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
+from mgsgraph.analysis.separability import SharedEstimate, separations, shared_estimates
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
@@ -144,7 +143,6 @@ def shared_section(solution: Solution) -> Section:
         + " ".join([apart.sentence, *_warnings(one)])
         for one, apart in both
     ]  # fmt: skip
-    said += [f"Of shared unknowns together is determined: {one.words}." for one in mixtures(solution)]
     return Section("shared", sentences=said, tables=[table], csv=[table] if solution.network.shared else [],
                    numbers=table.drop("unit").records())  # fmt: skip
 
