@@ -248,7 +248,6 @@ def nodes(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.files.output.folders import NODES, require_replaceable
     from mgsgraph.results.analysis import require_used
-    from mgsgraph.results.section import write_sections
     from mgsgraph.results.spacing import nodes_section, seconds_of
 
     if densify:
@@ -262,7 +261,7 @@ def nodes(
         choice = choose_spacing(read.network, read.settings, wanted, hold_out, seed, progress=bar)
     section = nodes_section(choice, read.name)
     if out is not None:
-        write_sections([section], section.numbers, out, NODES, not no_figures)
+        section.write_folder(out, NODES, figures=not no_figures)
     click.echo(section.text())
     if out is not None:
         click.echo(f"The study is in {out}")

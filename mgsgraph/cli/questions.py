@@ -163,7 +163,7 @@ def plan(
     from mgsgraph.planning.candidates_file import read_candidates
     from mgsgraph.planning.plan import plan as make
     from mgsgraph.project.reading import read_state
-    from mgsgraph.results.plan import plan_section, write_plan
+    from mgsgraph.results.plan import plan_section
 
     if out is not None:
         require_replaceable(out, PLAN)
@@ -174,9 +174,10 @@ def plan(
         wanted = read_candidates(candidates, state, bar)
     with counting_bar("judging", "candidate") as bar:
         made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
+    section = plan_section(made)
     if out is not None:
-        write_plan(made, out)
-    click.echo(plan_section(made).text())
+        section.write_folder(out, PLAN)
+    click.echo(section.text())
     if out is not None:
         click.echo(f"The plan is in {out}")
 
@@ -237,7 +238,6 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
     from mgsgraph.results.analysis import require_used
     from mgsgraph.results.archive import read_solution
     from mgsgraph.results.comparison import compare as compared
-    from mgsgraph.results.comparison import write_comparison
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     if out is not None:
@@ -249,7 +249,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
     print_sentences([words for words in (one.warning, other.warning) if words])
     click.echo(found.section.text(10))
     if out is not None:
-        write_comparison(found, out, figures=not no_figures)
+        found.section.write_folder(out, COMPARISON, figures=not no_figures)
         click.echo(f"The comparison is in {out}")
 
 

@@ -5,7 +5,6 @@ more than was unknown; and where sigmas became smaller or larger.
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -13,13 +12,12 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import PLACES, CommonPoints
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import picked
-from mgsgraph.files.output.folders import COMPARISON
 from mgsgraph.files.output.table import Column, Table, cut
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.network import Network, PointClass
-from mgsgraph.results.section import Section, drawn, write_sections
+from mgsgraph.results.section import Section, drawn
 from mgsgraph.results.soundness import state_of
 from mgsgraph.results.summary import figures_of_merit
 from mgsgraph.text import many, root_mean_square, some
@@ -324,15 +322,3 @@ def _priors_differ(earlier: Network, later: Network, i: int, j: int) -> bool:
     one, other = earlier.priors[i].sigmas, later.priors[j].sigmas
     held = bool(earlier.held[i]) != bool(later.held[j])
     return held or one.shape != other.shape or not np.allclose(one, other, rtol=_SAME_SIGMA, atol=0.0)
-
-
-def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> list[str]:
-    """Write comparison.json, a CSV file for each table (of all common points, not only those that moved most) and the
-    map of differences to a folder that appears whole or not at all; the names of the files.
-
-    Raises
-    ------
-    InputError
-        If the folder holds anything but an earlier comparison, or can't be written.
-    """
-    return write_sections([found.section], found.section.numbers, folder, COMPARISON, figures)

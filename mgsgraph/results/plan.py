@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mgsgraph.files.output.folders import PLAN
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan
 from mgsgraph.planning.targets import Sigmas
-from mgsgraph.results.section import Section, drawn, write_sections
+from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
@@ -86,18 +84,6 @@ def statements(plan: Plan) -> list[str]:
 
 def _local(sigmas: Sigmas) -> str:
     return f"east {sigmas.east:.3g}, north {sigmas.north:.3g}, up {sigmas.up:.3g} m"
-
-
-def write_plan(plan: Plan, folder: str | Path, figures: bool = True) -> list[str]:
-    """Write a plan to a folder that appears whole or not at all; the names of the files.
-
-    Raises
-    ------
-    InputError
-        If the folder holds anything but an earlier plan, or can't be written.
-    """
-    section = plan_section(plan)
-    return write_sections([section], section.numbers, folder, PLAN, figures)
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:

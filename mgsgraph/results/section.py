@@ -60,6 +60,10 @@ class Section:
 
         return [*every, *save(self.sheets(), folder)]
 
+    def write_folder(self, folder: str | Path, kind: str, figures: bool = True) -> list[str]:
+        """Write its numbers as the record, and its files, to a folder of its own (`write_sections`)."""
+        return write_sections([self], self.numbers, folder, kind, figures)
+
 
 def drawn(function: str, *given: Any) -> Callable[[], Iterable["Sheet"]]:
     """What draws figures by a function with a dotted name: matplotlib takes its time, and is loaded then."""

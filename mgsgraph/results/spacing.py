@@ -1,18 +1,15 @@
 """A choice of the spacing of orientation images in words, and as files: nodes.json, spacings.csv and a figure."""
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mgsgraph.analysis.spacing import Choice
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import Column, Table, numbers
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 def seconds_of(text: str) -> list[float]:
     """Spacings, s, as people write them: 4,8,16."""
@@ -73,12 +70,6 @@ def node_statements(choice: Choice) -> list[str]:
 def nodes_section(choice: Choice, name: str) -> Section:
     """Candidates and what was found."""
     candidates, best = candidates_table(choice), choice.candidates[choice.best]
-
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.spacing import spacing_sheet  # matplotlib takes its time
-
-        return [spacing_sheet(choice, name)]
-
     record = {
         "name": name,
         "rays_held_out": best.squares.size,
@@ -90,4 +81,5 @@ def nodes_section(choice: Choice, name: str) -> Section:
         "best_s": best.spacing,
         "chosen_s": choice.spacing,
     }
-    return Section("nodes", "", node_statements(choice), [candidates], record, [candidates], sheets=sheets)
+    return Section("nodes", "", node_statements(choice), [candidates], record, [candidates],
+                   sheets=drawn("mgsgraph.results.figures.spacing.spacing_sheet", choice, name))

@@ -16,9 +16,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import CommonPoints
 from mgsgraph.cli import group
+from mgsgraph.files.output.folders import COMPARISON
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.results.comparison import compare, input_section, settings_section, write_comparison
+from mgsgraph.results.comparison import compare, input_section, settings_section
 from mgsgraph.results.figures.comparison import comparison_sheet
 from mgsgraph.results.figures.sheet import encoded
 from mgsgraph.results.results import write_results
@@ -116,7 +117,7 @@ def test_files_hold_every_common_point(solution: Solution, tmp_path: Path) -> No
     network = solution.network
     other = adjust_network(replace(network, rays=network.rays.chosen(np.arange(network.rays.point.size - 2))),
                            solution.settings)  # fmt: skip
-    names = write_comparison(compare(other, solution, LABELS), tmp_path / "out")
+    names = compare(other, solution, LABELS).section.write_folder(tmp_path / "out", COMPARISON)
     assert sorted(names) == sorted(path.name for path in (tmp_path / "out").iterdir())
     with (tmp_path / "out" / "points_compared.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
