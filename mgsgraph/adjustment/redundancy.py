@@ -25,7 +25,7 @@ INSEPARABLE = 0.99
 
 
 def swept(at: Linearised, ground: Index) -> tuple[Array, Array]:
-    """The kernel's numbers (t, 8), and all of them (g, 3, 7) for some observations (`leverage.numbers`)."""
+    """The kernel's numbers (t, 8), and all of them (g, 3, 7) for some observations (`graph.bundle.numbers`)."""
     layout = at.layout
     constants = layout.groups, layout.blocks.target, layout.model, at.orientation
     return numbers(at.rows, *constants, at.pair_blocks(layout), at.points, ground)

@@ -12,7 +12,7 @@ from mgsgraph.text import listed
 from mgsgraph.units import MGON, MRAD
 
 Kind = Literal["gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter", "white"]
-"""Gaussian processes (`network.processes`)."""
+"""Gaussian processes (`network.conditioning`)."""
 Model = Literal["polynomial", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter", "white"]
 """What a correction is in time."""
 Sigmas = float | list[float]

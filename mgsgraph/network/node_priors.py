@@ -10,7 +10,7 @@ process. So a node hangs on the one before it by a smoothness factor, e_k - a e_
 root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it. Closer
 nodes then don't say more than the trajectory knows (`NodePrior`).
 
-Other departures: any Gaussian process (`ProcessPrior`, `network.processes`), its rows between neighbouring nodes by
+Other departures: any Gaussian process (`ProcessPrior`, `network.conditioning`), its rows between neighbouring nodes by
 sequential conditioning (`network.conditioning`). Or none, and the corrections polynomials of time (`PolynomialPrior`):
 four nodes of Lagrange's basis hold a cubic polynomial exactly.
 """

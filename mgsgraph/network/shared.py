@@ -117,7 +117,7 @@ class SharedKind(StrEnum):
 
     @property
     def is_interior(self) -> bool:
-        """Whether it is of the camera's interior orientation (`network.interior`)."""
+        """Whether it is of the camera's interior orientation (`network.corrections`)."""
         return self in (SharedKind.FOCAL_LENGTH, SharedKind.PRINCIPAL_POINT) or self.radial_order > 0
 
     @property

@@ -81,9 +81,7 @@ def settings_of_case(path: Path) -> ProjectSettings:
 
 def _absolute(spice: SpiceInput | None, folder: Path) -> SpiceInput | None:
     """Kernels by paths that hold in whatever folder the next command is called."""
-    if spice is None:
-        return None
-    return SpiceInput(tuple(str(resolved(folder / kernel, "")) for kernel in spice.kernels), spice.sampling_s)
+    return spice and SpiceInput(tuple(str(resolved(folder / kernel, "")) for kernel in spice.kernels), spice.sampling_s)
 
 
 def settings_to_json(settings: ProjectSettings) -> str:

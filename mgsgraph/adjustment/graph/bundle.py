@@ -154,7 +154,7 @@ class Sweeper(Protocol):
         ...
 
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
-        """(t, 8), see `leverage.numbers`."""
+        """(t, 8), see `numbers`."""
         ...
 
     def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Solving:

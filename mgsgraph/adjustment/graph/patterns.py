@@ -17,7 +17,7 @@ from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, G
 from mgsgraph.network import Network
 
 _Rows = tuple[Index, NDArray[np.int32], NDArray[np.int32]]
-"""Rows of each point, as `sorting.by_point` gives them."""
+"""Rows of each point, as `loops.by_point` gives them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +325,7 @@ def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, 
 
 
 def group_blocks(groups: Groups) -> NormalBlocks:
-    """Blocks of each group by itself, not shared with others: what a bundle factor of its own needs."""
+    """Blocks of each group by itself, not shared with others: what a reduced system of its own needs."""
     one, other = _member_pairs(groups)
     sizes = groups.member_width[one] * groups.member_width[other]
     pair, at = np.cumsum(sizes) - sizes, int(sizes.sum())

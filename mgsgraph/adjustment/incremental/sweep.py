@@ -26,7 +26,7 @@ from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.network.parts import Members, Unknown, unknowns
 
 TOLERANCE = 2e-3
-"""Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`closing.CLOSE`),
+"""Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`impact.CLOSE`),
 for the errors of bundles add up."""
 _ROBUST_SHARE = 0.01
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""

@@ -1,4 +1,4 @@
-"""The tree over reduced systems: dense algebra, and GTSAM's iSAM2 with the bundle factors themselves, agree."""
+"""The tree over reduced systems agrees with dense algebra."""
 
 from collections.abc import Iterable
 
