@@ -48,7 +48,7 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
-        "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.stac_item",
+        "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.terrain_model",
         "mgsgraph.studio.ground",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
@@ -146,7 +146,7 @@ DOOR = {
     "mgsgraph.files.rasters.raster_file": {"DatasetReader"},
     "mgsgraph.files.spice.kernels": {"spiceypy.furnsh"},
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
-    "mgsgraph.files.cameras.hrsc_lines": {"np.memmap"},  # the same
+    "mgsgraph.files.cameras.hrsc": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
     "mgsgraph.project.checksum": {"open"},  # POSIX drops locks where any reader closes

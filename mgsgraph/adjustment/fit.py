@@ -1,117 +1,20 @@
-"""sigma0: the weighted sum of squared residuals, observations, unknowns and redundancy of an adjustment."""
+"""sigma0: the weighted sum of squared residuals, observations, unknowns and redundancy of an adjustment.
 
-from collections.abc import Callable
+Orientations that an adjustment has moved by far more than is said to be known of them.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.shared import footprint_shifts, shared_values
-from mgsgraph.adjustment.residuals import Residuals
-from mgsgraph.factors.loss import cauchy, huber, tukey
-from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, TUKEY, Model, Rows
+from mgsgraph.adjustment.residuals import Residuals, squares_of
+from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, Model, Rows
+from mgsgraph.network import Network
 from mgsgraph.record import Record
-
-_LOSSES: dict[int, Callable[..., Any]] = {HUBER: huber, CAUCHY: cauchy, TUKEY: tukey}
-
-
-class Squares(NamedTuple):
-    """Of one kind of measures; m of them take part."""
-
-    point: Index
-    """(m,) network point of each."""
-    image: Index
-    """(m,) its image; -1 for a measure in none."""
-    values: Array
-    """(m,) whitened squares, of the rows of a measure together; NaN where the point is behind the camera."""
-    rows: int
-    """Rows of a measure."""
-    robust: bool
-    """Whether a robust loss acts on it."""
-
-    def costs(self, model: Model) -> Array:
-        """(m,) what each adds to the cost."""
-        if not self.robust or model.loss == NO_LOSS:
-            return 0.5 * self.values
-        cost, _ = _LOSSES[model.loss](self.values, model.width)
-        return np.asarray(cost)
-
-
-def squares_of(
-    layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals
-) -> dict[str, Squares]:
-    """Squares of each kind of measures: image rays, ranges, a-priori places, heights above the terrain model and above
-    stereo surfaces.
-
-    Parameters
-    ----------
-    layout : Layout
-    rows : Rows
-        Those that take part.
-    orientation : (columns,) array
-        Shared unknowns, m and rad.
-    points : (n, 3) array
-        m, layout order.
-    found : Residuals
-        There.
-    """
-    network, places, kind = layout.network, layout.observation_rows, layout.network_order(rows.kind)
-    rays = _taking((rows.weight[0, places.rays] > 0.0) & (kind[network.rays.point] != OUT))
-    whitened = found.image[rays] / network.rays.sigmas[rays]
-    ranges = _taking((rows.weight[0, places.ranges] > 0.0) & (kind[network.ranges.point] != OUT))
-    known = np.flatnonzero(kind == PRIOR)
-    offset = layout.network_order(points)[known] - network.points.places[known] - _shifts(layout, orientation, known)
-    ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
-    low = np.flatnonzero(np.isfinite(found.heights) & (kind != OUT))
-    sigmas = network.surface.sigmas[low] if network.surface is not None else np.zeros(0)
-    range_squares = (found.ranges[ranges] / network.ranges.sigmas[ranges]) ** 2
-    on_stereo, stereo_squares = _of_stereo(layout, rows, found)
-
-    def nowhere(of: Index) -> Index:
-        return np.full(of.size, -1)
-
-    return {
-        "rays": Squares(
-            network.rays.point[rays], network.rays.image[rays], np.einsum("ki,ki->k", whitened, whitened), 2, True
-        ),
-        "ranges": Squares(network.ranges.point[ranges], network.ranges.image[ranges], range_squares, 1, True),
-        "places": Squares(known, nowhere(known), np.einsum("ki,ki->k", offset, ground), 3, False),
-        "heights": Squares(low, nowhere(low), (found.heights[low] / sigmas) ** 2, 1, False),
-        "stereo heights": Squares(on_stereo, nowhere(on_stereo), stereo_squares, 1, True),
-    }
-
-
-def _taking(mask: Mask) -> Index | slice:
-    """What to take where a mask (n,) is true: as a rule all, without a copy."""
-    return slice(None) if np.all(mask) else np.flatnonzero(mask)
-
-
-def _of_stereo(layout: Layout, rows: Rows, found: Residuals) -> tuple[Index, Array]:
-    """(m,) points whose heights above stereo surfaces take part, and their squares in sigmas."""
-    control, stereo = layout.network.stereo, layout.stereo
-    if control is None or stereo is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0)
-    kind = layout.network_order(rows.kind)[stereo.points]
-    points = stereo.points[(rows.weight[0, layout.observation_rows.stereo] > 0.0) & (kind != OUT)]
-    return points, (found.stereo[points] / control.sigmas[points]) ** 2
-
-
-def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
-    """(p, 3) m: how far profiles' shifts and altimeters' boresights move the a-priori places of network points."""
-    network = layout.network
-    shift = footprint_shifts(network, shared_values(network, layout.variables, orientation))[points]
-    if network.shifts is None:
-        return shift
-    profile = network.shifts.profile[points]
-    moved = profile >= 0
-    first = layout.variables.first[len(network.images) + profile[moved]]
-    both = orientation[np.stack([first, first + 1], axis=1)]
-    shift[moved] += np.einsum("pk,pkj->pj", both, east_north(network.points.places[points[moved]]))
-    return shift
-
 
 ABSURD = 10.0
 """sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
@@ -177,3 +80,51 @@ def _weighted(squares: Array, model: Model) -> float:
     if model.loss == CAUCHY:
         return float((squares / (1.0 + ratio)).sum())
     return float((squares * np.maximum(1.0 - ratio, 0.0) ** 2).sum())
+
+
+STRAINED = 5.0
+"""A-priori sigmas; of 10,000 coefficients none is off by so many by chance."""
+IMPOSSIBLE = 100.0
+"""A-priori sigmas from which on an input is wrong, whatever sigma0 says: sigmas that are stated ten times too small
+are off by 50 at the most."""
+
+
+class Strained(NamedTuple):
+    """An image whose orientation was moved too far."""
+
+    image: int
+    """Which; for a pass stands its first image."""
+    most: float
+    """Largest of its corrections, in a-priori sigmas."""
+
+    @property
+    def impossible(self) -> bool:
+        """Whether no stated sigma is to blame, but an input."""
+        return self.most > IMPOSSIBLE
+
+
+def strained_orientations(
+    network: Network, coefficients: Sequence[Array], nodes: Sequence[Array]
+) -> tuple[Strained, ...]:
+    """Images whose own corrections exceed their sigmas by so much that no noise explains it, worst first: sigma0 hides
+    it behind many rays.
+
+    Parameters
+    ----------
+    network : Network
+    coefficients : sequence of array
+        Of each image, m and rad, as `Solution.coefficients`.
+    nodes : sequence of array
+        Of each pass, m and rad, as `Solution.nodes`: against their a-priori sigmas, trend and all.
+    """
+    found = list[Strained]()
+    for one, moved in zip(network.passes, nodes, strict=True):
+        found.append(Strained(int(one.images[0]), _most(moved, one.prior.own_sigmas(one.nodes))))
+    for j in np.flatnonzero(network.with_polynomial).tolist():
+        found.append(Strained(j, _most(coefficients[j], network.priors[j].sigmas)))
+    return tuple(sorted((one for one in found if one.most > STRAINED), key=lambda one: -one.most))
+
+
+def _most(corrections: Array, sigmas: Array) -> float:
+    """Largest of corrections in sigmas."""
+    return float(np.abs(corrections / sigmas).max())

@@ -17,10 +17,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS, footprint_covariances
 from mgsgraph.geometry.body import in_turn, planetocentric
-from mgsgraph.geometry.common_errors import common_variances
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.terrain import PostLattice, TerrainGrid
+from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, common_variances
 from mgsgraph.names import Names
 from mgsgraph.network.network import Network
 from mgsgraph.network.observations import nominal_ground
