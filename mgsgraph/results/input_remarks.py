@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsgraph.adjustment.nominal import unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.input_checks import unexplained_ranges, unexplained_residuals
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
