@@ -94,15 +94,12 @@ from peer_problem import PeerProblem, network  # noqa: E402
 from study import at_least, command, machine, require_writable, status, table, write_text  # noqa: E402
 
 from mgsgraph.adjustment.batch import levenberg_marquardt  # noqa: E402
-from mgsgraph.adjustment.gpu.devices import find_gpu  # noqa: E402
+from mgsgraph.adjustment.gpu import find_gpu  # noqa: E402
 from mgsgraph.adjustment.gpu.sweeper import GpuSweeper  # noqa: E402
 from mgsgraph.adjustment.graph.bundle import BundleGraph  # noqa: E402
-from mgsgraph.adjustment.graph.layout import Layout, lay_out  # noqa: E402
+from mgsgraph.adjustment.graph.layout import lay_out  # noqa: E402
 from mgsgraph.adjustment.problems import BundleProblem  # noqa: E402
-from mgsgraph.kernel.cuda.device import SIMULATED  # noqa: E402
-from mgsgraph.kernel.cuda.roofline import Rates, measured_rates, synchronise  # noqa: E402
-from mgsgraph.kernel.cuda.tables import NONE, ONE, OTHER, PIECE_OF, entries_of_part, make_jobs  # noqa: E402
-from mgsgraph.kernel.rows import IMAGE  # noqa: E402
+from mgsgraph.kernel.cuda.device import SIMULATED, cuda  # noqa: E402
 from mgsgraph.kernel.sweep import COSTS, SYSTEM  # noqa: E402
 
 SIZES: dict[str, Callable[[], tuple[PeerProblem, Any]]] = {
@@ -112,9 +109,6 @@ SIZES: dict[str, Callable[[], tuple[PeerProblem, Any]]] = {
     "Kaguya": kaguya,
     "ten XL": lambda: chain(200, 10_000_000),
 }
-RAY = {"measured": 585, "predicted": 1086}
-"""Operations in float64 of an image ray's rows, counted under the simulator; of the predicted line with one step of
-Newton's method."""
 BOUNDS = {"L": 0.020, "XL": 0.040, "Kaguya": 0.060, "ten XL": 0.12}
 """s, what an adjustment should take on one H100."""
 
@@ -145,10 +139,6 @@ class Times:
     """One sweep for costs alone."""
     covariances: float = 0.0
     """Of all points, with their way to the host."""
-    arithmetic: float = 0.0
-    """Share of the measured float64 rate that the sweep reaches."""
-    traffic: float = 0.0
-    """Share of the measured memory rate."""
 
 
 @dataclass
@@ -164,6 +154,12 @@ class Clock:
         yield
         synchronise()
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+
+def synchronise() -> None:
+    """Wait until the device has done all that it was told."""
+    if not SIMULATED:
+        cuda.synchronize()
 
 
 class Timed:
@@ -210,34 +206,7 @@ def median(job: Callable[[], Any], runs: int) -> float:
     return statistics.median(times)
 
 
-def work_of_a_sweep(layout: Layout, line: str) -> tuple[float, float]:
-    """Operations in float64, and bytes from and to the device's memory, of a sweep with normal equations and one inner
-    step: rows evaluated twice, coupling, and the sums of all jobs.
-    """
-    rows = layout.rows
-    count, sizes, pattern = np.diff(rows.pattern_observation), rows.piece[:, 2], rows.piece[:, 0]
-    owner = np.repeat(np.arange(count.size), count)
-    points = np.bincount(pattern, sizes, count.size)[owner]  # that have each observation of the patterns
-    image = rows.observation_kind == IMAGE
-    columns = np.where(rows.observation_terms > 0, np.where(rows.observation_width >= 6, 6, 3), 0)
-    columns = columns + rows.observation_shared
-    of_rows = np.where(image, RAY[line] + 40.0, 60.0)
-    operations = float(points @ (2.0 * of_rows + columns * 40.0)) + 60.0 * sizes.sum()
-    left = columns * (4 + np.where(image, 2, 1)) + rows.observation_terms
-    bytes_moved = 8.0 * float(points @ (2.0 * (rows.observation_numbers + 2) + left)) + 8.0 * 24.0 * sizes.sum()
-    jobs = make_jobs(rows, layout.groups, layout.blocks.target, True, False).table
-    own = sizes[jobs[:, PIECE_OF]].astype(np.float64)
-    alone = jobs[:, OTHER] == NONE
-    _, terms = entries_of_part(rows, jobs[:, ONE], jobs[:, ONE + 1])
-    _, others = entries_of_part(rows, np.maximum(jobs[:, OTHER], 0), np.maximum(jobs[:, OTHER + 1], 0))
-    mine, yours = np.minimum(columns[jobs[:, ONE]], 6), np.minimum(columns[np.maximum(jobs[:, OTHER], 0)], 6)
-    pairs, products = np.where(alone, mine, mine * yours), np.where(alone, terms, terms * others)
-    operations += float(own @ (pairs * np.where(alone, 0.0, 6.0) + products + 2.0 * pairs * products))
-    bytes_moved += 8.0 * float(own @ (np.where(alone, mine + terms, 3.0 * (mine + yours) + terms + others)))
-    return operations, bytes_moved
-
-
-def timed(size: str, line: Any, runs: int, deterministic: bool, rates: Rates) -> Times:
+def timed(size: str, line: Any, runs: int, deterministic: bool) -> Times:
     """All about one problem."""
     begin = time.perf_counter()
     problem, _ = SIZES[size]()
@@ -271,33 +240,28 @@ def timed(size: str, line: Any, runs: int, deterministic: bool, rates: Rates) ->
     found.costs = median(lambda: sweeper.reduction(*again, COSTS, last), runs)
     unit = np.zeros(layout.blocks.target.size)
     found.covariances = median(lambda: sweeper.covariances(*again, unit, last.points), runs)
-    operations, moved = work_of_a_sweep(layout, line)
-    found.arithmetic = operations / found.system / rates.operations
-    found.traffic = moved / found.system / rates.bytes
     return found
 
 
-def page(found: list[Times], rates: Rates, line: str, deterministic: bool, runs: int) -> str:
+def page(found: list[Times], line: str, deterministic: bool, runs: int) -> str:
     """The table of a run, in Markdown."""
     head = [
         "problem", "images / points / rays", "made, laid out, s", "first, s", "adjustment, s", "of it sweeps, s",
         "eliminations, s", "iterations", "final cost", "sweep, ms", "costs alone, ms", "covariances, ms",
-        "share of float64 rate", "of memory rate", "aim, s",
+        "aim, s",
     ]  # fmt: skip
     rows = [
         [
             t.size, f"{t.images} / {t.points:,} / {t.rays:,}", f"{t.made:.1f}, {t.laid_out:.1f}", f"{t.first:.1f}",
             f"{t.adjusted:.4f}", f"{t.sweeps:.4f}", f"{t.eliminations:.4f}", str(t.iterations), f"{t.cost:.9f}",
-            f"{1e3 * t.system:.2f}", f"{1e3 * t.costs:.2f}", f"{1e3 * t.covariances:.2f}", f"{t.arithmetic:.0%}",
-            f"{t.traffic:.0%}", f"{BOUNDS[t.size]}" if t.size in BOUNDS else "",
+            f"{1e3 * t.system:.2f}", f"{1e3 * t.costs:.2f}", f"{1e3 * t.covariances:.2f}",
+            f"{BOUNDS[t.size]}" if t.size in BOUNDS else "",
         ]
         for t in found
     ]  # fmt: skip
     order = "in a fixed order" if deterministic else "by atomic additions"
     said = (
-        f"{find_gpu().name}; measured in this run: {rates.operations / 1e12:.2f} T operations/s in float64 "
-        f"(multiplications and additions), {rates.bytes / 1e12:.3f} TB/s. {line.capitalize()} line, sums {order}, "
-        f"medians of {runs} runs. {machine()}"
+        f"{find_gpu().name}. {line.capitalize()} line, sums {order}, medians of {runs} runs. {machine()}"
     )
     return "\n".join(["# Times on a GPU", "", *table(head, rows), "", said, ""])
 
@@ -320,11 +284,11 @@ def main() -> int:
     def run() -> int:
         require_writable(chosen.out, chosen.json)
         find_gpu()
-        rates, found = measured_rates(), list[Times]()
+        found = list[Times]()
         for size in sizes:
-            found.append(timed(size, chosen.line, chosen.runs, chosen.deterministic, rates))
+            found.append(timed(size, chosen.line, chosen.runs, chosen.deterministic))
             print(json.dumps(asdict(found[-1])), flush=True)  # should a larger one fail
-        text = page(found, rates, chosen.line, chosen.deterministic, chosen.runs)
+        text = page(found, chosen.line, chosen.deterministic, chosen.runs)
         print(text)
         if chosen.out is not None:
             write_text(text, chosen.out)

@@ -15,8 +15,7 @@ import numpy as np
 from study import DOCS, OneLine, at_least, made_with, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.closing_check import CLOSE, EXACT, closing
-from mgsgraph.adjustment.incremental.impact import Impact
+from mgsgraph.adjustment.incremental.impact import CLOSE, EXACT, Impact, closing
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 

@@ -13,7 +13,6 @@ import time
 from argparse import Namespace
 from pathlib import Path
 
-import gtsam
 import numpy as np
 from study import DOCS, OneLine, at_least, machine, made_with, number, positive, show, status, table, write_page
 
@@ -64,13 +63,12 @@ def measured(network: Network) -> dict[str, float]:
         begin = time.perf_counter()
         last = graph.reduction(nominal, points=last)
         sweeps.append(time.perf_counter() - begin)
-        linear = graph.linear(last)
-        linear.optimize(gtsam.Ordering.ColamdGaussianFactorGraph(linear))
+        graph.factor(last).solve(-graph.gradient(last))
         whole.append(time.perf_counter() - begin)
     found |= {"sweep": statistics.median(sweeps), "iteration": statistics.median(whole)}
     nodes = sum(len(strip.nodes) for strip in network.passes)
     found |= {"sets": len(layout.group_variables), "fill": layout.blocks.first.size / (0.5 * nodes * (nodes + 1))}
-    del last, linear, graph, layout
+    del last, graph, layout
     solution = adjust_network(network, settings)
     found |= {"covariance": solution.seconds["covariance"], "iterations": solution.iterations}
     found |= {"memory": resident("VmHWM") - before, "nodes": nodes, "points": len(network.points)}

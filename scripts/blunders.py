@@ -22,7 +22,7 @@ from study import DOCS, Z99, at_least, command, made_with, show, table, write_pa
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import critical_value, judged
-from mgsgraph.adjustment.graph.leverage import BETWEEN, SHARE
+from mgsgraph.adjustment.graph.bundle import BETWEEN, SHARE
 from mgsgraph.adjustment.redundancy import UNCONTROLLED, swept
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution

@@ -46,7 +46,7 @@ def signatures() -> dict[str, tuple[Any, Any]]:
     """Each kernel and the types of its arguments, as `kernel.cuda.partition` launches it."""
     from numba import types
 
-    from mgsgraph.kernel.cuda import coupling, covariance, roofline, solving, summing
+    from mgsgraph.kernel.cuda import coupling, covariance, solving, summing
     from mgsgraph.kernel.cuda.tables import Tables
     from mgsgraph.kernel.rows import Model
 
@@ -67,8 +67,6 @@ def signatures() -> dict[str, tuple[Any, Any]]:
         "judge": (covariance.judge, (tables, model, f1, f2, b1, f1, b1, f2, f1, f1, f2, f3)),
         "residuals": (coupling.residuals, (tables, model, f1, f2, b1, f1, f2, f2)),
         "clear": (summing.clear, (f1,)),
-        "multiply_and_add": (roofline.multiply_and_add, (f1,)),
-        "copy": (roofline.copy, (f1, f1)),
     }
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.estimates import PoseEstimate
 from mgsgraph.analysis.posterior import Pixel, Posterior

@@ -41,7 +41,7 @@ def rows(seed: int) -> list[list[str]]:
         prior = as_process(net, kind)
         both = (prior, dense(prior, net.passes[0].nodes))
         pair = [adjust_network(with_prior(net, one), TIGHT) for one in both]
-        what = (f"process {kind}", "dense `JointNodePrior`", "1 strip of 800 km")
+        what = (f"process {kind}", "dense covariance", "1 strip of 800 km")
         found.append([*what, str(seed), *_shown(pair, prior)])
     return found
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from joint_prior import JointNodePrior
 
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
@@ -13,7 +14,6 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import (
     GroundPoints,
     ImageRays,
-    JointNodePrior,
     Network,
     PointClass,
     ProfileShifts,
@@ -107,4 +107,4 @@ def as_nodes(prior: OrientationPrior, nodes: OrientationImages, u: np.ndarray) -
     coefficients = np.linalg.solve(values, np.eye(len(nodes)))
     known = np.isfinite(prior.sigmas.ravel())
     weights = np.where(known, 1.0 / prior.sigmas.ravel(), 0.0)
-    return JointNodePrior((weights[:, None] * np.kron(coefficients, np.eye(6)))[known], np.zeros(0))
+    return JointNodePrior((weights[:, None] * np.kron(coefficients, np.eye(6)))[known])

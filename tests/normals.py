@@ -13,8 +13,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.explicit import observation_noise
-from mgsgraph.adjustment.graph.observations import observation_factor
+from mgsgraph.adjustment.graph.explicit import observation_factor, observation_noise
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables, make_groups, pair_blocks
 from mgsgraph.kernel.reduction import Reduction, point_covariances, reduce
 from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_observation

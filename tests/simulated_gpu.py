@@ -184,14 +184,14 @@ def _adjusted(memory: float = float("inf"), **chosen: Any) -> dict[str, float]:
     from networks import network, pair
 
     from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.adjustment.gpu import choice, devices
-    from mgsgraph.adjustment.gpu.dense_cholesky import dense_bytes
+    from mgsgraph.adjustment.gpu import choice
+    from mgsgraph.adjustment.gpu.sweeper import dense_bytes
     from mgsgraph.adjustment.graph import lay_out
     from mgsgraph.adjustment.settings import SolverSettings
 
     net, settings = network(pair(3, 2)), SolverSettings(starts=0, **chosen)
     whole = memory + dense_bytes(lay_out(net, settings).columns)
-    choice.find_gpu = lambda: devices.Gpu("a simulated one", whole, 1)
+    choice.find_gpu = lambda: choice.Gpu("a simulated one", whole, 1)
     cpu, gpu = (adjust_network(net, replace(settings, device=device)) for device in ("cpu", "cuda"))
     spread = np.sqrt(np.nanmax(np.diagonal(cpu.covariances, axis1=1, axis2=2)))
     return {

@@ -48,7 +48,8 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
-        "mgsgraph.registration.dem", "mgsgraph.results.stac_item", "mgsgraph.studio.ground",
+        "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.terrain_model",
+        "mgsgraph.studio.ground",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),
@@ -145,14 +146,14 @@ DOOR = {
     "mgsgraph.files.rasters.raster_file": {"DatasetReader"},
     "mgsgraph.files.spice.kernels": {"spiceypy.furnsh"},
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
-    "mgsgraph.files.cameras.hrsc_lines": {"np.memmap"},  # the same
+    "mgsgraph.files.cameras.hrsc": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
     "mgsgraph.project.checksum": {"open"},  # POSIX drops locks where any reader closes
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
     "mgsgraph.project.project": {"json.loads"},
     # our own files, not a user's
-    "mgsgraph.adjustment.graph.memory_map": {"read_text"},  # the system's: how much memory a container may take
+    "mgsgraph.adjustment.graph.rows": {"read_text"},  # the system's: how much memory a container may take
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},

@@ -63,7 +63,7 @@ def adjust_network(
         Nothing determines some direction of the orientation.
     InputError
         Orientation images with too few rays near them, closer than the data supports.
-        The explicit form, or one of GTSAM's optimisers, on a cluster or a GPU; a partition that is too large for its
+        The explicit form on a cluster or a GPU; a partition that is too large for its
         worker; no GPU, or one with too little memory, where one is asked for.
     SolverError
         The cluster has gone.

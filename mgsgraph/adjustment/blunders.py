@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
-from mgsgraph.adjustment.graph.leverage import BETWEEN, MISFIT, SHARE
+from mgsgraph.adjustment.graph.bundle import BETWEEN, IN_PROCESS, MISFIT, SHARE, Sweeper
 from mgsgraph.adjustment.linearised import Linearised, PointRows
 from mgsgraph.adjustment.redundancy import (
     closure,

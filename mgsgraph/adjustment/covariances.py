@@ -8,21 +8,18 @@ from collections.abc import Iterator
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.datum.datum import POORLY, defects, scaled_normal
+from mgsgraph.adjustment.datum import POORLY, defects, scaled_normal
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import (
     IN_PROCESS,
     Sweeper,
     factor_of_blocks,
-    pair_factor,
     point_key,
-    prior_factors,
     variable_key,
 )
-from mgsgraph.adjustment.graph.bundle import shared_values as gtsam_values
-from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
+from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance, joint_covariance
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
-from mgsgraph.adjustment.square_root import SquareRoot, begins, in_cliques, is_indeterminate
+from mgsgraph.adjustment.square_root import SquareRoot, begins, in_cliques
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows
@@ -91,12 +88,6 @@ def _considered_information(layout: Layout, joint: JointCovariance) -> Iterator[
             yield (v, w), more[edges[a] : edges[a + 1], edges[b] : edges[b + 1]]
 
 
-def shared_marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:
-    """Joint covariance of a linear system of the shared unknowns."""
-    first, width = layout.variables.first.tolist(), layout.variables.width.tolist()
-    return marginals(linear, [variable_key(layout, v) if start >= 0 else None for v, start in enumerate(first)], width)
-
-
 def point_covariances(
     layout: Layout,
     rows: Rows,
@@ -116,53 +107,62 @@ def explicit_covariances(
     layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> tuple[JointCovariance, Array]:
     """The same two from the explicit graph: GTSAM eliminates its points, and gives their marginals (n, 3, 3)."""
-    linear, first_points = graph.linearize(values), gtsam.Ordering()
+    linear, first_points, shared = graph.linearize(values), gtsam.Ordering(), gtsam.Ordering()
     points = [i for i in range(layout.rows.kind.size) if values.exists(point_key(i))]
     for i in points:
         first_points.push_back(point_key(i))
+    for v in layout.variables.adjusted():
+        shared.push_back(variable_key(layout, v))
     _, reduced = linear.eliminatePartialMultifrontal(first_points)
-    joint = shared_marginals(layout, reduced)
+    joint = _joint(layout, reduced, shared)
     if layout.prior.considered:
         for factor in _considered_factors(layout, joint):
             reduced.push_back(factor)
             linear.push_back(factor)
-        joint = shared_marginals(layout, reduced)
+        joint = _joint(layout, reduced, shared)
     covariances, found = np.zeros((layout.rows.kind.size, 3, 3)), gtsam.Marginals(linear, values)
     for i in points:
         covariances[i] = found.marginalCovariance(point_key(i))
     return joint, covariances
 
 
+def _joint(layout: Layout, reduced: gtsam.GaussianFactorGraph, shared: gtsam.Ordering) -> JointCovariance:
+    """Joint covariance of a linear system of the shared unknowns, inverted as one matrix."""
+    units = np.outer(layout.scales, layout.scales)
+    covariance = np.linalg.inv(reduced.hessian(shared)[0] * units) * units
+    return dense_covariance(layout.variables.first, layout.variables.width, covariance)
+
+
 def _considered_factors(layout: Layout, joint: JointCovariance) -> Iterator[gtsam.HessianFactor]:
     """The information on considered unknowns that is to be added, as GTSAM's factors."""
     for (v, w), block in _considered_information(layout, joint):
+        keys = variable_key(layout, v), variable_key(layout, w)
+        zeros = [np.zeros(size) for size in block.shape]
         if v == w:
-            yield gtsam.HessianFactor(variable_key(layout, v), block, np.zeros(block.shape[0]), 0.0)
+            yield gtsam.HessianFactor(keys[0], block, zeros[0], 0.0)
         else:
-            yield pair_factor(variable_key(layout, v), variable_key(layout, w), block)
+            empty = [np.zeros((size, size)) for size in block.shape]
+            yield gtsam.HessianFactor(*keys, empty[0], block, zeros[0], empty[1], zeros[1], 0.0)
 
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:
     """Joint covariance of the shared unknowns as their priors alone have it; None where of some nothing is known."""
     if np.any(np.isinf(layout.sigmas)):
         return None
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in prior_factors(layout):
-        graph.add(factor)
     try:
-        return shared_marginals(layout, graph.linearize(gtsam_values(layout, np.zeros(layout.columns))))
-    except RuntimeError as error:
-        if not is_indeterminate(error):
-            raise
+        factor = factor_of_blocks(layout, np.zeros(layout.blocks.target.size))
+        if factor.determined:
+            return joint_covariance(factor.square_root())
+    except NotDefinite:
+        pass
     return joint_covariance(_strip_by_strip(layout))
 
 
 def _strip_by_strip(layout: Layout) -> SquareRoot:
     """Square root of the priors' information by a dense QR decomposition of each strip's rows.
 
-    GTSAM calls a clique indeterminate when a pivot falls below 2^-24 of the diagonal it began with, which nodes
-    bring about that may hardly leave a trend of which little is known. The rows themselves lose half as many digits as
-    their squares.
+    Nodes that may hardly leave a trend of which little is known make pivots fall below 2^-24 of the diagonal that they
+    began with. The rows themselves lose half as many digits as their squares.
     """
     variables, every, scales = layout.variables, layout.prior.every.tocsc(), layout.scales
     cliques, rows = _known_together(layout), list[Array]()

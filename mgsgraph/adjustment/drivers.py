@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.parallel import nearly_parallel
+from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.residuals import Residuals, residuals, squares_of
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -13,55 +13,18 @@ need. Any other block follows from the square root itself.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
-import gtsam
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import lapack
 
-from mgsgraph.adjustment.blas_threads import many_threads, one_thread
-from mgsgraph.adjustment.square_root import SquareRoot, begins, eliminate
+from mgsgraph.adjustment.square_root import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.record import Record
 
-_PIECE = 1 << 18
-"""Numbers copied at a time, which bounds the index arrays."""
 _TOGETHER = 32
 """Variables whose blocks are solved for at a time."""
-
-
-class _Places(NamedTuple):
-    """Where blocks lie in a flat array: number (a, b) at start + a stride + b."""
-
-    start: Index
-    """(m,) place of number (0, 0)."""
-    stride: Index
-    """(m,) from row to row."""
-
-    def only(self, chosen: Index | Mask) -> "_Places":
-        """Some of them."""
-        return _Places(self.start[chosen], self.stride[chosen])
-
-    def rows(self, number: int) -> Index:
-        """(m, number) where the rows of each block begin."""
-        return self.start[:, None] + np.arange(number) * self.stride[:, None]
-
-
-class _Wanted(NamedTuple):
-    """Blocks asked for, and where they go."""
-
-    first: Index
-    """(m,) variable of the rows."""
-    second: Index
-    """(m,) variable of the columns."""
-    places: _Places
-
-    def only(self, chosen: Index | Mask) -> "_Wanted":
-        """Some of them."""
-        return _Wanted(self.first[chosen], self.second[chosen], self.places.only(chosen))
 
 
 def carried(covariance: Array, columns: Index, sigmas: Array) -> Array:
@@ -129,7 +92,7 @@ class JointCovariance(Record):
     def sigmas(self) -> Array:
         """(columns,) standard deviations of the shared unknowns, m and rad."""
         variables, width = self.adjusted, self.square_root.width[self.adjusted]
-        start, stride = self._stored[1].only(self._find(variables, variables))
+        _, start, stride = (part[self._find(variables, variables)] for part in self._stored)
         inner = np.arange(self.columns) - np.repeat(begins(width)[:-1], width)
         return np.asarray(np.sqrt(self.blocks[np.repeat(start, width) + inner * np.repeat(stride + 1, width)]))
 
@@ -162,8 +125,7 @@ class JointCovariance(Record):
         other = np.arange(one.size) - np.repeat(begins(number[owner])[:-1] - first_of_set[owner], number[owner])
         stride = size[owner[one]]
         result = np.zeros(begin[-1])
-        places = _Places(begin[owner[one]] + inner[one] * stride + inner[other], stride)
-        self._fill(_Wanted(flat[one], flat[other], places), result)
+        self._fill(flat[one], flat[other], begin[owner[one]] + inner[one] * stride + inner[other], stride, result)
         return result
 
     def pairs(self, first: Index, second: Index, offset: Index) -> Array:
@@ -178,12 +140,13 @@ class JointCovariance(Record):
         """
         width = self.square_root.width
         result = np.zeros(int(np.max(offset + width[first] * width[second], initial=0)))
-        self._fill(_Wanted(first, second, _Places(offset, width[second])), result)
+        self._fill(first, second, offset, width[second], result)
         return result
 
     @cached_property
-    def _stored(self) -> tuple[Index, _Places]:
-        """(m,) codes, in order, and places of the blocks in store: of a clique's frontal variables with all of its own.
+    def _stored(self) -> tuple[Index, Index, Index]:
+        """(m,) codes, in order, of the blocks in store (of a clique's frontal variables with all of its own), where the
+        first number of each lies in `blocks`, and from row to row.
 
         A code is the first variable times the number of variables, plus the second.
         """
@@ -196,7 +159,7 @@ class JointCovariance(Record):
         start = np.repeat(root.offset[clique], count) + root.inner_column[row] * stride + root.inner_column[column]
         code = root.members[row] * root.width.size + root.members[column]
         order = np.argsort(code)
-        return code[order], _Places(start, stride).only(order)
+        return code[order], start[order], stride[order]
 
     def _find(self, first: Index, second: Index) -> Index:
         """(m,) place of each pair among those in store; -1 for one that isn't there in this order."""
@@ -205,64 +168,51 @@ class JointCovariance(Record):
         known = np.append(code, -1)[place] == wanted
         return np.where(known, place, -1)
 
-    def _fill(self, wanted: _Wanted, result: Array) -> None:
-        """Put blocks where they go."""
-        adjusted, width = self.square_root.first >= 0, self.square_root.width
-        wanted = wanted.only(adjusted[wanted.first] & adjusted[wanted.second])
-        for turned in (False, True):
-            place = self._find(wanted.second, wanted.first) if turned else self._find(wanted.first, wanted.second)
-            found = place >= 0
-            _copy(self.blocks, self._stored[1].only(place[found]), turned, wanted.only(found), width, result)
-            wanted = wanted.only(~found)
-        self._solve(wanted, result)
+    def _fill(self, first: Index, second: Index, at: Index, across: Index, result: Array) -> None:
+        """Put blocks of pairs (m,) of variables at places `at` of a flat array, `across` numbers from row to row."""
+        width, wanted = self.square_root.width, np.stack([first, second, at, across])
+        wanted = wanted[:, np.all(self.square_root.first[wanted[:2]] >= 0, axis=0)]
+        straight, back = self._find(*wanted[:2]), self._find(*wanted[1::-1])
+        place, known = np.where(straight >= 0, straight, back), (straight >= 0) | (back >= 0)
+        _, start, stride = (part[place[known]] for part in self._stored)
+        _copy(self.blocks, start, stride, straight[known] < 0, width[wanted[:2, known]], wanted[2:, known], result)
+        self._solve(wanted[:, ~known], result)
 
-    def _solve(self, wanted: _Wanted, result: Array) -> None:
+    def _solve(self, wanted: Index, result: Array) -> None:
         """Put blocks that no clique holds where they go; each pair is solved for once, whichever way round."""
         width = self.square_root.width
-        low, high = np.minimum(wanted.first, wanted.second), np.maximum(wanted.first, wanted.second)
+        low, high = wanted[:2].min(axis=0), wanted[:2].max(axis=0)
         every = np.unique(low)
         for k in range(0, every.size, _TOGETHER):
             ones = every[k : k + _TOGETHER]
-            mine = np.isin(low, ones)
+            mine = np.flatnonzero(np.isin(low, ones))
             others = np.unique(high[mine])
             cross = self.square_root.cross(ones, others)
-            row = begins(width[ones])[np.searchsorted(ones, low)]
-            column = begins(width[others])[np.searchsorted(others, high)]
-            places = _Places(row * cross.shape[1] + column, np.full(row.size, cross.shape[1]))
-            for turned, chosen in ((False, mine & (wanted.first == low)), (True, mine & (wanted.first != low))):
-                _copy(cross.ravel(), places.only(chosen), turned, wanted.only(chosen), width, result)
+            row = begins(width[ones])[np.searchsorted(ones, low[mine])]
+            start = row * cross.shape[1] + begins(width[others])[np.searchsorted(others, high[mine])]
+            stride, turned = np.full(mine.size, cross.shape[1]), wanted[0, mine] != low[mine]
+            _copy(cross.ravel(), start, stride, turned, width[wanted[:2, mine]], wanted[2:, mine], result)
 
 
-def _copy(source: Array, places: _Places, turned: bool, wanted: _Wanted, width: Index, result: Array) -> None:
-    """Copy blocks from their places in `source`, where they lie transposed when `turned`, to where they are wanted."""
-    shapes = np.stack([width[wanted.first], width[wanted.second]], axis=1)
-    for shape in np.unique(shapes, axis=0):
-        mine = np.flatnonzero(np.all(shapes == shape, axis=1))
-        rows, columns = shape[::-1].tolist() if turned else shape.tolist()
-        for piece in np.array_split(mine, 1 + mine.size * rows * columns // _PIECE):
-            found = sliding_window_view(source, columns)[places.only(piece).rows(rows)]
-            goal = sliding_window_view(result, shape[1], writeable=True)
-            goal[wanted.places.only(piece).rows(shape[0])] = np.swapaxes(found, 1, 2) if turned else found
+def _copy(
+    source: Array, start: Index, stride: Index, turned: Mask, shape: Index, goal: Index, result: Array
+) -> None:
+    """As `_copy_blocks`, of arrays of the types that it was compiled for."""
+    source = source.view()
+    source.flags.writeable = False
+    _copy_blocks(source, start, stride, turned, np.ascontiguousarray(shape), np.ascontiguousarray(goal), result)
 
 
-def marginals(linear: gtsam.GaussianFactorGraph, keys: Sequence[int | None], widths: Sequence[int]) -> JointCovariance:
-    """Joint covariance of the variables of a linear system.
-
-    Parameters
-    ----------
-    linear : GaussianFactorGraph
-        Factors on the adjusted variables alone.
-    keys : sequence of int or None
-        GTSAM key of each variable; None for a held one.
-    widths : sequence of int
-        Number of columns of each.
-
-    Raises
-    ------
-    RuntimeError
-        "Indeterminate linear system" in GTSAM's words, when it is not positive definite.
+@cached_kernel
+def _copy_blocks(source, start, stride, turned, shape, goal, result):
+    """Copy blocks of `shape` (2, m): of each the first number in `source`, from row to row there, whether it lies
+    transposed there; and the same two of where it goes, `goal` (2, m).
     """
-    return joint_covariance(eliminate(linear, keys, widths))
+    for m in range(start.size):
+        down, right = (1, stride[m]) if turned[m] else (stride[m], 1)
+        for i in range(shape[0, m]):
+            for j in range(shape[1, m]):
+                result[goal[0, m] + i * goal[1, m] + j] = source[start[m] + i * down + j * right]
 
 
 def joint_covariance(root: SquareRoot) -> JointCovariance:

@@ -22,13 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.batch import levenberg_marquardt
-from mgsgraph.adjustment.conditional import HeldProblem
 from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import Sweeper
 from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
-from mgsgraph.adjustment.problems import BundleProblem
+from mgsgraph.adjustment.problems import BundleProblem, HeldProblem
 from mgsgraph.adjustment.rounds import Solved, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.square_root import in_cliques

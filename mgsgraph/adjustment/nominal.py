@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.covariances import orientation_covariance, point_covariances
-from mgsgraph.adjustment.datum.datum import require_strength
+from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.predicted_lines import exactly, settled

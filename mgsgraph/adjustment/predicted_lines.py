@@ -9,11 +9,14 @@ nothing moves. So are the slopes of detector lines, by which misplacements count
 
 from collections.abc import Callable
 
+import numpy as np
+
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.loops import followed
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import PREDICTED
+from mgsgraph.kernel.rows import OUT, PREDICTED
 
 NEAR = 1e-5
 """Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much
@@ -23,6 +26,14 @@ NEAR_ENOUGH = 1e-3
 to rounding everywhere else."""
 _MOST = 20
 """Times that points follow their lines, and lines their points."""
+_MOST_TURNS = 20
+"""Times that rays are laid out anew: two or three do it, more where a predicted line lies beside a sample at which the
+rates jump."""
+_BEYOND = 0.5
+"""Share of an image's lines by which a predicted line may lie before it or after it."""
+_UNBENT = 1e-9
+"""m, of unknowns of the interior orientation: what they change the slope of a detector line by is then a ten-millionth
+of it."""
 
 
 def about_predicted_lines(
@@ -36,8 +47,29 @@ def about_predicted_lines(
     """
     now = layout
     if layout.model.line == PREDICTED:
-        now = sweeper.about_lines(layout, orientation, points, near, own)
+        now = _about_followed_lines(layout, orientation, points, near, own, sweeper)
     return now.about_stereo(layout.network_order(points), orientation)
+
+
+def _about_followed_lines(
+    layout: Layout, orientation: Array, points: Array, near: float, own: bool, sweeper: Sweeper
+) -> Layout:
+    """The same of rays alone, in the strict form."""
+    network, now, rays = layout.network, layout, layout.network.rays
+    size = np.array([image.lines for image in network.images], dtype=np.float64)
+    lines = np.empty(now.lines.size)
+    for _ in range(_MOST_TURNS):
+        values = sweeper.residuals(now, now.rows, orientation, points)
+        ways = now.observation_rows.rays, now.rows.kind, rays.point, now.patterns.point_index, rays.image
+        moved = followed(now.lines, rays.places, values, *ways, size, _BEYOND, OUT, lines)
+        bent = np.abs(orientation - now.bent)[now.bending].max(initial=0.0)
+        if moved <= near and bent <= _UNBENT:
+            break
+        anew = now.about(lines, orientation, own or now is not layout)
+        if anew.patterns is not now.patterns:
+            points = now.network_order(points)[anew.point_order]
+        lines, now = np.empty(lines.size) if now is layout else now.lines, anew
+    return now
 
 
 def settled(

@@ -1,4 +1,4 @@
-"""The two forms of the adjustment as problems for an optimiser, ours or GTSAM's own."""
+"""The two forms of the adjustment as problems for an optimiser."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -7,8 +7,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt
-from mgsgraph.adjustment.final_steps import minimum, settled_minimum
+from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt, minimum, settled_minimum
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph
 from mgsgraph.adjustment.graph.bundle import Solving, shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
@@ -157,15 +156,10 @@ def solve_bundle(
     says that an earlier pass converged slowly.
     """
     problem = BundleProblem(graph, known)
-    if settings.method == "levenberg-marquardt":
-        if graph.layout.network.on_relief:
-            outcome = settled_minimum(problem, start, settings, progress)
-        else:
-            outcome = minimum(problem, start, settings, progress, slow)
+    if graph.layout.network.on_relief:
+        outcome = settled_minimum(problem, start, settings, progress)
     else:
-        found = by_gtsam(graph.graph, graph.values(start), settings, progress, graph.constant_cost)
-        state = shared_vector(graph.layout, found.state)
-        outcome = Outcome(state, found.cost_initial, found.cost_final, found.converged, found.message, found.history)
+        outcome = minimum(problem, start, settings, progress, slow)
     return outcome, problem.at(outcome.state, SYSTEM)
 
 
@@ -177,54 +171,44 @@ def solve_explicit(
     explicit, values = explicit_graph(layout, graph.rows, start, points)
     scales = {variable_key(layout, v): layout.scales[layout.columns_of(v)] for v in layout.variables.adjusted()}
     scales |= {key: _POINT_SCALE for key in values.keys() if key not in scales}  # noqa: SIM118
-    if settings.method == "levenberg-marquardt":
-        outcome = levenberg_marquardt(GraphProblem(explicit, scales), values, settings, progress)
-    else:
-        outcome = by_gtsam(explicit, values, settings, progress, 0.0)
+    outcome = levenberg_marquardt(GraphProblem(explicit, scales), values, settings, progress)
     return outcome, shared_vector(layout, outcome.state), all_points(layout, outcome.state, points), explicit
 
 
-def by_gtsam(
-    graph: gtsam.NonlinearFactorGraph,
-    start: gtsam.Values,
-    settings: SolverSettings,
-    progress: Callable[[Iteration], None],
-    constant: float,
-) -> Outcome[gtsam.Values]:
-    """One of GTSAM's own optimisers, by name; `constant` is cost that no factor carries.
+class HeldEquations(ReducedEquations):
+    """Normal equations whose steps leave directions A (columns, m) as they are: with N dx = -g the step is
 
-    They copy all values at every factor's call: good for small graphs, and as a second opinion.
+    dx = -N^-1 (g + A k),    A' dx = 0:    dx = s - N^-1 A (A' N^-1 A)^-1 A' s,    s = -N^-1 g.
     """
-    if start.size() == 0:
-        return Outcome(start, constant, constant, True, "Nothing to adjust: every image is held.", ())
-    optimizer: gtsam.NonlinearOptimizer
-    if settings.method == "dogleg":
-        optimizer = gtsam.DoglegOptimizer(graph, start, gtsam.DoglegParams())
-    else:
-        optimizer = gtsam.GaussNewtonOptimizer(graph, start, gtsam.GaussNewtonParams())
-    initial = cost = optimizer.error() + constant
-    before, reached, history, unsolvable = math.inf, start, list[Iteration](), False
-    for number in range(1, settings.max_iterations + 1):
-        before, reached = cost, gtsam.Values(optimizer.values())
-        try:
-            optimizer.iterate()
-        except RuntimeError as error:
-            if not is_indeterminate(error):
-                raise
-            unsolvable = True
-            break
-        cost = optimizer.error() + constant
-        nan = float("nan")
-        history.append(Iteration(number, cost, before - cost, nan, nan, 0.0, True))
-        progress(history[-1])
-        if not np.isfinite(cost) or abs(before - cost) <= settings.cost_tolerance * cost:
-            break
-    converged = not unsolvable and bool(np.isfinite(cost)) and abs(before - cost) <= settings.cost_tolerance * cost
-    name = "Dogleg" if settings.method == "dogleg" else "Gauss-Newton"
-    message = f"Converged: GTSAM's {name} changed the cost by no more than {settings.cost_tolerance:.0e} of it."
-    if not converged:
-        why = ", whose equations can't be solved there" if unsolvable else " without converging"
-        message = f"Stopped after {len(history)} iterations of GTSAM's {name}{why}; try our own solver."
-    if not np.isfinite(cost) and history:  # nothing can be said of a state without a finite cost
-        return Outcome(reached, initial, before, False, message, tuple(history))
-    return Outcome(optimizer.values(), initial, cost, converged, message, tuple(history))
+
+    def __init__(
+        self, graph: BundleGraph, reduction: Reduction, directions: Array, kept: "HeldEquations | None" = None
+    ) -> None:
+        super().__init__(graph, reduction, kept)
+        self._directions = directions
+        self._through: tuple[Solving, Array] | None = None if kept is None else kept._through
+
+    def step(self, damping: float) -> Array | None:
+        """Solution of the damped equations; None when they are not positive definite."""
+        free, held = super().step(damping), self._directions
+        if free is None:
+            return None
+        assert self._factor is not None
+        if self._through is None or self._through[0] is not self._factor:
+            self._through = self._factor, np.stack([self._factor.solve(one) for one in held.T], axis=1)
+        through = self._through[1]
+        return np.asarray(free - through @ np.linalg.solve(held.T @ through, held.T @ free))
+
+
+class HeldProblem(BundleProblem):
+    """The bundle form with directions (columns, m) of its state held."""
+
+    def __init__(self, graph: BundleGraph, directions: Array, known: Reduction) -> None:
+        super().__init__(graph, known)
+        self._directions = directions
+
+    def linear(self, state: Array, kept: ReducedEquations | None = None) -> HeldEquations:
+        """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
+        assert kept is None or isinstance(kept, HeldEquations)
+        reduction = self.at(state, SYSTEM if kept is None else GRADIENT)
+        return HeldEquations(self.graph, reduction, self._directions, kept)

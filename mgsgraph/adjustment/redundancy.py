@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.leverage import numbers
+from mgsgraph.adjustment.graph.bundle import numbers
 from mgsgraph.adjustment.linearised import Linearised, PointRows
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import Small

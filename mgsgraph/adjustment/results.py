@@ -2,8 +2,9 @@
 
 import importlib.metadata
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ def read_off(
     without_laser = (None, None) if mixture is not None else _sigmas_without_laser(layout, solved, sweeper)
     clock.stop("without laser")
     unknowns = _unknowns(solved)
-    misfit = _misfit(solved, nominal, unknowns, sweeper, clock)
+    left, judged, drivers = _misfit(solved, nominal, unknowns, sweeper, clock)
     joint, covariances, straight = _covariances(solved, mixture, sweeper, clock)
     return Solution(
         name=name,
@@ -67,9 +68,7 @@ def read_off(
         history=solved.history,
         cost_initial=solved.cost_initial,
         cost_final=solved.outcome.cost_final,
-        fit=misfit.fit,
-        coefficients=unknowns.coefficients,
-        shifts=unknowns.shifts,
+        fit=judged,
         joint_covariance=joint,
         places_before=np.where(determined[:, None], nominal.places, np.nan),
         places=_blanked(layout, solved.points, determined),
@@ -77,9 +76,9 @@ def read_off(
         determined=determined,
         rays_used=(rows.weight[0, layout.observation_rows.rays] > 0.0) & determined[network.rays.point],
         ranges_used=rows.weight[0, layout.observation_rows.ranges] > 0.0,
-        residuals=misfit.residuals.image,
+        residuals=left.image,
         residuals_before=nominal.residuals.image,
-        range_residuals=misfit.residuals.ranges,
+        range_residuals=left.ranges,
         range_residuals_before=nominal.residuals.ranges,
         sigmas_without_laser=without_laser[0],
         median_sigmas_without_laser=without_laser[1],
@@ -89,13 +88,10 @@ def read_off(
         ranges_rejected=~selection.ranges,
         stereo_rejected=~selection.stereo,
         test_dimensions=solved.dimensions,
-        stereo_heights=np.where(determined, misfit.residuals.stereo, np.nan),
-        shared=unknowns.shared,
-        nodes=unknowns.nodes,
-        trends=unknowns.trends,
-        lift=unknowns.lift,
+        stereo_heights=np.where(determined, left.stereo, np.nan),
         linearity=straight,
-        drivers=misfit.drivers,
+        drivers=drivers,
+        **unknowns,
     )
 
 
@@ -108,18 +104,8 @@ def _message(solved: Solved) -> str:
     return f"{solved.outcome.message}{more}"
 
 
-class _Unknowns(NamedTuple):
-    """Values of what points share, as in `Solution`."""
-
-    coefficients: tuple[Array, ...]
-    shifts: Array
-    lift: Array | None
-    shared: tuple[Array, ...]
-    nodes: tuple[Array, ...]
-    trends: tuple[Array, ...]
-
-
-def _unknowns(solved: Solved) -> _Unknowns:
+def _unknowns(solved: Solved) -> dict[str, Any]:
+    """Values of what points share, as `Solution` has them."""
     layout, orientation = solved.layout, solved.orientation
     network, variables = layout.network, layout.variables
     coefficients = tuple(
@@ -128,29 +114,24 @@ def _unknowns(solved: Solved) -> _Unknowns:
     )
     shifts, lift = shift_values(network, variables, orientation)
     nodes, trends = pass_values(network, variables, orientation)
-    return _Unknowns(coefficients, shifts, lift, shared_values(network, variables, orientation), nodes, trends)
+    shared = shared_values(network, variables, orientation)
+    return {"coefficients": coefficients, "shifts": shifts, "lift": lift, "shared": shared, "nodes": nodes,
+            "trends": trends}  # fmt: skip
 
 
 # --- residuals, and what drives an adjustment that is no result
 
 
-class _Misfit(NamedTuple):
-    """How the observations fit."""
-
-    residuals: Residuals
-    """Of all observations."""
-    fit: Fit
-    """Of those that take part."""
-    drivers: Drivers | None
-    """Which images and points drive an adjustment that is no result."""
-
-
-def _misfit(solved: Solved, nominal: Nominal, unknowns: _Unknowns, sweeper: Sweeper, clock: Clock) -> _Misfit:
-    """How the observations fit at the end; books its stages. Raises SolverError (`_require_covariance`)."""
+def _misfit(
+    solved: Solved, nominal: Nominal, unknowns: Mapping[str, Any], sweeper: Sweeper, clock: Clock
+) -> tuple[Residuals, Fit, Drivers | None]:
+    """How the observations fit at the end, sigma0 of those that take part, and what drives an adjustment that is no
+    result; books its stages. Raises SolverError (`_require_covariance`).
+    """
     layout, orientation = solved.layout, solved.orientation
     found = residuals(layout, orientation, solved.points, sweeper)
     judged, drivers = fit(layout, solved.rows, orientation, solved.points, found), None
-    strained = strained_orientations(layout.network, unknowns.coefficients, unknowns.nodes)
+    strained = strained_orientations(layout.network, unknowns["coefficients"], unknowns["nodes"])
     if not solved.outcome.converged or judged.absurd or any(one.impossible for one in strained):
         drivers = _drivers(solved, found, sweeper)
         clock.stop("drivers")
@@ -161,7 +142,7 @@ def _misfit(solved: Solved, nominal: Nominal, unknowns: _Unknowns, sweeper: Swee
     clock.stop("residuals")
     if drivers is not None:
         _require_covariance(solved, drivers)
-    return _Misfit(found, judged, drivers)
+    return found, judged, drivers
 
 
 def _drivers(solved: Solved, found: Residuals, sweeper: Sweeper) -> Drivers:

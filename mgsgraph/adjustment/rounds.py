@@ -14,7 +14,7 @@ from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
-from mgsgraph.adjustment.graph.parallel import nearly_parallel
+from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
@@ -247,56 +247,24 @@ def _solve(
 
     Raises SolverError that names images and points.
     """
+    outcome: Outcome[Any]
+    explicit, reduction = None, None
     try:
-        return _solved_in_form(graph, selection, orientation, known, settings, progress, slow)
+        if settings.form == "bundle":
+            outcome, reduction = solve_bundle(graph, orientation, known, settings, progress, slow)
+            found, points = outcome.state, reduction.points
+        else:
+            begin = (known or graph.reduction(orientation, COSTS)).points
+            outcome, found, points, explicit = solve_explicit(graph, orientation, begin, settings, progress)
     except Unsolvable as error:
         reached = error.state if isinstance(error.state, np.ndarray) else orientation
         at = known if known is not None and known.serves(reached, COSTS) else graph.reduction(reached, COSTS)
         words = " ".join(driver_sentences(drivers_of(graph, at, None), graph.layout.network))
         raise SolverError(f"{error}. {words}") from None
-
-
-def _solved_in_form(
-    graph: BundleGraph,
-    selection: Selection,
-    orientation: Array,
-    known: Reduction | None,
-    settings: SolverSettings,
-    progress: Progress,
-    slow: bool,
-) -> Solved:
-    """The same; raises Unsolvable."""
-    if settings.form == "bundle":
-        outcome, reduction = solve_bundle(graph, orientation, known, settings, progress, slow)
-        return _solved(graph, selection, outcome, outcome.state, reduction.points, reduction=reduction)
-    points = (known or graph.reduction(orientation, COSTS)).points
-    found, vector, points, explicit = solve_explicit(graph, orientation, points, settings, progress)
-    return _solved(graph, selection, found, vector, points, explicit=explicit)
-
-
-def _solved(
-    graph: BundleGraph,
-    selection: Selection,
-    outcome: Outcome[Any],
-    orientation: Array,
-    points: Array,
-    reduction: Reduction | None = None,
-    explicit: gtsam.NonlinearFactorGraph | None = None,
-) -> Solved:
-    """The record of a first pass."""
     return Solved(
-        graph.layout,
-        outcome,
-        outcome.history,
-        outcome.cost_initial,
-        orientation,
-        points,
-        graph.rows,
-        selection,
-        reduction,
-        explicit,
-        rounds=1,
-    )
+        graph.layout, outcome, outcome.history, outcome.cost_initial, found, points, graph.rows, selection, reduction,
+        explicit, rounds=1,
+    )  # fmt: skip
 
 
 def _next(

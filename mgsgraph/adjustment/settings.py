@@ -10,12 +10,11 @@ from mgsgraph.record import Record
 
 Form = Literal["bundle", "explicit"]
 Line = Literal["predicted", "measured"]
-Method = Literal["levenberg-marquardt", "gauss-newton", "dogleg"]
 Loss = Literal["none", "huber", "cauchy", "tukey"]
 Device = Literal["cpu", "cuda", "auto"]
 
 _CHOICES = (
-    ("form", Form), ("method", Method), ("line", Line), ("angles", Angles), ("loss", Loss), ("device", Device),
+    ("form", Form), ("line", Line), ("angles", Angles), ("loss", Loss), ("device", Device),
 )  # fmt: skip
 
 LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
@@ -35,8 +34,6 @@ class SolverSettings(Record):
 
     form: Form = "bundle"
     """bundle: points eliminated inside their factors; explicit: one factor per row set, points are variables."""
-    method: Method = "levenberg-marquardt"
-    """levenberg-marquardt: our own optimiser, the damping in whitened units; gauss-newton and dogleg: GTSAM's."""
     line: Line = "predicted"
     """predicted: pose at the predicted line (strict); measured: pose at the measured line (the papers' form)."""
     angles: Angles = "camera"
@@ -66,8 +63,8 @@ class SolverSettings(Record):
     for; results are the same. None: all that the machine, or the container, has."""
     device: Device = "cpu"
     """Who goes over the points: cpu; cuda, an NVIDIA GPU (the extra `cuda`); auto: a GPU where there is one that is
-    worth it, and a hundred thousand observations or more. A GPU serves the bundle form and our own optimiser, and gives
-    the same result to 1e-9."""
+    worth it, and a hundred thousand observations or more. A GPU serves the bundle form, and gives the same
+    result to 1e-9."""
     deterministic: bool = False
     """On a GPU: whether the same sweep gives the same bits twice. What is added to the same numbers is then one block
     of threads' task, which takes longer where few images share many points. On a CPU that is so anyway, for the same

@@ -1,4 +1,4 @@
-"""Square root of the information on the unknowns that points share, as GTSAM's elimination leaves it.
+"""Square root of the information on the unknowns that points share, as elimination leaves it.
 
 Elimination turns a linear system into triangular rows, clique by clique of a tree (the Bayes tree): R x_F + T x_S = d,
 the frontal variables F of a clique given its separator S, all of which lie in the parent clique. R' R over all rows is
@@ -6,15 +6,46 @@ the information, and its inverse the covariance.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
-import gtsam
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
+
+_WORTHWHILE = 1e10
+"""Multiplications of one clique from which on more threads are worth their waiting."""
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One thread for the BLAS, in the whole process.
+
+    Between two products OpenBLAS's threads go on waiting, and where another program has the second core, each product
+    waits for the helper to get its turn: some 10 ms. On two cores that others use, too, 3,000 images (30 10^9
+    multiplications) take 1 to 2 s with one thread, and 4 to 28 s with two.
+    """
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+def many_threads(operations: float) -> AbstractContextManager[object]:
+    """Within `one_thread`: all processors for so many multiplications, where that is worth it."""
+    if operations < _WORTHWHILE:
+        return nullcontext()
+    limit: AbstractContextManager[object] = _controller().limit(limits=os.cpu_count() or 1, user_api="blas")
+    return limit
+
 
 _ALONE = 1 << 18
 """Multiplications in a product up to which OpenBLAS stays on the calling thread (its interface/gemm.c)."""
@@ -215,56 +246,8 @@ class SquareRoot:
         )
 
 
-def eliminate(linear: gtsam.GaussianFactorGraph, keys: Sequence[int | None], widths: Sequence[int]) -> SquareRoot:
-    """Square root of a linear system, by GTSAM's multifrontal elimination in Colamd's order.
-
-    Parameters
-    ----------
-    linear : GaussianFactorGraph
-        Factors on the adjusted variables alone; single ones may be indefinite, their sum may not.
-    keys : sequence of int or None
-        GTSAM key of each variable; None for a held one.
-    widths : sequence of int
-        Number of columns of each.
-
-    Raises
-    ------
-    RuntimeError
-        "Indeterminate linear system", as GTSAM words it, when the sum is not positive definite.
-    """
-    width = np.array(widths, dtype=np.int64)
-    adjusted = np.array([key is not None for key in keys], dtype=bool)
-    first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
-    variable = {key: v for v, key in enumerate(keys) if key is not None}
-    _require_factors(linear, variable)
-    ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    turn = {variable[ordering.at(k)]: k for k in range(ordering.size())}
-    tree = gtsam.GaussianFactorGraph()
-    tree.push_back(linear.eliminateMultifrontal(ordering))
-    factors = [tree.at(k) for k in range(tree.size())]
-    conditionals = [factor for factor in factors if isinstance(factor, gtsam.GaussianConditional)]
-    keys_of = [conditional.keys() for conditional in conditionals]
-    members = [[variable[key] for key in held] for held in keys_of]
-    rows = [np.hstack([conditional.R(), conditional.S()]) for conditional in conditionals]
-    frontals = [
-        int(np.searchsorted(np.cumsum(width[held]), part.shape[0])) + 1
-        for held, part in zip(members, rows, strict=True)
-    ]
-    # a separator is eliminated after its clique: in the order of their last frontal variables, parents follow children
-    last = [max(turn[v] for v in held[:number]) for held, number in zip(members, frontals, strict=True)]
-    order = np.argsort(last)[::-1].tolist()
-    return SquareRoot(
-        first,
-        width,
-        members=np.array([v for k in order for v in members[k]], dtype=np.int64),
-        sizes=np.array([len(members[k]) for k in order], dtype=np.int64),
-        frontals=np.array([frontals[k] for k in order], dtype=np.int64),
-        rows=np.concatenate([np.zeros(0), *(rows[k].ravel() for k in order)]),
-    )
-
-
 def is_indeterminate(error: RuntimeError) -> bool:
-    """Whether GTSAM, or `eliminate`, calls a system indeterminate: not positive definite, or so it seems to it."""
+    """Whether GTSAM calls a system indeterminate: not positive definite, or so it seems to it."""
     return "Indeterminate" in str(error)
 
 
@@ -284,15 +267,6 @@ def in_cliques(first: Index, width: Index, cliques: Sequence[Sequence[int]], row
     members = np.array([v for clique in cliques for v in clique], dtype=np.int64)
     flat = np.concatenate([np.zeros(0), *(part.ravel() for part in rows)])
     return SquareRoot(first.copy(), width.copy(), members, sizes, sizes.copy(), flat)
-
-
-def _require_factors(linear: gtsam.GaussianFactorGraph, variable: Mapping[int, int]) -> None:
-    """Raise unless there are factors on all of these keys, and on no others."""
-    found = set(linear.keyVector())
-    if foreign := sorted(found - set(variable)):
-        raise ValueError(f"factors on the keys {foreign[:3]}, which belong to no adjusted variable")
-    for key in sorted(set(variable) - found)[:1]:
-        raise RuntimeError(f"Indeterminate linear system: no factor on variable {variable[key]}")
 
 
 def begins(sizes: Index) -> Index:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import sigmas_along

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.leverage import BETWEEN, EFFECT, MISFIT, SHARE
+from mgsgraph.adjustment.graph.bundle import BETWEEN, EFFECT, MISFIT, SHARE
 from mgsgraph.adjustment.linearised import Linearised, PointRows
 from mgsgraph.adjustment.redundancy import INSEPARABLE, pair_tests, residual_covariance, swept
 from mgsgraph.adjustment.residuals import residuals

@@ -26,7 +26,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.square_root import SquareRoot

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.analysis.flight import overhead, point_sigmas, pose_sigmas
 from mgsgraph.analysis.statistics import mean_and_rms

@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import Frames
-from mgsgraph.adjustment.datum.simple import simple_basis
-from mgsgraph.adjustment.datum.words import Part, in_words, parts_of
+from mgsgraph.adjustment.datum import Part, in_words, parts_of, simple_basis
+from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution

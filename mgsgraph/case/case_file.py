@@ -56,6 +56,8 @@ def stated(path: Path) -> CaseInput:
     if "strips" in toml.tables:
         remedy = "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"
         raise InputError(f"{path}, strips", "[[strips]]", "[[passes]] with a prior", remedy)
+    if "method" in toml.tables.get("solver", {}):
+        raise InputError(f"{path}, solver", "method", "no choice: Levenberg and Marquardt's, of our own", "take it out")
     text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
     toml = toml._replace(tables=of_today(toml.tables), text=text)
     return validated(toml, CaseInput, path, "all keys: mgsgraph help case")

@@ -23,8 +23,7 @@ from mgsgraph.files.opening import head_of
 from mgsgraph.files.writing import Output, fresh_file, require_free, writing_to
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.network.finding import found_passes
-from mgsgraph.network.joining import mountings, seconds
+from mgsgraph.network.joining import found_passes, mountings, seconds
 from mgsgraph.text import many, some
 
 _WHY = """

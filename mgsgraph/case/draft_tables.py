@@ -20,7 +20,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.kinds import Kind
-from mgsgraph.files.networks.asp_gcp import read_ground_control
+from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.image import PushbroomImage

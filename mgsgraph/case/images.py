@@ -13,8 +13,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.image_label import instrument_of
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.duplicate_images import require_distinct
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage, require_distinct
 from mgsgraph.geometry.plausibility import require_plausible
 
 

@@ -25,8 +25,7 @@ from mgsgraph.geometry.orientation_images import OrientationImages, evenly_space
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.network import NodePrior, Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
-from mgsgraph.network.finding import found_passes
-from mgsgraph.network.joining import mountings, seconds
+from mgsgraph.network.joining import found_passes, mountings, seconds
 
 _PER_CYCLE = 2.5
 """Nodes a cycle of a vibration, at least: by fewer than two it is seen as another, slower one."""

@@ -26,7 +26,7 @@ from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.labels.image_label import instrument_of
-from mgsgraph.files.networks.asp_gcp import read_ground_control
+from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
@@ -35,8 +35,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
-from mgsgraph.network.posts import TerrainModel
-from mgsgraph.network.range_images import Members
+from mgsgraph.network.footprints import Members
+from mgsgraph.network.terrain import TerrainModel
 from mgsgraph.record import Record
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, Method, SolverSettings
+from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.mountings import MountingInput
 from mgsgraph.case.nodes import Factor, Positive, Sigma
@@ -100,7 +100,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     position_bias_s: float = 0.0
     """Position of time t is the SPK's of t + this."""
     line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
-    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (io.cameras.hrsc_lines)."""
+    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (files.cameras.hrsc)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None
@@ -263,7 +263,6 @@ class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Choices of the solver; see SolverSettings, which has their meaning and their defaults."""
 
     form: Form = _DEFAULTS.form
-    method: Method = _DEFAULTS.method
     line: Line = _DEFAULTS.line
     angles: Angles = _DEFAULTS.angles
     loss: Loss = _DEFAULTS.loss

@@ -89,8 +89,8 @@ def adjust(
     absurd sigma0, orientations beyond 100 a-priori sigmas (results are written); 2 bad input.
     """
     from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.adjustment.cluster.address import parse_cluster
     from mgsgraph.adjustment.cluster.connection import open_cluster
+    from mgsgraph.adjustment.cluster.workers import parse_cluster
     from mgsgraph.analysis.process_strengths import estimated_strengths
     from mgsgraph.analysis.soundness import is_result
     from mgsgraph.case.reading import read_case

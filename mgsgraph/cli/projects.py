@@ -17,8 +17,7 @@ from mgsgraph.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.incremental.closing_check import Closing
-    from mgsgraph.adjustment.incremental.impact import Impact
+    from mgsgraph.adjustment.incremental.impact import Closing, Impact
     from mgsgraph.adjustment.settings import Device
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited

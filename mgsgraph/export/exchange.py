@@ -18,10 +18,17 @@ from mgsgraph.export import Format
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.files.kinds import Kind, kind_of
-from mgsgraph.files.networks.asp_gcp import ground_control_text, read_ground_control_network
 from mgsgraph.files.networks.asp_match import MatchFile, joined, match_files, prefix_of, read_match, read_match_text
 from mgsgraph.files.networks.asp_match import images_of as named_images
-from mgsgraph.files.networks.asp_nvm import half_sizes, nvm_files, offsets_path, read_nvm, read_offsets
+from mgsgraph.files.networks.asp_text import (
+    ground_control_text,
+    half_sizes,
+    nvm_files,
+    offsets_path,
+    read_ground_control_network,
+    read_nvm,
+    read_offsets,
+)
 from mgsgraph.files.networks.binary import binary_network
 from mgsgraph.files.networks.editing import images_of, in_images, thinned, united, used_images
 from mgsgraph.files.networks.network_file import read_network
@@ -29,7 +36,7 @@ from mgsgraph.files.networks.pvl_writing import network_text
 from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, Duplicates
 from mgsgraph.files.networks.table import read_table, table_parquet, table_text
 from mgsgraph.files.writing import Output, begins, fresh_file, require_free
-from mgsgraph.network.links import groups
+from mgsgraph.network.connectivity import groups
 from mgsgraph.record import Record
 from mgsgraph.text import many, some
 
@@ -39,7 +46,6 @@ _ENDINGS = {f".{form}": form for form in Format if form != Format.MATCH_TEXT} | 
 _EDGE = 0.5
 """ISIS's count of an image's first edge; the last one is at its lines and samples and as much."""
 _MATCHES = (Format.MATCH, Format.MATCH_TEXT)
-_ISIS = (Format.PVL, Format.NET)
 _TABLES = (Format.CSV, Format.PARQUET)
 _ELSEWHERE = "name another file; or say --replace"
 

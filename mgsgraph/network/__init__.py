@@ -1,13 +1,12 @@
 """The network of an adjustment, its parts, and how its images are connected."""
 
+from mgsgraph.network.conditioning import Process as Process
 from mgsgraph.network.network import Network as Network
-from mgsgraph.network.node_priors import JointNodePrior as JointNodePrior
 from mgsgraph.network.node_priors import NodePrior as NodePrior
 from mgsgraph.network.node_priors import PassPrior as PassPrior
 from mgsgraph.network.node_priors import PolynomialPrior as PolynomialPrior
 from mgsgraph.network.node_priors import ProcessPrior as ProcessPrior
 from mgsgraph.network.passes import Pass as Pass
-from mgsgraph.network.processes import Process as Process
 from mgsgraph.network.records import HELD as HELD
 from mgsgraph.network.records import TERRAIN as TERRAIN
 from mgsgraph.network.records import GroundPoints as GroundPoints

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +11,75 @@ from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.footprint import Footprint, footprint, gaps, overlaps
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.network.links import bridges_and_cuts, groups, spine
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
+from mgsgraph.text import NAMED, listed, many, some
+from mgsgraph.units import KM
+
+
+def _neighbours(images: int, pairs: Index) -> list[list[tuple[int, int]]]:
+    """For each image the images that a pair joins to it, with the pair's row."""
+    found: list[list[tuple[int, int]]] = [[] for _ in range(images)]
+    for row, (i, j) in enumerate(pairs.tolist()):
+        found[i].append((j, row))
+        found[j].append((i, row))
+    return found
+
+
+def groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
+    """Images that pairs (p, 2) join, largest group first, then by their first image."""
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import connected_components
+
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (images, images))
+    number = connected_components(links, directed=False)[1]
+    found = np.split(np.argsort(number, kind="stable"), np.flatnonzero(np.diff(np.sort(number))) + 1)
+    return sorted(map(tuple, map(np.ndarray.tolist, sorted(found, key=lambda one: one[0]))), key=len, reverse=True)
+
+
+def bridges_and_cuts(images: int, pairs: Index, linked: Mask) -> tuple[Mask, Index]:
+    """Pairs (p,) and images whose loss parts an island: the depth-first search of Hopcroft & Tarjan (1973)."""
+    rows = np.flatnonzero(linked)
+    beside = _neighbours(images, pairs[rows])
+    depth, low, children = [-1] * images, [0] * images, [0] * images
+    bridges, cuts = np.zeros(len(pairs), dtype=bool), set[int]()
+    for root in range(images):
+        if depth[root] >= 0:
+            continue
+        depth[root] = 0
+        path = [(root, -1, iter(beside[root]))]
+        while path:
+            image, through, others = path[-1]
+            for other, row in others:
+                if depth[other] < 0:
+                    depth[other] = low[other] = len(path)
+                    children[image] += 1
+                    path.append((other, row, iter(beside[other])))
+                    break
+                if row != through:
+                    low[image] = min(low[image], depth[other])
+            else:
+                path.pop()
+                if path:
+                    parent = path[-1][0]
+                    low[parent] = min(low[parent], low[image])
+                    bridges[rows[through]] = low[image] > depth[parent]
+                    if low[image] >= depth[parent] and parent != root:
+                        cuts.add(parent)
+        if children[root] > 1:
+            cuts.add(root)
+    return bridges, np.array(sorted(cuts), dtype=np.int64)
+
+
+def spine(images: int, pairs: Index, points: Index) -> Index:
+    """Rows of the maximum spanning tree of each island by common points, weakest first."""
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
+    rows = np.argsort(-points, kind="stable")
+    rows = rows[points[rows] > 0]
+    ranks = coo_array((np.arange(1.0, rows.size + 1.0), tuple(pairs[rows].T)), (images, images))
+    return rows[np.sort(minimum_spanning_tree(ranks).data).astype(np.int64)[::-1] - 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,20 +232,6 @@ def network_footprints(
     return tuple(found)
 
 
-def common_points(network: Network, used: Mask | None = None) -> Index:
-    """(images, images) number of points seen by both; on the diagonal, seen by the image. `used` as above."""
-    pairs, shared = _common_by_class(network, used)
-    common = np.zeros((len(network.images),) * 2, dtype=np.int64)
-    common[tuple(pairs.T)] = shared.sum(axis=1)
-    return np.asarray(common + np.triu(common, 1).T)
-
-
-def islands(network: Network, used: Mask | None = None) -> list[list[int]]:
-    """Groups of images that are connected by common points, largest first; more than one means a broken block."""
-    pairs = _common_by_class(network, used)[0]
-    return [list(group) for group in groups(len(network.images), pairs[pairs[:, 0] < pairs[:, 1]])]
-
-
 def _common_by_class(network: Network, used: Mask | None) -> tuple[Index, Index]:
     """(p, 2) pairs of images that see common points, the smaller number first, and each image with itself; and (p,
     classes) how many of each class.
@@ -204,3 +257,131 @@ def _common_by_class(network: Network, used: Mask | None) -> tuple[Index, Index]
     common = np.zeros((pairs.size, classes), dtype=np.int64)
     np.add.at(common, (row, every % classes), np.concatenate(counts))
     return np.stack(np.divmod(pairs, m), axis=1), common
+
+
+WEAKEST = 5
+"""Joints named as the weakest."""
+SLIVER = 0.02
+"""Share of the smaller footprint below which an overlap is not worth ties."""
+
+
+def connectivity_json(connected: Connectivity) -> dict[str, Any]:
+    """What the block can't do without, and where it could be tied, as plain values; the pairs are in the table."""
+    names = connected.names
+    return {
+        "links": int(connected.links.size),
+        "weakest_joints": [_pair(connected, row) for row in connected.spine[:WEAKEST].tolist()],
+        "bridges": [_pair(connected, row) for row in np.flatnonzero(connected.bridges).tolist()],
+        "cut_images": [names[j] for j in connected.cut_images],
+        "unconnected_images": [names[j] for j in connected.unconnected] if len(names) > 1 else [],
+        "overlaps_without_common_points": [_pair(connected, row) for row in worth_tying(connected).tolist()],
+        "common_points_without_overlap": [_pair(connected, row) for row in connected.apart.tolist()],
+    }
+
+
+def _pair(connected: Connectivity, row: int) -> dict[str, Any]:
+    i, j = connected.pairs[row].tolist()
+    return {
+        "images": [connected.names[i], connected.names[j]],
+        "common_points": int(connected.points[row]),
+        "overlap_km2": float(connected.areas[row]) / KM**2,
+        "overlap_share": float(connected.shares[row]),
+        "gap_km": float(connected.gaps[row]) / KM,
+    }
+
+
+def worth_tying(connected: Connectivity) -> Index:
+    """Rows of pairs that share no points but ground, slivers left out; largest area first."""
+    return connected.untied[connected.shares[connected.untied] >= SLIVER]
+
+
+def connectivity_statements(connected: Connectivity) -> list[str]:
+    """Sentences: how many links, the weakest one, islands, overlaps without ties, ties without overlap."""
+    if len(connected.names) < 2:
+        return []
+    return [*link_statement(connected), *connectivity_warnings(connected)]
+
+
+def connectivity_warnings(connected: Connectivity) -> list[str]:
+    """Sentences about islands, and pairs of images whose points and footprints disagree."""
+    said, names = list[str](), connected.names
+    if len(connected.islands) > 1:
+        parts = [f"({some([names[j] for j in one[:NAMED]], len(one))})" for one in connected.islands[:NAMED]]
+        said.append(
+            f"The block is split into {len(connected.islands)} parts without common points: "
+            f"{some(parts, len(connected.islands))}. Measure tie points between them."
+        )
+    if (rows := worth_tying(connected)).size:
+        overlap = [_overlap(connected, row).replace(" and overlap", "") for row in rows[:NAMED]]
+        verb = "overlaps" if rows.size == 1 else "overlap"
+        said.append(
+            f"{many(rows.size, 'pair')} of images {verb} without any common point: "
+            f"{_named(connected, rows, overlap)}. Measure ties there."
+        )
+    if (rows := connected.apart).size:
+        gaps_of = [
+            f" ({many(int(connected.points[row]), 'point')}, {connected.gaps[row] / KM:.3g} km apart)"
+            for row in rows[:NAMED]
+        ]
+        said.append(
+            f"{many(rows.size, 'pair')} of images {'has' if rows.size == 1 else 'have'} common points, but separate "
+            f"footprints: {_named(connected, rows, gaps_of)}. Check these points and the orientation."
+        )
+    return said
+
+
+def weakest_joints(connected: Connectivity) -> list[str]:
+    """The weakest links: two parts of the block that have no stronger one, one phrase each."""
+    return [_weak(connected, row) for row in connected.spine[:WEAKEST].tolist()]
+
+
+def link_statement(connected: Connectivity) -> list[str]:
+    """A sentence about all links and the weakest joint; none without links."""
+    points, links = connected.points, connected.links
+    if links.size == 0:
+        return []
+    if links.size == 1:
+        row = int(links[0])
+        return [f"{_both(connected, row)} have {many(int(points[row]), 'point')} in common{_overlap(connected, row)}."]
+    whole = "the block" if len(connected.islands) == 1 else "an island"
+    row = int(connected.spine[0])
+    return [
+        f"{len(connected.names)} images are connected by {links.size} links of {points[links].min()} to "
+        f"{points[links].max()} common points (median {np.median(points[links]):.0f}). Every split of {whole} is "
+        f"bridged by at least {many(int(points[row]), 'point')}; weakest link: {_weak(connected, row)}."
+    ]
+
+
+def _weak(connected: Connectivity, row: int) -> str:
+    text = f"{_both(connected, row)}, {many(int(connected.points[row]), 'point')}"
+    lost = connected.cut_off(row)
+    if not lost or len(connected.names) == 2:
+        return text
+    whose = connected.names[lost[0]] if len(lost) == 1 else f"{len(lost)} images"
+    return f"{text}, the only link of {whose} to the rest"
+
+
+def _both(connected: Connectivity, row: int) -> str:
+    return " and ".join(connected.names[j] for j in connected.pairs[row])
+
+
+def _named(connected: Connectivity, rows: Index, said: Sequence[str]) -> str:
+    """The first pairs of images, each with what is said of it."""
+    named = "; ".join(f"{_both(connected, row)}{more}" for row, more in zip(rows.tolist(), said, strict=False))
+    return named + (f" and {rows.size - NAMED} more" if rows.size > NAMED else "")
+
+
+def _overlap(connected: Connectivity, row: int) -> str:
+    area, share = float(connected.areas[row]) / KM**2, float(connected.shares[row])
+    return f" and overlap by {area:.4g} km^2, {100.0 * share:.0f} % of the smaller one" if area > 0.0 else ""
+
+
+def cut_image_statement(connected: Connectivity) -> list[str]:
+    """A sentence about images without which the block falls apart, where there are any."""
+    cuts = connected.cut_images
+    if cuts.size == 0:
+        return []
+    names = [connected.names[j] for j in cuts[:NAMED]]
+    if cuts.size <= NAMED:
+        return [f"the block falls apart without {listed(names) if len(names) < 3 else 'any of ' + ', '.join(names)}"]
+    return [f"the block falls apart without any of {cuts.size} images: {some(names, cuts.size)}"]

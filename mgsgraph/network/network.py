@@ -15,7 +15,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import number_of
-from mgsgraph.network.crossovers import Crossovers
+from mgsgraph.network.control import Crossovers, StereoControl
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
     TERRAIN,
@@ -28,7 +28,6 @@ from mgsgraph.network.records import (
     Surface,
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
-from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.record import Record, card
 from mgsgraph.text import some
 

@@ -24,15 +24,52 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index, assign, frozen
-from mgsgraph.network.conditioning import Conditionals, conditionals, variances
-from mgsgraph.network.processes import Process
-from mgsgraph.network.trend import BiasAndDrift
+from mgsgraph.network.conditioning import Conditionals, Process, conditionals, variances
 from mgsgraph.record import Record
+
+
+class BiasAndDrift(Record):
+    """The trend of a prior that has sigmas of a bias and of a drift, as unknowns: those with a sigma above zero."""
+
+    __slots__ = ()
+    bias: Array
+    """(6,) m and rad, sigma of the constant part; 0 where there is none."""
+    drift: Array
+    """(6,) m and rad, sigma of the linear part, at the ends of the pass; 0 where there is none."""
+
+    @property
+    def trend_sigmas(self) -> Array:
+        """(w,) of the trend's unknowns: the components with a bias, then those with a drift."""
+        return np.concatenate([self.bias[self.bias > 0.0], self.drift[self.drift > 0.0]])
+
+    @property
+    def trend_components(self) -> Index:
+        """(w,) component of each of them."""
+        return np.concatenate([np.flatnonzero(self.bias > 0.0), np.flatnonzero(self.drift > 0.0)])
+
+    @property
+    def trend_names(self) -> tuple[str, ...]:
+        """What each of them is: a bias or a drift."""
+        return ("bias",) * int(np.count_nonzero(self.bias)) + ("drift",) * int(np.count_nonzero(self.drift))
+
+    def trend(self, s: Array) -> Array:
+        """(n, 6, w) what the trend's unknowns do to nodes at s (n,) in [-1, 1]."""
+        result = np.zeros((s.size, 6, self.trend_sigmas.size))
+        column = np.arange(self.trend_sigmas.size)
+        biases = int(np.count_nonzero(self.bias))
+        result[:, self.trend_components, column] = np.where(column < biases, 1.0, s[:, None])
+        return result
+
+    def scaled_trend(self, factors: Array) -> tuple[Array, Array]:
+        """(6,) sigmas of the bias, and (6,) of the drift, those of the trend's unknowns times factors (w,)."""
+        of_bias, of_drift = np.ones(6), np.ones(6)
+        biases = int(np.count_nonzero(self.bias))
+        of_bias[self.bias > 0.0], of_drift[self.drift > 0.0] = factors[:biases], factors[biases:]
+        return self.bias * of_bias, self.drift * of_drift
+
 
 _LONGEST = 1e9
 """s: departures that take longer to forget themselves can't be told from a bias."""
-_UNKNOWN = 1e5
-"""m of a position for a rad of a rotation, where nothing else says what counts for more."""
 _HELD = 1e-4
 """Share of a component's largest sigma to which polynomial terms above the degree are held; less would cost the
 covariances their digits."""
@@ -120,62 +157,10 @@ class NodePrior(BiasAndDrift):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointNodePrior(Record):
-    """Any Gaussian prior about zero on all components of all nodes at once; dense, so for passes of few nodes."""
-
-    root: Array
-    """(r, 6 k) whitened rows on the nodes, one after another."""
-    trend_sigmas: Array
-    """(0,) it knows no trend."""
-
-    def __post_init__(self) -> None:
-        root = frozen(self.root, "joint node prior", (None, None))
-        if root.shape[1] % 6 or not root.size:
-            raise InputError("joint node prior", f"shape {root.shape}", "(rows, 6 nodes)")
-        assign(self, root=root, trend_sigmas=frozen(self.trend_sigmas, "joint node prior, trend", (0,)))
-
-    @property
-    def trend_components(self) -> Index:
-        """(0,) no trend, no components."""
-        return np.zeros(0, dtype=np.int64)
-
-    @property
-    def trend_names(self) -> tuple[str, ...]:
-        """(0,) no trend, no names."""
-        return ()
-
-    def node_sigmas(self, s: Array) -> Array:
-        """(n, 6) a-priori sigma of the n nodes; infinite where their joint prior has no inverse."""
-        information = self.root.T @ self.root
-        try:
-            variances = np.diagonal(np.linalg.solve(information, np.eye(information.shape[0])))
-        except np.linalg.LinAlgError:
-            variances = np.full(information.shape[0], np.inf)
-        return np.sqrt(np.where(variances > 0.0, variances, np.inf)).reshape(s.size, 6)
-
-    def own_sigmas(self, nodes: OrientationImages) -> Array:
-        """(k, 6) a-priori sigma of each of some nodes, with the trend's."""
-        return self.node_sigmas(normalised(nodes))
-
-    def scaled(self, nodes: Array, trend: Array) -> "JointNodePrior":
-        """With the sigmas of nodes times factors (6,), by component."""
-        return JointNodePrior(self.root / np.tile(nodes, self.root.shape[1] // 6), self.trend_sigmas)
-
-    def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
-        """All rows on all nodes."""
-        if self.root.shape[1] != 6 * len(nodes):
-            raise InputError("joint node prior", f"{self.root.shape[1]} columns", f"six for each of {len(nodes)} nodes")
-        sigmas = self.node_sigmas(normalised(nodes)).ravel()
-        unknown = np.tile([_UNKNOWN] * 3 + [1.0] * 3, len(nodes))
-        counts = np.abs(self.root) * np.where(np.isfinite(sigmas), sigmas, unknown)
-        largest = counts.argmax(axis=1)
-        about = np.stack(np.divmod(largest, 6), axis=1)
-        yield LinearFactor(tuple(range(len(nodes))), tuple(np.split(self.root, len(nodes), axis=1)), about)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PolynomialPrior(Record):
-    """Corrections are polynomials of s = -1 .. 1 over the pass: sum_j a_j s^j; on four nodes of Lagrange's basis."""
+class PolynomialPrior(BiasAndDrift):
+    """Corrections are polynomials of s = -1 .. 1 over the pass, sum_j a_j s^j, without a trend; on four nodes of
+    Lagrange's basis.
+    """
 
     position_sigmas: Array
     """(dp + 1, 3) m, of the coefficients of s^0 .. s^dp along X, Y, Z; dp <= 3; infinite where nothing is known, 0 for
@@ -210,19 +195,11 @@ class PolynomialPrior(Record):
         return np.where(found > 0.0, found, held)
 
     @property
-    def trend_sigmas(self) -> Array:
-        """(0,) there is no trend beside the polynomials."""
-        return np.zeros(0)
+    def bias(self) -> Array:  # type: ignore[override]
+        """(6,) none."""
+        return np.zeros(6)
 
-    @property
-    def trend_components(self) -> Index:
-        """(0,) no trend, no components."""
-        return np.zeros(0, dtype=np.int64)
-
-    @property
-    def trend_names(self) -> tuple[str, ...]:
-        """(0,) no trend, no names."""
-        return ()
+    drift = bias
 
     def node_sigmas(self, s: Array) -> Array:
         """(n, 6) a-priori sigma of nodes at s (n,)."""
@@ -364,7 +341,7 @@ class ProcessPrior(BiasAndDrift):
             yield LinearFactor((count,), (np.diag(1.0 / self.trend_sigmas),), about)
 
 
-PassPrior = NodePrior | JointNodePrior | PolynomialPrior | ProcessPrior
+PassPrior = NodePrior | PolynomialPrior | ProcessPrior
 """What may be known of a pass beforehand."""
 
 

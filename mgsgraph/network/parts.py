@@ -14,11 +14,11 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Index, Mask, chosen_rows, concatenated
 from mgsgraph.names import Names
+from mgsgraph.network.control import joined_control
 from mgsgraph.network.definitions import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
-from mgsgraph.network.stereo_control import joined_control
 from mgsgraph.record import Record
 
 

@@ -160,14 +160,12 @@ def require_observed_nodes(network: Network, taken: Mask | None = None) -> None:
     Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. And nodes before
     the first rays and after the last ones need none: there a pass follows its prior. `taken` as there, below.
     """
-    for k in range(len(network.passes)):
-        rays = useful_rays(network, k, taken)
-        found = support_of(network.passes[k].nodes, rays)
-        if found.gaps.size:
-            raise unsupported(found, rays, found.gaps)
+    require_supported(network, taken=taken, between=True)
 
 
-def require_supported(network: Network, least: int = LEAST, taken: Mask | None = None) -> None:
+def require_supported(
+    network: Network, least: int = LEAST, taken: Mask | None = None, between: bool = False
+) -> None:
     """Raise InputError, naming the weak nodes, unless rays observe every node of every pass.
 
     Parameters
@@ -177,12 +175,15 @@ def require_supported(network: Network, least: int = LEAST, taken: Mask | None =
         Rays that each node should have near it; see `Support`.
     taken : (rays,), optional
         Those that take part; when absent all that are not marked as blunders.
+    between : bool
+        Whether nodes between others alone count, with rays of however many lines (`Support.gaps`).
     """
     for k in range(len(network.passes)):
         rays = useful_rays(network, k, taken)
         found = support_of(network.passes[k].nodes, rays, least)
-        if np.any(found.weak):
-            raise unsupported(found, rays, np.flatnonzero(found.weak))
+        weak = found.gaps if between else np.flatnonzero(found.weak)
+        if weak.size:
+            raise unsupported(found, rays, weak)
 
 
 def unsupported(found: Support, rays: PassRays, weak: Index) -> InputError:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.covariances import orientation_covariance
-from mgsgraph.adjustment.datum.datum import require_strength
+from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.incremental.shared import shared_of
+from mgsgraph.adjustment.incremental.state import shared_of
 from mgsgraph.adjustment.incremental.trajectories import with_expected
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.predicted_lines import exactly

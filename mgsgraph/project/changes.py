@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.closing_check import Closing
-from mgsgraph.adjustment.incremental.impact import Impact
+from mgsgraph.adjustment.incremental.impact import Closing, Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import Bundle, require_one_body, with_addition, without
 from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of

@@ -94,7 +94,9 @@ def settings_to_json(settings: ProjectSettings) -> str:
 def settings_from_json(text: str, where: str) -> ProjectSettings:
     """The settings that the text holds."""
     try:
-        return msgspec.convert(msgspec.json.decode(text), ProjectSettings, strict=False)
+        found = msgspec.json.decode(text)
+        found.get("solver", {}).pop("method", None)  # of version 0.3, which let one choose
+        return msgspec.convert(found, ProjectSettings, strict=False)
     except msgspec.MsgspecError as error:
         raise InputError(f"{where}, settings", str(error), remedy="open it with the mgsgraph that wrote it") from None
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.files.opening import understood
 from mgsgraph.network import PointClass
-from mgsgraph.network.links import groups
+from mgsgraph.network.connectivity import groups
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
 from mgsgraph.project.journal import all_set_aside
 from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow

@@ -13,7 +13,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
-from mgsgraph.network.stereo_control import StereoControl
+from mgsgraph.network.control import StereoControl
 from mgsgraph.project.columns import HEIGHTS, Cells, Run, index_among, rows_of
 from mgsgraph.results.archive_arrays import pack, unpack
 

@@ -31,9 +31,8 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import TERRAIN, Network, PointClass
-from mgsgraph.network.crossovers import Crossovers, crossovers
-from mgsgraph.network.posts import with_posts
-from mgsgraph.network.stereo_control import StereoControl
+from mgsgraph.network.control import Crossovers, StereoControl, crossovers
+from mgsgraph.network.terrain import with_posts
 from mgsgraph.progress import Progress, no_progress
 from mgsgraph.registration.minima import shots_alike
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings

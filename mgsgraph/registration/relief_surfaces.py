@@ -18,7 +18,7 @@ from mgsgraph.geometry.stereo_surface import LEAST_SHARE, StereoSurface, average
 from mgsgraph.matching.scene import Scene
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import points_in_images
-from mgsgraph.network.posts import Posts, TerrainModel, posts_of
+from mgsgraph.network.terrain import Posts, TerrainModel, posts_of
 from mgsgraph.progress import Progress
 from mgsgraph.registration.dem.scene import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.registration.relief_records import ReliefSettings

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.analysis.estimates import (
     Difference,
     Estimate,

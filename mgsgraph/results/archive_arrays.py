@@ -10,7 +10,6 @@ import math
 import re
 import types
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
@@ -24,15 +23,13 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import json_object, understood
 from mgsgraph.geometry.distortion import MODELS, Distortion
-from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import ExteriorOrientation
-from mgsgraph.geometry.packed_surface import PackedSurface, packed
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
-from mgsgraph.geometry.stereo_surface import StereoSurface
-from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
+from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory
 from mgsgraph.names import Names
-from mgsgraph.network import JointNodePrior, NodePrior, PolynomialPrior, ProcessPrior
+from mgsgraph.network import NodePrior, PolynomialPrior, ProcessPrior
 
 Arrays = dict[str, NDArray[Any]]
 """Arrays by the path of fields that leads to them."""
@@ -47,7 +44,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
 }
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
-_KIND_NAMES |= {one.__name__ for one in (NodePrior, JointNodePrior, PolynomialPrior, ProcessPrior, PackedSurface)}
+_KIND_NAMES |= {one.__name__ for one in (NodePrior, PolynomialPrior, ProcessPrior, PackedSurface)}
 _NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
 _ANEW = "write it anew with the program that made it"
 _HEADER = re.compile(
@@ -129,32 +126,12 @@ def read_members(file: BinaryIO, wanted: Callable[[str], bool] = lambda _: True)
     size = file.seek(0, io.SEEK_END)
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-    whole = sum(member.file_size for member in members)
-    if whole > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        found = f"members of {whole / 1e6:.1f} MB in a file of {size / 1e6:.1f} MB, or packed ones"
-        raise InputError(members[0].filename, found, "arrays as NumPy's savez writes them", _ANEW)
-    arrays = dict[str, NDArray[Any]]()
-    for member in members:
-        name = member.filename.removesuffix(".npy")
-        if wanted(name):
-            arrays[name] = _from_npy(_stored(file, member, name), name)
-    return arrays
-
-
-def _stored(file: BinaryIO, member: zipfile.ZipInfo, name: str) -> bytes:
-    """The bytes of a member that is not packed (PKWARE's APPNOTE 4.3.7); the library makes a file of each, which takes
-    its time where there are thousands.
-    """
-    file.seek(member.header_offset)
-    head = file.read(30)
-    if len(head) < 30 or not head.startswith(b"PK\x03\x04"):
-        raise InputError(name, "no member where the archive's list says", remedy=_ANEW)
-    name_size, extra_size = int.from_bytes(head[26:28], "little"), int.from_bytes(head[28:30], "little")
-    file.seek(name_size + extra_size, io.SEEK_CUR)
-    content = file.read(member.file_size)
-    if len(content) != member.file_size or zlib.crc32(content) != member.CRC:
-        raise InputError(name, "a wrong checksum, or cut short", remedy=_ANEW)
-    return content
+        whole = sum(member.file_size for member in members)
+        if whole > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+            found = f"members of {whole / 1e6:.1f} MB in a file of {size / 1e6:.1f} MB, or packed ones"
+            raise InputError(members[0].filename, found, "arrays as NumPy's savez writes them", _ANEW)
+        names = [(member, member.filename.removesuffix(".npy")) for member in members]
+        return {name: _from_npy(archive.read(member), name) for member, name in names if wanted(name)}
 
 
 def _from_npy(content: bytes, name: str) -> NDArray[Any]:
@@ -264,7 +241,7 @@ def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Ar
 
 def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any:
     hints = _field_types(kind)
-    for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
+    for name in sorted(set(value) - set(hints) - {"kind", "method"})[:1]:  # the solver had a choice of methods
         raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
     # a field that the writer didn't know yet takes its default; one that has none fails there
     parts = {name: from_arrays(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}

@@ -10,7 +10,7 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import JointNodePrior, Network, NodePrior
+from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.node_priors import normalised
 from mgsgraph.record import Record
 
@@ -38,7 +38,7 @@ class Jitter(Record):
         return 3 + get_args(Axis).index(self.axis)
 
 
-def drawn_nodes(prior: NodePrior | JointNodePrior, nodes: OrientationImages, rng: np.random.Generator) -> Array:
+def drawn_nodes(prior: NodePrior, nodes: OrientationImages, rng: np.random.Generator) -> Array:
     """Coefficients (k, 6) of nodes, m and rad, drawn from their prior.
 
     Raises
@@ -46,8 +46,6 @@ def drawn_nodes(prior: NodePrior | JointNodePrior, nodes: OrientationImages, rng
     InputError
         Where the prior leaves a direction of them without finite sigma.
     """
-    if isinstance(prior, JointNodePrior):
-        return _of_joint_prior(prior, nodes, rng)
     if not np.all(np.isfinite(prior.sigmas)):
         raise InputError("node prior", "an infinite sigma", "finite ones, to draw from")
     bias, drift = rng.standard_normal((2, 6)) * [prior.bias, prior.drift]
@@ -57,14 +55,6 @@ def drawn_nodes(prior: NodePrior | JointNodePrior, nodes: OrientationImages, rng
         for k, share in enumerate(memory, start=1):
             departures[k] = share * departures[k - 1] + np.sqrt(1.0 - share**2) * departures[k]
     return np.asarray(bias + drift * normalised(nodes)[:, None] + prior.sigmas * departures)
-
-
-def _of_joint_prior(prior: JointNodePrior, nodes: OrientationImages, rng: np.random.Generator) -> Array:
-    size = 6 * len(nodes)
-    if prior.root.shape[1] != size or np.linalg.matrix_rank(prior.root) < size:
-        raise InputError("joint node prior", "directions of the nodes of which it says nothing", "all, to draw from")
-    triangle = np.linalg.qr(prior.root, mode="r")
-    return np.asarray(np.linalg.solve(triangle, rng.standard_normal(size)).reshape(-1, 6))
 
 
 def strip_correction(nodes: OrientationImages, values: Array, angles: Angles = "camera") -> OrientationCorrection:
@@ -78,7 +68,7 @@ def correction_at(correction: OrientationCorrection, times: Array, epoch: float)
 
 
 def true_correction(
-    prior: NodePrior | JointNodePrior,
+    prior: NodePrior,
     nodes: OrientationImages,
     true_spacing: float | None,
     jitter: Jitter | None,

@@ -17,9 +17,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.adjustment.cluster import connection, workers
-from mgsgraph.adjustment.cluster.address import cores, parse_cluster, threads_of_each
+from mgsgraph.adjustment.cluster import connection
 from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
+from mgsgraph.adjustment.cluster.workers import cores, parse_cluster, require_visible_file, threads_of_each
 from mgsgraph.errors import InputError, SolverError
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
@@ -147,7 +147,7 @@ def test_files_that_workers_see_and_do_not(two: Connection, tmp_path: Path) -> N
     two.require_visible_file(path)
     for answer in ("No such file or directory", "0" * 64):
         with pytest.raises(InputError, match=r"worker tcp://far: it does not see .*record"):
-            workers.require_visible_file(_Far(answer), path, "--cluster tcp://far", 0.0)
+            require_visible_file(_Far(answer), path, "--cluster tcp://far", 0.0)
 
 
 class _Far:

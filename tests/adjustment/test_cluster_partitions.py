@@ -18,20 +18,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.adjustment import cluster
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.cluster import connection, worker_sweeps
+from mgsgraph.adjustment.cluster import connection, partitions
 from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
-from mgsgraph.adjustment.cluster.partitions import Partitions
-from mgsgraph.adjustment.cluster.worker_sweeps import CHANGING, FOLLOW, Answer, Order
-from mgsgraph.adjustment.cluster.workers import Worker
+from mgsgraph.adjustment.cluster.partitions import Answer, Order, Partitions
+from mgsgraph.adjustment.cluster.workers import Worker, require_memory
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.kernel import reduction
-from mgsgraph.kernel.sweep import COSTS, DESIGN, GRADIENT, SYSTEM
+from mgsgraph.kernel.sweep import DESIGN
 from mgsgraph.network import Network
 
 TIES = 2100
@@ -175,9 +173,9 @@ def _doing() -> Callable[[tuple[str, Any]], Any]:
 
 def test_points_are_let_go_at_the_end(two: Connection) -> None:
     def kept() -> int:
-        from mgsgraph.adjustment.cluster import worker_sweeps
+        from mgsgraph.adjustment.cluster import partitions
 
-        return len(worker_sweeps._partitions)
+        return len(partitions._held)
 
     adjust_network(network(pair()), SolverSettings(), cluster=two)
     assert set(two.client.run(kept).values()) == {0}
@@ -201,7 +199,7 @@ class _Village:
         return tuple(Worker(address, "here", 1, 1, self._limit) for address in self.memories)
 
     def require_memory(self, needed: float, what: str, remedy: str) -> None:
-        connection.require_memory(self.workers, needed, what, self.where, remedy)
+        require_memory(self.workers, needed, what, self.where, remedy)
 
     def until_workers_return(self) -> Iterator[frozenset[str]]:
         for _ in range(3):
@@ -222,10 +220,10 @@ class _Village:
             if address in dying:
                 yield number, None
                 continue
-            worker_sweeps._partitions.clear()
-            worker_sweeps._partitions.update(self.memories[address])
+            partitions._held.clear()
+            partitions._held.update(self.memories[address])
             yield number, function(order)
-            self.memories[address] = dict(worker_sweeps._partitions)
+            self.memories[address] = dict(partitions._held)
         for address in sorted(set(dying) & set(self.memories)):
             del self.memories[address]
             self.memories[f"w{self._born}"] = {}
@@ -253,7 +251,7 @@ def _alone(how: SolverSettings) -> Solution:
     return _known[how]
 
 
-def test_constants_go_out_once_and_iterations_carry_the_orientation_alone() -> None:
+def test_rows_go_out_once_and_constants_when_they_are_laid_out_anew() -> None:
     village, inside = _Village(2), [0]
 
     def begin(_: object) -> None:
@@ -263,14 +261,11 @@ def test_constants_go_out_once_and_iterations_carry_the_orientation_alone() -> N
     assert solution.history[0].accepted
     sent = Counter(order.token for order in village.orders if order.source is not None)
     assert set(sent.values()) == {1}
-    assert len(sent) == 2  # each partition once: its rays are laid out anew where it is
-    assert any(order.task == FOLLOW for order in village.orders)
-    assert {name for order in village.orders for name in order.changes} == set(CHANGING)
+    assert len(sent) == 2  # each partition once
+    assert {name for order in village.orders for name in order.changes} == {"kind", "weight", "data"}
     for order in village.orders[inside[1] : inside[2]]:  # between two iterations
-        assert order.task in (SYSTEM, GRADIENT, COSTS)
-        assert order.points is None
+        assert order.function is reduction.reduce
         assert not order.changes
-        assert order.after is not None  # where the last sweep ended
 
 
 def test_the_load_is_spread_again_when_a_worker_returns(layout: Layout) -> None:
@@ -322,7 +317,7 @@ def at_hand(two: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
         assert where == "local:2"
         yield two
 
-    monkeypatch.setattr(cluster, "open_cluster", reached)
+    monkeypatch.setattr(connection, "open_cluster", reached)
 
 
 @pytest.mark.usefixtures("at_hand")

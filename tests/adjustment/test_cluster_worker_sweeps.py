@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.adjustment.cluster import worker_sweeps
-from mgsgraph.adjustment.cluster.partitions import blocks_of_partition
-from mgsgraph.adjustment.cluster.worker_sweeps import NOT_HELD, PLACES, Order, Source, carry_out
+from mgsgraph.adjustment.cluster import partitions
+from mgsgraph.adjustment.cluster.partitions import Order, Source, blocks_of_partition, carry_out
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
 from mgsgraph.adjustment.settings import SolverSettings
@@ -88,58 +87,48 @@ def test_blocks_of_some_groups_keep_their_places(data: st.DataObject) -> None:
 
 @pytest.fixture
 def source(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> Source:
-    monkeypatch.setattr(worker_sweeps, "_partitions", {})
-    return Source(layout.rows, layout.groups, layout.blocks.target, layout.model)
+    monkeypatch.setattr(partitions, "_held", {})
+    return Source(layout.rows, layout.groups, layout.blocks.target)
+
+
+def order(layout: Layout, token: str, task: int, source: Source | None = None, **changes: np.ndarray) -> Order:
+    return Order(token, reduce, (np.zeros(layout.columns), task), layout.model, source, changes)
 
 
 def test_what_is_not_held_is_answered_with_nothing(source: Source, layout: Layout) -> None:
-    x = np.zeros(layout.columns)
-    assert carry_out(Order("a", SYSTEM, x)) == NOT_HELD
-    assert carry_out(Order("a", SYSTEM, x, source)) != NOT_HELD
-    assert carry_out(Order("a", SYSTEM, x)) != NOT_HELD
-    worker_sweeps.forget(["a"])
-    assert carry_out(Order("a", SYSTEM, x)) == NOT_HELD
-
-
-def test_places_of_sweeps_that_are_still_wanted(source: Source, layout: Layout) -> None:
-    x = np.zeros(layout.columns)
-    carry_out(Order("a", SYSTEM, x, source, number=1))
-    carry_out(Order("a", COSTS, x, number=2, after=1, kept=frozenset({1})))
-    assert set(worker_sweeps._partitions["a"].ends) == {1, 2}
-    carry_out(Order("a", COSTS, x, number=3, after=2, kept=frozenset({2})))
-    assert set(worker_sweeps._partitions["a"].ends) == {2, 3}
-    lost, states = carry_out(Order("a", PLACES, x, number=1))  # made again
-    np.testing.assert_allclose(lost, reduce(*source.system, x).points, atol=1e-6)
-    assert states is not None
+    assert carry_out(order(layout, "a", SYSTEM)) == ()
+    assert carry_out(order(layout, "a", SYSTEM, source)) != ()
+    assert carry_out(order(layout, "a", SYSTEM)) != ()
+    partitions.forget(["a"])
+    assert carry_out(order(layout, "a", SYSTEM)) == ()
 
 
 def test_what_an_order_says_is_new_holds_for_those_that_follow(source: Source, layout: Layout) -> None:
     x, weight = np.zeros(layout.columns), 0.5 * source.rows.weight
-    carry_out(Order("a", COSTS, x, source))
-    expected = reduce(source.rows._replace(weight=weight), *source.system[1:], x, COSTS).cost
+    carry_out(order(layout, "a", COSTS, source))
+    rows = source.rows._replace(weight=weight)
+    expected = reduce(rows, *source[1:], layout.model, x, COSTS).cost
     for changes in ({"weight": weight}, {}):
-        costs = carry_out(Order("a", COSTS, x, changes=changes))[0]
-        assert costs is not None
-        assert costs.sum() == pytest.approx(expected, rel=1e-9)
+        (found,) = carry_out(order(layout, "a", COSTS, **changes))
+        assert found.cost == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_nobody_asks_for_makes_room(source: Source, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
-    x = np.zeros(layout.columns)
-    carry_out(Order("a", COSTS, x, source))
-    monkeypatch.setattr(worker_sweeps, "_KEPT", -1.0)
-    carry_out(Order("b", COSTS, x, source))
-    assert set(worker_sweeps._partitions) == {"b"}
+    carry_out(order(layout, "a", COSTS, source))
+    monkeypatch.setattr(partitions, "_KEPT", -1.0)
+    carry_out(order(layout, "b", COSTS, source))
+    assert set(partitions._held) == {"b"}
 
 
 def test_what_comes_over_the_wire_is_what_the_kernel_was_compiled_for(source: Source, layout: Layout) -> None:
     """A read-only array would be another type to numba: a minute of compiling on every worker."""
-    x = np.zeros(layout.columns)
-    for values in (x, *(one for one in source.rows if isinstance(one, np.ndarray))):
+    given = order(layout, "a", SYSTEM, source)
+    for values in (given.arguments[0], *(one for one in source.rows if isinstance(one, np.ndarray))):
         values.flags.writeable = False
     try:
-        assert carry_out(Order("a", SYSTEM, x, source)) != NOT_HELD
+        assert carry_out(given) != ()
         assert len(sweep.sweep.signatures) == 1
-        assert all(one.flags.writeable for one in worker_sweeps._partitions["a"].source.rows)
+        assert all(one.flags.writeable for one in partitions._held["a"][1].rows)
     finally:
         for values in source.rows:
             values.flags.writeable = values.base is None

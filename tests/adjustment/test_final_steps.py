@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mgsgraph.adjustment.batch import Iteration, Outcome
-from mgsgraph.adjustment.final_steps import settled, settled_minimum
+from mgsgraph.adjustment.batch import Iteration, Outcome, settled, settled_minimum
 from mgsgraph.adjustment.settings import SolverSettings
 
 

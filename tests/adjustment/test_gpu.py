@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 from sharing import with_all_kinds
 
+from mgsgraph.adjustment import gpu
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.gpu import choice, devices
+from mgsgraph.adjustment.gpu import Gpu, choice
 from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
-from mgsgraph.adjustment.gpu.dense_cholesky import DenseCholesky, DenseLibraries
-from mgsgraph.adjustment.gpu.devices import Gpu
+from mgsgraph.adjustment.gpu.sweeper import DenseCholesky, DenseLibraries
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, sparse_factor
 from mgsgraph.adjustment.settings import SolverSettings
@@ -51,7 +51,7 @@ def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.Monk
 
 def test_auto_goes_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(choice, "_WORTHWHILE", 10)
-    monkeypatch.setattr(devices, "find_spec", lambda name: None)
+    monkeypatch.setattr(gpu, "find_spec", lambda name: None)
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
 
 
@@ -73,9 +73,7 @@ def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) ->
     assert len(str(error.value).splitlines()) == 1
     with pytest.raises(InputError, match="explicit"):
         adjust_network(net, replace(cuda, form="explicit"))
-    with pytest.raises(InputError, match="dogleg"):
-        adjust_network(net, replace(cuda, method="dogleg"))
-    monkeypatch.setattr(devices, "find_spec", lambda name: None)
+    monkeypatch.setattr(gpu, "find_spec", lambda name: None)
     with pytest.raises(InputError, match="numba-cuda"):
         adjust_network(net, cuda)
     with pytest.raises(InputError, match="device"):

@@ -8,7 +8,7 @@ import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.graph import lay_out, memory_map
+from mgsgraph.adjustment.graph import lay_out, rows
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 
@@ -43,23 +43,23 @@ def test_constants_lie_in_a_file_where_memory_is_short(line):
 
 
 def test_a_container_has_less_memory_than_its_machine(tmp_path, monkeypatch):
-    whole = memory_map.memory()
-    monkeypatch.setattr(memory_map, "_LIMITS", (tmp_path / "max", tmp_path / "none", tmp_path / "limit"))
-    assert memory_map.memory() >= whole
+    whole = rows.memory()
+    monkeypatch.setattr(rows, "_LIMITS", (tmp_path / "max", tmp_path / "none", tmp_path / "limit"))
+    assert rows.memory() >= whole
     (tmp_path / "max").write_text("max\n")
     (tmp_path / "limit").write_text("1000000\n")
-    assert memory_map.memory() == 1e6
-    assert memory_map.Storage.within(None).most < 1e6
-    assert memory_map.Storage.within(2.0).most == 2e9 * memory_map._SHARE
+    assert rows.memory() == 1e6
+    assert rows.Storage.within(None).most < 1e6
+    assert rows.Storage.within(2.0).most == 2e9 * rows._SHARE
 
 
 def test_no_room_is_said(monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(memory_map.os, "posix_fallocate", full)
+    monkeypatch.setattr(rows.os, "posix_fallocate", full)
     with pytest.raises(InputError, match="No space left"):
-        memory_map.Storage(0.0).room(10)
+        rows.Storage(0.0).room(10)
 
 
 @pytest.mark.parametrize("net", [pair, lambda: with_shift_and_surface(network(pair()))])

@@ -14,8 +14,8 @@ from strategies import along
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
-from mgsgraph.adjustment.graph.parallel import nearly_parallel, parallel
-from mgsgraph.adjustment.graph.patterns import Observation, group_blocks
+from mgsgraph.adjustment.graph.patterns import Patterns, group_blocks
+from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
@@ -49,9 +49,12 @@ def expected_observations(net: Network) -> list[Counter[Name]]:
     return found
 
 
-def told(observation: Observation) -> tuple[int, int, int]:
-    """Kind, image and the only variable of an observation; -1 for none."""
-    return observation.kind, observation.image, next(iter(observation.variables), -1)
+def told(found: Patterns, pattern: int) -> Counter[Name]:
+    """Kind, image and the only variable of a pattern's observations; -1 for none."""
+    first, last = found.first[pattern : pattern + 2].tolist()
+    entries = (found.entry_variable[slice(*found.entry[s : s + 2])].tolist() for s in range(first, last))
+    variables = [next(iter(mine), -1) for mine in entries]
+    return Counter(zip(found.kind[first:last].tolist(), found.image[first:last].tolist(), variables, strict=True))
 
 
 @pytest.fixture(params=[1, 3, 2048], name="piece")
@@ -76,13 +79,13 @@ def test_pieces_are_all_points_once(piece: int) -> None:
         assert rows.piece[:, 2].max() <= piece
         for pattern, first, count in rows.piece[:, :3].tolist():
             for i in found.point_order[first : first + count]:
-                assert Counter(told(observation) for observation in found.observations[pattern]) == expected[i]
+                assert told(found, pattern) == expected[i]
                 assert found.fixed[pattern] == (net.points.kinds[i] == PointKind.FIXED)
                 felt = {variable for _, _, variable in expected[i] if variable >= 0}
                 assert found.group_variables[found.group[pattern]] == tuple(sorted(felt))
         fixed = (net.points.kinds == PointKind.FIXED).tolist()
         unlike = {(frozenset(mine.items()), known) for mine, known in zip(expected, fixed, strict=True)}
-        assert len(found.observations) == len(unlike)
+        assert found.fixed.size == len(unlike)
         assert rows.piece[:, 0].tolist() == sorted(rows.piece[:, 0].tolist())
         assert rows.pattern_shape.tolist() == sorted(rows.pattern_shape.tolist())
         for shape in set(rows.pattern_shape.tolist()):  # within a shape neighbours share unknowns

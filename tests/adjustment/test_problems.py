@@ -1,4 +1,4 @@
-"""The optimisers: GTSAM's by name beside our own, what a rejected step costs, and the linear system itself."""
+"""The optimiser: what a rejected step costs, kept matrices, and the kernel's signature."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,56 +10,10 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration, levenberg_marquardt
-from mgsgraph.adjustment.covariances import orientation_covariance, shared_marginals
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.problems import FactorEquations
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import InputError
 from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, sweep
-
-
-@pytest.mark.parametrize("form", ["bundle", "explicit"])
-@pytest.mark.parametrize("method", ["gauss-newton", "dogleg"])
-def test_gtsams_own_optimisers_find_the_same(form: str, method: str) -> None:
-    net = with_shift_and_surface(network(pair()))
-    ours = adjust_network(net, SolverSettings())
-    theirs = adjust_network(net, SolverSettings(form=form, method=method))
-    assert theirs.converged
-    assert theirs.cost_final == pytest.approx(ours.cost_final, rel=1e-9)
-    np.testing.assert_allclose(theirs.places, ours.places, rtol=0.0, atol=1e-3)
-    assert method.split("-")[0] in theirs.message.lower()
-
-
-def test_an_unknown_method_is_named() -> None:
-    with pytest.raises(InputError, match="solver, method: 'newton'"):
-        SolverSettings(method="newton")
-
-
-def test_pairwise_hessians_are_the_bundle_factors_system() -> None:
-    """One Hessian factor per variable and per pair of variables, against the square roots of the bundle factors."""
-    layout = lay_out(with_shift_and_surface(network(pair())), SolverSettings())
-    graph, rng = BundleGraph(layout), np.random.default_rng(2)
-    x = rng.standard_normal(layout.columns) * layout.scales * 0.1
-    ordering = gtsam.Ordering()
-    for key in graph.values(x).keys():
-        ordering.push_back(key)
-    mine, right = graph.linear(graph.reduction(x)).hessian(ordering)
-    theirs, other = graph.graph.linearize(graph.values(x)).hessian(ordering)
-    scale = np.sqrt(np.diag(theirs))
-    assert np.abs((mine - theirs) / np.outer(scale, scale)).max() < 1e-7
-    np.testing.assert_allclose(right / scale, other / scale, rtol=0.0, atol=1e-6 * np.abs(other / scale).max())
-
-
-def test_the_joint_covariance_is_gtsams() -> None:
-    """The sparse factor's, and that of GTSAM's elimination of the same system as Hessian factors."""
-    layout = lay_out(with_shift_and_surface(network(pair(), (True, False))), SolverSettings())
-    graph = BundleGraph(layout)
-    reduction = graph.reduction(np.zeros(layout.columns))
-    ours = orientation_covariance(graph, reduction)
-    theirs = shared_marginals(layout, graph.linear(reduction))
-    scale = np.outer(theirs.sigmas, theirs.sigmas)
-    assert np.abs((ours.dense() - theirs.dense()) / scale).max() < 1e-8
-    np.testing.assert_allclose(ours.sigmas, theirs.sigmas, rtol=1e-9)
 
 
 class Parabola:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from joint_prior import JointNodePrior
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -13,10 +14,9 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.network import JointNodePrior, Network, Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
-from mgsgraph.network.conditioning import dense_covariance
+from mgsgraph.network import Network, Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
+from mgsgraph.network.conditioning import ProcessKind, dense_covariance
 from mgsgraph.network.node_priors import normalised
-from mgsgraph.network.processes import ProcessKind
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 
 TIGHT = SolverSettings(cost_tolerance=1e-14, step_tolerance=1e-9)
@@ -45,7 +45,7 @@ def dense(prior: ProcessPrior, nodes: OrientationImages) -> JointNodePrior:
         scale = np.sqrt(np.diagonal(whole))
         lower = np.linalg.cholesky(whole / np.outer(scale, scale))
         root[c * count : (c + 1) * count, c::6] = np.linalg.solve(lower, np.diag(1.0 / scale))
-    return JointNodePrior(root, np.zeros(0))
+    return JointNodePrior(root)
 
 
 def differences(one: Solution, other: Solution) -> dict[str, float]:

@@ -19,7 +19,7 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
 from mgsgraph.network import Network, PointClass, SharedKind
-from mgsgraph.network.interior import Adjusted, adjusted_interior, reference_radius
+from mgsgraph.network.corrections import Adjusted, adjusted_interior, reference_radius
 from mgsgraph.network.parts import bundles, joined
 from mgsgraph.network.shared import ground_shift, image_effect
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken

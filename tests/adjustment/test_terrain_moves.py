@@ -13,10 +13,10 @@ from networks import network, pair, terrain, with_tilting_surface
 from redraw import redraw
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.datum.frames import Frames
+from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shift_key
-from mgsgraph.adjustment.graph.observations import observation_factor
+from mgsgraph.adjustment.graph.explicit import observation_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import group_rows, scaled
@@ -29,7 +29,7 @@ from mgsgraph.kernel.rows import SURFACE, one_observation
 from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
 from mgsgraph.results.archive import read_solution, write_archive
-from mgsgraph.results.control import control_section, surface_heights
+from mgsgraph.results.ground import control_section, surface_heights
 from mgsgraph.units import ARCSEC, DEG, MRAD
 
 RADIUS = 3.39e6
@@ -118,7 +118,7 @@ def test_any_of_them_may_be_unknown_alone() -> None:
     assert np.all(lifted.shift_covariance(0) == 0.0)
     assert lifted.lift is not None
     assert abs(lifted.lift[0] - 30.0) < 5.0
-    assert "rose by" in " ".join(control_section(lifted).sentences)
+    assert "upward shift +" in " ".join(control_section(lifted).sentences)
     tilted = adjust_network(control(1, ("tilt_sigma", "middle")), SolverSettings())
     assert [term.unit for term in tilted.network.shift_terms[0]] == ["rad", "rad"]
 
@@ -150,7 +150,8 @@ def test_rows_have_the_derivatives_of_all_five() -> None:
     assert made.variables.angular[-5:].tolist() == [False, False, False, True, True]
     observations = [
         (i, j) for pattern, first, count in made.rows.piece[:, :3].tolist() for i in range(first, first + count)
-        for j, observation in enumerate(made.patterns.observations[pattern]) if observation.kind == SURFACE
+        for j, kind in enumerate(made.patterns.kind[slice(*made.patterns.first[pattern : pattern + 2])])
+        if kind == SURFACE
     ]  # fmt: skip
     for i, j in observations:
         point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]
@@ -192,8 +193,8 @@ def test_it_is_told_in_words_and_numbers() -> None:
     np.testing.assert_allclose(record["sigma_tilt_about_east_north_mrad"], sigmas[3:] / MRAD)
     assert record["sigma_up_m"] == sigmas[2]
     words = " ".join(control_section(solution).sentences)
-    assert f"It rose by {solution.lift[0]:+.1f} m" in words
-    assert "through the middle of the points" in words
+    assert f"upward shift {solution.lift[0]:+.1f} m" in words
+    assert "tilt about east" in words
 
 
 def test_the_archive_keeps_them_and_knows_what_is_missing(tmp_path: Path) -> None:

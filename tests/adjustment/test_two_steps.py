@@ -9,7 +9,7 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import prior_covariance
-from mgsgraph.adjustment.datum.frames import flight_axes, flight_frame
+from mgsgraph.adjustment.frames import flight_axes, flight_frame
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.rounds import everything
 from mgsgraph.adjustment.settings import SolverSettings

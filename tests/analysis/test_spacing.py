@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from joint_prior import JointNodePrior
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -23,7 +24,6 @@ from mgsgraph.analysis.spacing import (
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import JointNodePrior
 from mgsgraph.network.support import (
     LEAST,
     pass_rays,
@@ -112,7 +112,7 @@ def test_rays_that_place_nothing_do_not_count() -> None:
 
 def test_priors_of_just_these_nodes_are_refused() -> None:
     net = block().network
-    joint = JointNodePrior(np.eye(6 * len(net.passes[0].nodes)), np.zeros(0))
+    joint = JointNodePrior(np.eye(6 * len(net.passes[0].nodes)))
     net = replace(net, passes=(replace(net.passes[0], prior=joint),))
     with pytest.raises(InputError, match="joint prior"):
         respaced(net, 4.0)

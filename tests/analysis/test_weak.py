@@ -9,9 +9,8 @@ from increments import network_of, strip
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.datum.datum import datum_transformations, defects, scaled_normal
-from mgsgraph.adjustment.datum.frames import Frames, flight_frame
-from mgsgraph.adjustment.datum.simple import simple_basis
+from mgsgraph.adjustment.datum import datum_transformations, defects, scaled_normal, simple_basis
+from mgsgraph.adjustment.frames import Frames, flight_frame
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.nominal import predict
 from mgsgraph.adjustment.rounds import everything

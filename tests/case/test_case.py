@@ -19,7 +19,7 @@ from mgsgraph.files.networks.pvl_writing import write_pvl_network
 from mgsgraph.files.networks.record import ControlPoint, PointType
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.connectivity import islands
+from mgsgraph.network.connectivity import connectivity, network_footprints
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import known_images
 from mgsgraph.project.campaign.inputs import checksums
@@ -457,7 +457,8 @@ def test_the_real_case(shared_data: Path) -> None:
     counts = {name: members.size for name, members in case.network.of_class()}
     assert counts == {PointClass.TIE: 311, PointClass.LASER: 52}
     assert case.network.ranges.point.size == 52
-    assert len(islands(case.network)) == 1
+    seen = network_footprints(case.network, case.network.points.places)
+    assert len(connectivity(case.network, seen).islands) == 1
 
 
 def test_measures_within_one_window_have_errors_in_common(case_file: Path) -> None:

@@ -16,8 +16,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.time_scales import tdb_of_utc
 from mgsgraph.network import Pass, ProcessPrior
-from mgsgraph.network.finding import found_passes
-from mgsgraph.network.joining import mountings
+from mgsgraph.network.joining import found_passes, mountings
 from mgsgraph.network.node_priors import normalised
 from mgsgraph.units import MGON, MRAD
 
@@ -143,6 +142,7 @@ TWO = '[[passes]]\nname = "two"\n'
 WRONG = {
     "an image in two passes": (PASS + TWO + 'images = ["R"]', r"passes\[1\], images: 'R', which pass 'one' has"),
     "strips": ('[[strips]]\nname = "s"', r"strips: \[\[strips\]\]; expected \[\[passes\]\] with a prior"),
+    "a method of the solver": ('[solver]\nmethod = "dogleg"', "solver: method; expected no choice.*take it out"),
     "a prior beside a process": (PASS + "prior = {}\nposition = { degree = 1 }", "prior beside position or attitude"),
     "two without images": (TWO + TWO, "several without images"),
     "unknown image": (PASS.replace('"R"', '"S"'), r"passes\[0\], images: the image 'S'; expected some of the case's"),

@@ -15,7 +15,7 @@ from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.graph import Layout, lay_out, stereo
 from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
-from mgsgraph.adjustment.graph.observations import measurement, observation_factor
+from mgsgraph.adjustment.graph.explicit import measurement, observation_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors import collinearity
@@ -51,8 +51,8 @@ def observations_of(made: Layout, kind: int) -> list[tuple[int, int]]:
         (i, j)
         for pattern, first, count in made.rows.piece[:, :3].tolist()
         for i in range(first, first + count)
-        for j, observation in enumerate(made.patterns.observations[pattern])
-        if observation.kind == kind
+        for j, one in enumerate(made.patterns.kind[slice(*made.patterns.first[pattern : pattern + 2])])
+        if one == kind
     ]
 
 
@@ -60,7 +60,7 @@ def row_of(made: Layout, point: int, observation: int) -> tuple[int, int]:
     """Network ray of an image observation, and its image."""
     pattern, first, count, _, among = made.rows.piece[np.searchsorted(made.rows.piece[:, 1], point, side="right") - 1]
     ray = int(np.flatnonzero(made.observation_rows.rays == among + observation * count + point - first)[0])
-    return ray, made.patterns.observations[pattern][observation].image
+    return ray, int(made.patterns.image[made.patterns.first[pattern] + observation])
 
 
 def single(made: Layout, point: int, observation: int) -> Rows:

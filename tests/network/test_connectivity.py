@@ -13,7 +13,7 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
-from mgsgraph.network.connectivity import Connectivity, common_points, connectivity, islands, network_footprints
+from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.units import DEG
 
@@ -125,9 +125,9 @@ def test_classes_are_counted_apart() -> None:
 def test_rejected_rays_do_not_join() -> None:
     net = network(3, [(0, 1, 2), (1, 2, 1)])
     used = ~((net.rays.point == 5) & (net.rays.image == 2))  # the one point that joins images 1 and 2
-    assert islands(net, used) == [[0, 1], [2]]
-    assert common_points(net, used)[1].tolist() == [2, 4, 0]
     found = connectivity(net, footprints(3, [0.0] * 3), used)
+    assert found.islands == ((0, 1), (2,))
+    assert found.seen.tolist() == [3, 4, 1]
     assert found.unconnected.tolist() == [2]
     assert len(found.untied) == 2
 

@@ -13,7 +13,7 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
-from mgsgraph.network.connectivity import common_points, islands
+from mgsgraph.network.connectivity import _common_by_class, groups
 from mgsgraph.simulation.pair import simulate_pair
 
 PAIR = simulate_pair()
@@ -89,6 +89,18 @@ def test_counts_and_undetermined_points() -> None:
     net = network([*STEREO, (4, 1)], points=points([PointKind.FREE] * 3 + [PointKind.FIXED, PointKind.CONSTRAINED]))
     np.testing.assert_array_equal(net.ray_counts, [2, 2, 1, 0, 1])
     np.testing.assert_array_equal(net.undetermined, [False, False, True, False, False])
+
+
+def common_points(net: Network) -> np.ndarray:
+    """(images, images) number of points seen by both; on the diagonal, seen by the image."""
+    pairs, shared = _common_by_class(net, None)
+    common = np.zeros((len(net.images),) * 2, dtype=int)
+    common[tuple(pairs.T)] = shared.sum(axis=1)
+    return common + np.triu(common, 1).T
+
+
+def islands(net: Network) -> list[list[int]]:
+    return [list(group) for group in groups(len(net.images), np.argwhere(np.triu(common_points(net), 1)))]
 
 
 def test_islands() -> None:

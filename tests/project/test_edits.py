@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from projects import digest
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.closing_check import EXACT
+from mgsgraph.adjustment.incremental.impact import EXACT
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError

@@ -22,13 +22,11 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.distortion import CahvorDistortion, KaguyaDistortion, LrocNacDistortion, RadialDistortion
-from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
-from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
+from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.network import ImageRays
 from mgsgraph.results.archive import FORMAT, read_solution, write_archive
 from mgsgraph.results.archive_arrays import pack, unpack, unpack_parts
@@ -288,7 +286,7 @@ def test_checksums_are_looked_at_first(archive: Path, tmp_path: Path) -> None:
     content = bytearray(archive.read_bytes())
     content[content.index(b"{'descr': '<f8'")] ^= 1  # NumPy would trip over the header
     (tmp_path / "x.npz").write_bytes(content)
-    assert_refused(tmp_path / "x.npz", "a wrong checksum")
+    assert_refused(tmp_path / "x.npz", "Bad CRC-32")
 
 
 @pytest.mark.parametrize(
@@ -360,6 +358,11 @@ def test_records_that_do_not_fit(
     archive: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], says: str
 ) -> None:
     assert_refused(in_record(archive, tmp_path / "x.npz", change), says)
+
+
+def test_a_solver_that_had_a_choice_of_methods(archive: Path, tmp_path: Path) -> None:
+    path = in_record(archive, tmp_path / "x.npz", lambda record: record["settings"].update(method="dogleg"))
+    assert read_solution(path).settings == read_solution(archive).settings
 
 
 def test_members_that_the_record_does_not_name(archive: Path, tmp_path: Path) -> None:
@@ -465,7 +468,7 @@ def test_parts_of_a_record_are_those_of_the_whole_and_read_alone() -> None:
         return data[:last] + bytes([data[last] ^ 1]) + data[last + 1 :]
 
     assert pack(unpack_parts(flipped("camera.quaternions"), parts, "here")[1]) == pack(table)
-    with pytest.raises(InputError, match=r"here.*checksum"):
+    with pytest.raises(InputError, match=r"here.*Bad CRC-32"):
         unpack_parts(flipped("position.positions"), parts, "here")
     with pytest.raises(InputError, match=r"here.*speed"):
         unpack_parts(data, {"position.speed": float}, "here")

@@ -1,6 +1,7 @@
 """How images are connected, in words, as a table and as a figure: what they say, not what they look like."""
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,11 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
-from mgsgraph.network.connectivity import Connectivity, common_points
-from mgsgraph.network.connectivity_words import (
+from mgsgraph.network.connectivity import (
+    Connectivity,
     connectivity_json,
     connectivity_statements,
     cut_image_statement,
-    weakest_joints,
 )
 from mgsgraph.results.figures.connectivity import (
     connectivity_sheet,
@@ -85,9 +85,6 @@ def test_words_of_a_block() -> None:
     assert untied.startswith("1 pair of images overlaps without any common point: I5 and I6 by 500 km^2, 60 %")
     assert "I2 and I3 (3 points, 220 km apart)" in apart
     assert cut_image_statement(block()) == ["the block falls apart without I2"]
-    assert [phrase.split(", the only")[0] for phrase in weakest_joints(block())] == [
-        "I2 and I3, 3 points", "I4 and I5, 8 points", "I1 and I2, 26 points", "I0 and I1, 30 points",
-    ]  # fmt: skip
 
 
 def test_slivers_are_not_worth_ties() -> None:
@@ -116,9 +113,8 @@ def test_rejected_points_do_not_hold_the_block(solution: Solution) -> None:
 def test_check_tells_of_it(case_file: Path) -> None:
     text = inventory(mgsgraph.read_case(case_file))
     connections = text.split("Connections")[1].split("Weak spots")[0]
-    assert "SIM/A: 28 points; 28 with SIM/B" in connections
     assert "have 28 points in common and overlap by" in connections
-    assert "Weakest joints" not in connections
+    assert re.search(r"SIM/A +SIM/B +28 ", connections)
 
 
 # --- table
@@ -145,7 +141,7 @@ def test_table_of_a_block(tmp_path: Path) -> None:
 def test_table_of_a_solution(solution: Solution, tmp_path: Path) -> None:
     connectivity_table(solution_connectivity(solution)).write_csv(tmp_path / "c.csv")
     (row,) = rows_of(tmp_path / "c.csv")
-    assert int(row["common_points"]) == common_points(solution.network)[0, 1] == 28
+    assert int(row["common_points"]) == 28
     assert (row["tie_points"], row["laser_points"], row["remark"]) == ("20", "8", "bridge")
     assert 0.5 < float(row["overlap_share"]) <= 1.0
 

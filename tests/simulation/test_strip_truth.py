@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
-from mgsgraph.network import JointNodePrior, NodePrior
+from mgsgraph.network import NodePrior
 from mgsgraph.network.node_priors import LinearFactor, normalised
 from mgsgraph.simulation.hrsc_block import TrajectoryErrors
 from mgsgraph.simulation.strip_truth import Jitter, correction_at, drawn_nodes, true_correction
@@ -45,15 +44,6 @@ def test_drawn_nodes_have_the_covariance_that_the_prior_s_rows_state(basis: Basi
     assert np.abs(np.cov(white.T) - np.eye(white.shape[1])).max() < 6.0 * np.sqrt(2.0 / 1500)
     spread = drawn.reshape(1500, -1, 6) / prior.node_sigmas(normalised(nodes))
     np.testing.assert_allclose(np.sqrt(np.mean(spread**2, axis=0)), 1.0, atol=4.5 / np.sqrt(2 * 1500))
-
-
-def test_nodes_of_a_joint_prior_have_its_covariance() -> None:
-    nodes, rng = evenly_spaced("lagrange", 0.0, (0.0, 30.0), 10.0), np.random.default_rng(5)
-    prior = JointNodePrior(rng.standard_normal((30, 24)), np.zeros(0))
-    drawn = np.array([drawn_nodes(prior, nodes, rng).ravel() for _ in range(1500)])
-    assert_unit_variance(drawn @ np.linalg.cholesky(prior.root.T @ prior.root))
-    with pytest.raises(InputError, match="says nothing"):
-        drawn_nodes(JointNodePrior(prior.root[:20], np.zeros(0)), nodes, rng)
 
 
 def test_a_jitter_on_no_correction_is_the_jitter_itself() -> None:

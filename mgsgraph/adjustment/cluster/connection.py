@@ -19,14 +19,17 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
-from mgsgraph.adjustment.cluster.address import OPTION, ClusterAddress, parse_cluster, threads_of_each
 from mgsgraph.adjustment.cluster.workers import (
     GIGA,
+    OPTION,
+    ClusterAddress,
     Worker,
     known_workers,
+    parse_cluster,
     require_alike,
     require_memory,
     require_visible_file,
+    threads_of_each,
 )
 from mgsgraph.atomic_write import scratch
 from mgsgraph.errors import InputError, SolverError

@@ -1,49 +1,35 @@
 """One adjustment over a cluster: its points lie in partitions on the workers, which do every sweep.
 
-Per iteration the orientation goes out, and costs, reduced blocks and gradients come back; places, covariances and
-residuals come when they are asked for. Rays are laid out about other lines where they are, and here: the source of each
-partition stays here, so that a worker that has gone loses nothing. Sums are made in the order of the partitions,
-whoever did them, so that a cost is repeatable.
+A partition goes to its worker once; after that only what changes: which rows take part, and the constants of rows that
+are laid out anew. Per sweep the orientation goes out with the places at which inner solves begin; what the kernel has
+found of the partition comes back. All rows stay here, too, so that a worker that has gone loses nothing. Sums are made
+in the order of the partitions, whoever did them, so that a cost is repeatable.
 """
 
-import itertools
 import math
+import time
 import uuid
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from types import TracebackType
-from typing import Any
-from weakref import WeakSet
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.cluster.connection import LEAST_MEMORY, Connection, Lost
-from mgsgraph.adjustment.cluster.worker_sweeps import (
-    CHANGING,
-    FOLLOW,
-    HOLD,
-    PLACES,
-    Answer,
-    Order,
-    Source,
-    carry_out,
-    forget,
-    size_of,
-)
 from mgsgraph.adjustment.cluster.workers import GIGA
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, sparse_factor
+from mgsgraph.adjustment.graph.bundle import numbers, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.adjustment.graph.sampled_rays import SampledRays
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.reduction import Reduction, all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
-from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RELIABILITY, RESIDUALS, even_parts
+from mgsgraph.kernel.sweep import even_parts, writable
 
 _COPIES = 2.0
 """Memory for a partition over its own size: what it is unpacked from, or scratch and results."""
@@ -56,88 +42,118 @@ _REMEDY = "take more workers on more machines, or give them more memory (--memor
 
 def require_bundles(settings: SolverSettings, where: str) -> None:
     """Raise InputError for a way to solve that needs all points in one process."""
-    for name, expected in (("form", "bundle"), ("method", "levenberg-marquardt")):
-        found = getattr(settings, name)
-        if found != expected:
-            found, remedy = f"solver, {name} {found!r}", "take that, or leave the cluster out"
-            raise InputError(where, found, f"{expected!r} on a cluster", remedy)
+    if settings.form != "bundle":
+        remedy = "take that, or leave the cluster out"
+        raise InputError(where, f"solver, form {settings.form!r}", "'bundle' on a cluster", remedy)
     if settings.device == "cuda":
         raise InputError(where, "solver, device 'cuda'", "'cpu' on a cluster", "take one of both")
+
+
+# --- on a worker
+
+
+class Source(NamedTuple):
+    """All that a worker needs of a partition, but for the measurement model."""
+
+    rows: Rows
+    """Its rows."""
+    groups: Groups
+    """The whole's groups."""
+    target: NormalBlocks
+    """Blocks of the pairs of variables that its points depend on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """One sweep over one partition."""
+
+    token: str
+    """Of the partition, unlike any other."""
+    function: Callable[..., Any] | None
+    """What to do with rows, groups, blocks and model; None: take the partition in."""
+    arguments: tuple[Any, ...]
+    """What the function takes after these."""
+    model: Model
+    """The measurement model."""
+    source: Source | None = None
+    """The partition, where the worker may not hold it."""
+    changes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """Fields of its rows that are new since the last order."""
+
+
+Answer = tuple[Any, ...]
+"""What the function returned, in a tuple; an empty one says that the worker doesn't hold the partition."""
+_held: dict[str, tuple[float, Source]] = {}
+"""Partitions that this process holds by their tokens, and when the last order came, s."""
+_KEPT = 600.0
+"""s without an order after which a partition makes room for new ones: whoever sent it has gone, or sends it again."""
+
+
+def carry_out(order: Order) -> Answer:
+    """Do what an order says."""
+    now, source = time.monotonic(), order.source
+    if source is not None:
+        forget([token for token, (used, _) in _held.items() if now - used > _KEPT])
+        source = _writable_record(source)
+    elif order.token in _held:
+        source = _held[order.token][1]
+    else:
+        return ()
+    changes = {name: writable(values) for name, values in order.changes.items()}
+    source = source._replace(rows=source.rows._replace(**changes))
+    _held[order.token] = now, source
+    return (order.function and order.function(*source, order.model, *order.arguments),)
+
+
+def forget(tokens: list[str]) -> None:
+    """Let partitions go."""
+    for token in tokens:
+        _held.pop(token, None)
+
+
+def _writable_record(record: Any) -> Any:
+    """A record with arrays of its own, and so are those in it."""
+    if isinstance(record, np.ndarray):
+        return writable(record)
+    return type(record)(*map(_writable_record, record)) if isinstance(record, tuple) else record
+
+
+# --- in this process
 
 
 @dataclass(slots=True, eq=False)
 class _Part:
     """Some neighbouring pieces of a layout's points, and the worker that holds them."""
 
-    token: str
     pieces: slice
-    points: slice
-    observations: slice
-    rays: SampledRays | None
-    """What lays its rays out anew; None where that takes more than trajectories."""
-    ray: Index
-    """(k,) network ray of each of them."""
+    own: dict[str, Any]
+    """Where its points, numbers and observations are in fields of the whole's rows."""
     blocks: Index
     """Where its blocks are among the whole's."""
     target: NormalBlocks
     """Its blocks by themselves."""
     size: int
     """bytes of its source."""
+    token: str = field(default_factory=lambda: uuid.uuid4().hex)
     owner: str = ""
     """Address of the worker that has it, or is to have it."""
-    sent: tuple[NDArray[Any], ...] | None = None
-    """The whole's CHANGING as its owner knows them; None while it doesn't hold the partition."""
-    model: Model | None = None
-    """The measurement model as its owner knows it."""
-    lines: Array | None = None
-    """The whole's lines about which its owner has laid its rays out."""
+    sent: dict[str, list[object]] | None = None
+    """`_marks` of the rows that its owner knows; None while it doesn't hold the partition."""
     deaths: int = 0
     """Workers that have gone since its last answer."""
 
     @property
-    def count(self) -> int:
-        """Number of its points."""
-        return int(self.points.stop - self.points.start)
+    def points(self) -> slice:
+        """Its points."""
+        return self.own["kind"]  # type: ignore[no-any-return]
 
     @property
     def need(self) -> float:
         """Bytes of memory that it takes."""
         return _COPIES * self.size
 
-
-class PartedReduction(Reduction):
-    """A reduction whose points stay with the workers until they are asked for."""
-
-    def __init__(
-        self, sweep: "Partitions", rows: Rows, number: int, orientation: Array, task: int, parts: list[Answer]
-    ) -> None:
-        costs = joined(parts, 0)
-        whole = {"task": task, "orientation": orientation.copy(), "cost": float(costs.sum()), "piece_cost": costs}
-        blocks, gradient = (None, np.empty(0)) if task == COSTS else sweep.summed(parts)
-        own = {"rows": rows, "number": number, "_sweep": sweep, "_ends": None}
-        for name, value in (whole | {"blocks": blocks, "gradient": gradient} | own).items():
-            object.__setattr__(self, name, value)  # frozen, like its parent
-
-    rows: Rows
-    number: int
-    _sweep: "Partitions"
-    _ends: tuple[Array, NDArray[np.int8]] | None
-
-    @property
-    def points(self) -> Array:
-        """(n, 3) m, solved places in the layout's order."""
-        return self._fetched()[0]
-
-    @property
-    def states(self) -> NDArray[np.int8]:
-        """(n,) rows.GOOD, BEHIND or WEAK."""
-        return self._fetched()[1]
-
-    def _fetched(self) -> tuple[Array, NDArray[np.int8]]:
-        if self._ends is None:
-            object.__setattr__(self, "_ends", self._sweep.places(self))
-        assert self._ends is not None
-        return self._ends
+    def __str__(self) -> str:
+        return f"a partition of {self.points.stop - self.points.start} points ({self.size / GIGA:.2f} GB)"
 
 
 class Partitions:
@@ -147,7 +163,7 @@ class Partitions:
     ----------
     cluster : Connection
     layout : Layout
-        What is adjusted; rows that are swept later are its own but for `held.CHANGING`.
+        What is adjusted; rows that are swept later are its own but for kinds of points, weights and constants.
 
     Raises
     ------
@@ -157,35 +173,22 @@ class Partitions:
 
     def __init__(self, cluster: Connection, layout: Layout) -> None:
         self._cluster = cluster
-        self._numbers, self._living = itertools.count(), WeakSet[PartedReduction]()
         self._divide(layout)
 
     def _divide(self, layout: Layout) -> None:
         """Make partitions of a layout's points."""
         cluster, self._layout = self._cluster, layout
-        rows, workers = layout.rows, cluster.workers
-        common = size_of(rows) - sum(size_of((values,)) for values in (rows.kind, rows.start, rows.data, rows.weight))
-        each = max(1, math.ceil((size_of(rows) - common) / (_LARGEST * max(len(workers), 1))))
-        edges = even_parts(rows, each * max(len(workers), 1)).tolist()
+        rows, workers = layout.rows, len(cluster.workers) or 1
+        common = size_of(rows) - size_of((rows.kind, rows.start, rows.data, rows.weight))
+        each = max(1, math.ceil((size_of(rows) - common) / (_LARGEST * workers)))
+        edges = even_parts(rows, each * workers).tolist()
         self._parts = [_part(layout, first, last, common) for first, last in pairwise(edges) if last > first]
         largest = max(self._parts, key=lambda part: part.size)
-        what = f"{_words(largest)} times {each}" if each > 1 else _words(largest)
+        what = f"{largest} times {each}" if each > 1 else str(largest)
         cluster.require_memory(LEAST_MEMORY + each * largest.need, what, _REMEDY)
 
-    def _take(self, layout: Layout) -> None:
-        """Go on with a layout made of the same network. One with other patterns or stereo rows has partitions of its
-        own, and so has one with other lines where workers can't lay rays out.
-        """
-        now = self._layout
-        same = layout.patterns is now.patterns and layout.stereo is now.stereo
-        if same and (layout.lines is now.lines or layout.rays.all_sampled):
-            self._layout = layout
-            return
-        self._cluster.call_all(forget, [part.token for part in self._parts])
-        self._divide(layout)
-
     def __enter__(self) -> "Partitions":
-        self._sweep(self._layout.rows, lambda part: Order(part.token, HOLD, np.empty(0)))
+        self._sweep(self._layout, self._layout.rows, None, lambda _: ())
         return self
 
     def __exit__(
@@ -199,140 +202,92 @@ class Partitions:
         self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
     ) -> Reduction:
         """All points solved (and eliminated)."""
-        self._take(layout)
-        number, kept = next(self._numbers), frozenset(one.number for one in self._living)
-        after = points.number if isinstance(points, PartedReduction) else None
-        given = points if isinstance(points, np.ndarray) else None
-
-        def order(part: _Part) -> Order:
-            begin = None if given is None else given[part.points]
-            return Order(part.token, task, orientation, number=number, after=after, kept=kept, points=begin)
-
-        made = PartedReduction(self, rows, number, orientation, task, self._sweep(rows, order))
-        self._living.add(made)
-        return made
+        begin = points.points if isinstance(points, Reduction) else points
+        parts = self._sweep(
+            layout, rows, reduce, lambda part: (orientation, task, None if begin is None else begin[part.points])
+        )
+        target, costs = layout.blocks.target, np.concatenate([part.piece_cost for part in parts])
+        blocks = None if parts[0].blocks is None else np.zeros(target.size)
+        gradient = np.zeros(target.columns if parts[0].gradient.size else 0)
+        for part, found in zip(self._parts, parts, strict=True):
+            gradient += found.gradient
+            if blocks is not None:
+                blocks[part.blocks] += found.blocks
+        ends, states = (np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "states"))
+        return Reduction(task, orientation.copy(), float(costs.sum()), costs, blocks, gradient, ends, states)
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
-        return self._with_covariance(COVARIANCES, layout, rows, orientation, joint, points)
+        return np.concatenate(self._sweep(
+            layout, rows, point_covariances, lambda part: (orientation, joint[part.blocks], points[part.points])
+        ))  # fmt: skip
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
         """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
-        self._take(layout)
-
-        def order(part: _Part) -> Order:
-            return Order(part.token, RESIDUALS, orientation, points=points[part.points])
-
-        return joined(self._sweep(rows, order), 0)
+        return np.concatenate(
+            self._sweep(layout, rows, all_residuals, lambda part: (orientation, points[part.points]))
+        )
 
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Residuals (t, 8) of all observations beside their leverage."""
-        return self._with_covariance(RELIABILITY, layout, rows, orientation, joint, points)
+        found = self._sweep(
+            layout, rows, numbers, lambda part: (orientation, joint[part.blocks], points[part.points])
+        )
+        return np.concatenate([values for values, _ in found])
 
     def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Factor:
         """Factor of the full linear system at a reduction: this process's task."""
         return sparse_factor(layout, reduction, damping)
 
-    def _with_covariance(
-        self, task: int, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array
-    ) -> Array:
-        self._take(layout)
-
-        def order(part: _Part) -> Order:
-            mine, places = joint[part.blocks], points[part.points]
-            return Order(part.token, task, orientation, joint=mine, points=places)
-
-        return joined(self._sweep(rows, order), 0)
-
-    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
-        """Rays about the lines predicted for points (n, 3): found, and laid out, where the points are."""
-        self._take(layout)
-        if not layout.rays.all_sampled:
-            return IN_PROCESS.about_lines(layout, orientation, points, near, own)
-
-        def order(part: _Part) -> Order:
-            return Order(part.token, FOLLOW, orientation, points=points[part.points], near=near)
-
-        answers = self._sweep(layout.rows, order)
-        if not any(int(turns) for _, turns in answers if turns is not None):
-            return layout
-        lines = layout.lines.copy()
-        for part, (mine, _) in zip(self._parts, answers, strict=True):
-            lines[part.ray] = mine
-        self._layout = layout.about(lines, orientation, own)
-        for part in self._parts:
-            part.lines = lines
-        return self._layout
-
-    # --- what a PartedReduction asks for
-
-    def places(self, reduction: PartedReduction) -> tuple[Array, NDArray[np.int8]]:
-        """Places (n, 3) in m and states (n,) at which a reduction ended; made again where a worker has gone since."""
-        kept = frozenset(one.number for one in self._living)
-
-        def order(part: _Part) -> Order:
-            return Order(part.token, PLACES, reduction.orientation, number=reduction.number, kept=kept)
-
-        ends = self._sweep(reduction.rows, order)
-        return joined(ends, 0), joined(ends, 1)
-
-    def summed(self, parts: list[Answer]) -> tuple[Array | None, Array]:
-        """Blocks of the whole, where the parts have theirs, and its gradient."""
-        target = self._layout.blocks.target
-        blocks, gradient = None, np.zeros(target.columns)
-        for part, (_, some, slope) in zip(self._parts, parts, strict=True):
-            assert slope is not None
-            gradient += slope
-            if some is not None:
-                blocks = np.zeros(target.size) if blocks is None else blocks
-                blocks[part.blocks] += some
-        return blocks, gradient
-
     # --- who does it
 
-    def _sweep(self, rows: Rows, order: Callable[[_Part], Order]) -> list[Answer]:
-        """Answers of all partitions, in their order."""
-        now = tuple(getattr(rows, name) for name in CHANGING)
-        answers: dict[int, Answer] = {}
+    def _sweep(
+        self, layout: Layout, rows: Rows, function: Callable[..., Any] | None,
+        arguments: Callable[[_Part], tuple[Any, ...]],
+    ) -> list[Any]:  # fmt: skip
+        """What a function of the kernel finds of each partition, in their order."""
+        if layout.patterns is not self._layout.patterns:
+            self._cluster.call_all(forget, [part.token for part in self._parts])
+            self._divide(layout)
+        self._layout = layout
+        marks, answers = _marks(layout, rows), dict[int, Any]()
         while len(answers) < len(self._parts):
             self._settle()
             due = {k: part for k, part in enumerate(self._parts) if k not in answers}
-            orders = {k: (part.owner, self._complete(order(part), part, rows, now)) for k, part in due.items()}
+            orders = {k: self._order(part, rows, marks, function, arguments(part)) for k, part in due.items()}
             for k, answer in self._cluster.at_workers(carry_out, orders):
                 part = due[k]
                 part.deaths = part.deaths + 1 if answer is None else 0
                 self._require_sense(part, answer)
-                part.sent = now if answer else None
-                part.model, part.lines = self._layout.model, self._layout.lines
-                if answer and not isinstance(answer, Lost):
-                    answers[k] = answer
+                part.sent = marks if answer else None
+                if isinstance(answer, tuple) and answer:
+                    answers[k] = answer[0]
         return [answers[k] for k in range(len(self._parts))]
 
-    def _complete(self, order: Order, part: _Part, rows: Rows, now: tuple[NDArray[Any], ...]) -> Order:
-        """An order with what the owner lacks."""
-        groups, model, lines = self._layout.groups, self._layout.model, self._layout.lines
+    def _order(
+        self, part: _Part, rows: Rows, marks: dict[str, list[object]], function: Callable[..., Any] | None,
+        arguments: tuple[Any, ...],
+    ) -> tuple[str, Order]:  # fmt: skip
+        """The owner of a partition, and an order with what it lacks."""
+        source, changes = None, dict[str, NDArray[Any]]()
         if part.sent is None:
-            mine = partition(rows._replace(data=self._layout.rows.data), part.pieces.start, part.pieces.stop)
-            return replace(order, source=Source(mine, groups, part.target, model, part.rays, lines[part.ray]))
-        news = zip(CHANGING, now, part.sent, strict=True)
-        own: dict[str, Any] = {"kind": part.points, "weight": (slice(None), part.observations)}
-        return replace(
-            order,
-            changes={name: new[own[name]] for name, new, old in news if new is not old},
-            model=None if model == part.model else model,
-            lines=None if lines is part.lines else lines[part.ray],
-        )
+            mine = partition(rows, part.pieces.start, part.pieces.stop)
+            source = Source(mine, self._layout.groups, part.target)
+        else:
+            for name, now in marks.items():
+                if any(one is not other for one, other in zip(now, part.sent[name], strict=True)):
+                    changes[name] = getattr(rows, name)[part.own[name]]
+        return part.owner, Order(part.token, function, arguments, self._layout.model, source, changes)
 
     def _require_sense(self, part: _Part, answer: Answer | Lost | None) -> None:
         """Raise SolverError where there is no sense in asking again."""
         if isinstance(answer, Lost):
-            raise SolverError(f"{self._cluster.where}: {_words(part)} failed on {part.owner}: {answer.message}")
+            raise SolverError(f"{self._cluster.where}: {part} failed on {part.owner}: {answer.message}")
         if part.deaths >= _MOST_DEATHS:
             limits = [worker.memory_limit for worker in self._cluster.workers if worker.memory_limit]
             limit = f" (memory limit {min(limits) / GIGA:.2f} GB)" if limits else ""
             raise SolverError(
-                f"{self._cluster.where}: each of the {_MOST_DEATHS} workers that tried {_words(part)} died{limit}; "
-                f"{_REMEDY}"
+                f"{self._cluster.where}: each of the {_MOST_DEATHS} workers that tried {part} died{limit}; {_REMEDY}"
             )
 
     def _settle(self) -> None:
@@ -363,28 +318,24 @@ class Partitions:
         return True
 
 
+def _marks(layout: Layout, rows: Rows) -> dict[str, list[object]]:
+    """Fields of rows that change during an adjustment, and the objects that are others when they have changed."""
+    return {"kind": [rows.kind], "weight": [rows.weight], "data": [layout.lines, layout.bent, layout.stereo]}
+
+
 def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     """The partition of pieces first .. last - 1; `common` bytes are the whole's tables."""
     rows = layout.rows
     mine = partition(rows, first, last)
-    point = int(rows.piece[first, 1])
-    observation = int(rows.piece[first, 4])
-    own = (mine.kind, mine.start, mine.data, mine.weight)
+    _, point, _, number, observation = rows.piece[first].tolist()
     used = np.unique(rows.pattern_group[mine.piece[:, 0]])
-    sampled = layout.rays.sampled if layout.rays.all_sampled else None
-    rays, ray = (None, np.zeros(0, dtype=np.int64)) if sampled is None else sampled.of_pieces(first, last)
-    blocks, target = blocks_of_partition(layout.groups, layout.blocks.target, used)
-    return _Part(
-        uuid.uuid4().hex,
-        slice(first, last),
-        slice(point, point + mine.kind.size),
-        slice(observation, observation + mine.weight.shape[1]),
-        rays,
-        ray,
-        blocks,
-        target,
-        size_of(own) + size_of((rays, ray)) + common,
-    )
+    own = {
+        "kind": slice(point, point + mine.kind.size),
+        "data": slice(number, number + mine.data.size),
+        "weight": (slice(None), slice(observation, observation + mine.weight.shape[1])),
+    }
+    size = size_of((mine.kind, mine.start, mine.data, mine.weight)) + common
+    return _Part(slice(first, last), own, *blocks_of_partition(layout.groups, layout.blocks.target, used), size)
 
 
 def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tuple[Index, NormalBlocks]:
@@ -405,11 +356,6 @@ def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tu
     return np.repeat(first, size) + inside, target._replace(pair=pair, size=int(size.sum()))
 
 
-def joined(answers: list[Answer], place: int) -> NDArray[Any]:
-    """One of the arrays of all partitions, one after the other."""
-    return np.concatenate([values for answer in answers if (values := answer[place]) is not None])
-
-
-def _words(part: _Part) -> str:
-    """A partition as errors name it."""
-    return f"a partition of {part.count} points ({part.size / GIGA:.2f} GB)"
+def size_of(record: tuple[Any, ...]) -> int:
+    """Bytes of a record's arrays."""
+    return sum(value.nbytes for value in record if isinstance(value, np.ndarray))

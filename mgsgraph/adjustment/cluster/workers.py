@@ -1,10 +1,13 @@
-"""Are the workers fit for the work? Python, packages and their versions, memory, and files that all of them must see.
+"""Where the work goes, as the user names it (``local``, ``local:N``, ``tcp://host:port``, ``tls://host:port``), and
+whether its workers are fit for it: Python, packages and their versions, memory, and files that all of them must see.
 
 What is asked of a worker before it is known to have this package must not need the package there: such functions are
 made inside others, so that dask sends them as code instead of by name.
 """
 
 import hashlib
+import os
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -12,15 +15,88 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from mgsgraph.errors import InputError
 
+OPTION = "--cluster"
+"""How errors name what the user gave."""
+_EXPECTED = "local, local:N (N worker processes), tcp://host:port or tls://host:port"
+_MOST_WORKERS = 1024
+"""More processes than this on one machine are a slip of the finger."""
 PACKAGES = ("mgsgraph", "numpy", "numba", "gtsam", "distributed")
 """What computes, and what carries it; each must be there in the version that is here."""
 GIGA = 1e9
 """bytes in a GB."""
-_PAUSE = 0.5
+_LOOK = 0.5
 """s between two looks at a file that isn't there yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterAddress:
+    """Workers of our own on this machine, or the address of a scheduler."""
+
+    text: str
+    """As the user wrote it."""
+    workers: int = 0
+    """Worker processes to start here; 0 for a scheduler elsewhere."""
+    address: str = ""
+    """Address of the scheduler; empty for workers of our own."""
+
+    @property
+    def local(self) -> bool:
+        """Whether the workers are our own."""
+        return not self.address
+
+
+def parse_cluster(text: str) -> ClusterAddress:
+    """Understand what the user wrote after ``--cluster``.
+
+    Parameters
+    ----------
+    text : str
+        ``local`` (a worker process for each core), ``local:N``, or the address of a dask scheduler.
+
+    Raises
+    ------
+    InputError
+        Anything else.
+    """
+    own = re.fullmatch(r"local(?::(\d{1,9}))?", text)
+    if own:
+        workers = int(own[1]) if own[1] else cores()
+        if not 1 <= workers <= _MOST_WORKERS:
+            raise InputError(f"{OPTION} {text}", f"{workers} workers", f"1 to {_MOST_WORKERS}")
+        return ClusterAddress(text, workers=workers)
+    if text.startswith(("tcp://", "tls://")) and _names_host_and_port(text):
+        return ClusterAddress(text, address=text)
+    raise InputError(f"{OPTION} {text}", "no place for the work", _EXPECTED)
+
+
+def _names_host_and_port(address: str) -> bool:
+    try:
+        parts = urlsplit(address)
+        return bool(parts.hostname and parts.port) and not (parts.path or parts.query or parts.fragment)
+    except ValueError:  # a port that is no number, or beyond 65535
+        return False
+
+
+def cores() -> int:
+    """Threads that this process may keep busy: NUMBA_NUM_THREADS where it is set, else its share of the cores."""
+    wanted = os.environ.get("NUMBA_NUM_THREADS", "")
+    if wanted.isdecimal() and int(wanted) > 0:
+        return int(wanted)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def threads_of_each(workers: int) -> int:
+    """Threads of the numeric kernel in each of so many workers on this machine, at least one."""
+    return max(1, cores() // workers)
+
+
+# --- whether workers are fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +233,7 @@ def require_visible_file(client: Any, path: Path, where: str, timeout: float) ->
             return
         if time.monotonic() > deadline:
             break
-        time.sleep(_PAUSE)
+        time.sleep(_LOOK)
     address, there = other[0]
     found = "another content" if len(there) == len(here) else there
     raise InputError(

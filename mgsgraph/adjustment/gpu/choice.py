@@ -2,14 +2,12 @@
 
 from collections.abc import Iterator
 
-from mgsgraph.adjustment.gpu.devices import WHERE, Gpu, find_gpu
+from mgsgraph.adjustment.gpu import WHERE, Gpu, find_gpu
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 
-_WAYS = (("form", "bundle"), ("method", "levenberg-marquardt"))
-"""Ways to solve in which sweeps are what takes the time."""
 _WORTHWHILE = 100_000
 """Observations below which a GPU saves less time than its start takes."""
 
@@ -18,10 +16,9 @@ def require_usable(settings: SolverSettings) -> None:
     """Raise InputError where settings ask for a GPU that isn't there (`find_gpu`), or for what none carries out."""
     if settings.device != "cuda":
         return
-    for name, expected in _WAYS:
-        if (value := getattr(settings, name)) != expected:
-            remedy = "take that, or device = 'cpu'"
-            raise InputError(WHERE, f"'cuda' for {name} {value!r}", f"{name} {expected!r} on a GPU", remedy)
+    if settings.form != "bundle":
+        remedy = "take that, or device = 'cpu'"
+        raise InputError(WHERE, f"'cuda' for form {settings.form!r}", "form 'bundle' on a GPU", remedy)
     find_gpu()
 
 
@@ -37,8 +34,7 @@ def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
     require_usable(settings)
     if settings.device == "cuda":
         return _by_gpu(find_gpu(), settings, layout)
-    usual = all(getattr(settings, name) == value for name, value in _WAYS)
-    if settings.device == "cpu" or not usual or layout.rows.weight.shape[1] < _WORTHWHILE:
+    if settings.device == "cpu" or settings.form != "bundle" or layout.rows.weight.shape[1] < _WORTHWHILE:
         return IN_PROCESS
     try:
         gpu = find_gpu()

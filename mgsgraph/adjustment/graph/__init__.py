@@ -3,8 +3,8 @@
 | | bundle form | explicit form |
 |---|---|---|
 | unknowns | those that points share; points are eliminated in the kernel | those and all points |
-| factors | one per group of points (`bundle_factors`), or Hessians of variable pairs (`bundle`) | one per observation |
-| files | `bundle`, `bundle_factors`, `leverage` | `explicit`, `observations` |
+| equations | one normal matrix of blocks of variable pairs | one GTSAM factor per observation |
+| files | `bundle` | `explicit` |
 | used for | every adjustment | small networks, and as an independent reference |
 
 Both are made of one `Layout`, which sorts the points. Four words say which points are meant:

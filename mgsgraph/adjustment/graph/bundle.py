@@ -1,27 +1,70 @@
-"""The bundle form: orientation variables and their priors, points solved and eliminated inside.
-
-For the batch engine the reduced system goes to GTSAM as Hessian factors of variable pairs (`BundleGraph.linear`); as
-bundle factors, one per set of variables, it fits any GTSAM graph (`BundleGraph.graph`).
+"""The bundle form: orientation variables and their priors, points solved and eliminated inside (variable projection;
+Golub & Pereyra 1973).
 """
 
 from collections.abc import Iterator
-from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.graph.bundle_factors import Bundles
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.adjustment.graph.leverage import numbers
-from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.adjustment.graph.relinearize import about_followed_lines
 from mgsgraph.adjustment.sparse_cholesky import Factor
+from mgsgraph.compiled import in_threads
 from mgsgraph.factors.priors import linear_prior, zero_prior
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel import reduction
 from mgsgraph.kernel.reduction import Reduction, all_residuals, point_covariances, reduce
-from mgsgraph.kernel.rows import Rows
-from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.kernel.reliability import NUMBERS
+from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
+from mgsgraph.kernel.sweep import SYSTEM
+
+MISFIT, SHARE, EFFECT, BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
+"""Columns of the kernel's numbers of the first two rows of observations (t, 8), side by side, lest each look-up cost
+several: whitened residuals; diagonal of H; m that an error of one sigma moves the point; H between the two rows."""
+_AT_A_TIME = 1 << 17
+"""Observations that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
+
+
+def of_rows(values: Array, into: Array) -> None:
+    """What observations say of themselves (t, 8), from the kernel's numbers of their rows (t, 3, 7)."""
+    moved = values[:, :2, 4:]
+    into[:, MISFIT], into[:, BETWEEN] = values[:, :2, 0], values[:, 0, 2]
+    into[:, SHARE] = values[:, [0, 1], [1, 2]]
+    into[:, EFFECT] = np.sqrt(np.einsum("tik,tik->ti", moved, moved))
+
+
+def numbers(
+    rows: Rows,
+    groups: Groups,
+    target: NormalBlocks,
+    model: Model,
+    orientation: Array,
+    joint: Array,
+    points: Array,
+    ground: Index | None = None,
+) -> tuple[Array, Array]:
+    """What observations say of themselves (t, 8), and all that some of them (g,) do (g, 3, 7); other parameters as of
+    `kernel.reduction.reliability`.
+    """
+    ground = np.zeros(0, dtype=np.int64) if ground is None else ground
+    begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
+    found, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
+    order = np.argsort(ground)
+
+    def share(ends: tuple[int, int]) -> None:
+        first, last = ends
+        mine, point = partition(rows, first, last), int(rows.piece[first, 1])
+        places = points[point : point + mine.kind.size]
+        values = reduction.reliability(mine, groups, target, model, orientation, joint, places)
+        of_rows(values, found[begins[first] : begins[last]])
+        own = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
+        chosen[own] = values[ground[own] - begins[first]]
+
+    edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
+    in_threads(share, pairwise(edges))
+    return found, chosen
 
 
 def orientation_key(image: int) -> int:
@@ -70,13 +113,6 @@ def prior_factors(layout: Layout) -> Iterator[gtsam.NonlinearFactor]:
         yield linear_prior([variable_key(layout, v) for v in factor.variables], factor.blocks, factor.target)
 
 
-def pair_factor(first: int, second: int, block: Array) -> gtsam.HessianFactor:
-    """Factor of a block off the diagonal of a normal matrix, of the variables of two keys."""
-    none, other = np.zeros((block.shape[0],) * 2), np.zeros((block.shape[1],) * 2)
-    zero, zeros = np.zeros(block.shape[0]), np.zeros(block.shape[1])
-    return gtsam.HessianFactor(first, second, none, block, zero, other, zeros, 0.0)
-
-
 class Solving(Protocol):
     """Factored equations."""
 
@@ -121,10 +157,6 @@ class Sweeper(Protocol):
         """(t, 8), see `leverage.numbers`."""
         ...
 
-    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
-        """Rays about the lines predicted for points (n, 3), see `following.about_followed_lines`."""
-        ...
-
     def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Solving:
         """Factor of the full linear system at a reduction, see `sparse_factor`."""
         ...
@@ -152,10 +184,6 @@ class InProcess:
         """Residuals (t, 8) of all observations beside their leverage."""
         return numbers(rows, layout.groups, layout.blocks.target, layout.model, orientation, joint, points)[0]
 
-    def about_lines(self, layout: Layout, orientation: Array, points: Array, near: float, own: bool) -> Layout:
-        """Rays about the lines predicted for points (n, 3)."""
-        return about_followed_lines(layout, orientation, points, near, own)
-
     def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Factor:
         """Factor of the full linear system at a reduction."""
         return sparse_factor(layout, reduction, damping)
@@ -173,7 +201,7 @@ class BundleGraph:
     rows : Rows, optional
         The layout's rows with some left out (`Layout.active`); all of them when absent.
     sweeper : Sweeper
-        Who goes over the points; bundle factors (`graph`) are always this process's.
+        Who goes over the points.
     """
 
     def __init__(self, layout: Layout, rows: Rows | None = None, sweeper: Sweeper = IN_PROCESS) -> None:
@@ -194,70 +222,9 @@ class BundleGraph:
         """(columns,) of the full cost, per m and rad."""
         return reduction.gradient + self.layout.prior.gradient(reduction.orientation)
 
-    def linear(self, reduction: Reduction) -> gtsam.GaussianFactorGraph:
-        """The full linear system at a reduction: one Hessian factor per variable (its prior in it) and per pair.
-
-        Single factors of pairs are indefinite; only their sum is a normal matrix.
-        """
-        assert reduction.blocks is not None
-        layout, gradient = self.layout, self.gradient(reduction)
-        precision, graph = layout.prior.weights**2, gtsam.GaussianFactorGraph()
-        flat = reduction.blocks + layout.prior_information if layout.prior_information.size else reduction.blocks
-        for v, w, block in layout.blocks.each(flat, layout.variables.width):
-            if v == w:
-                columns = layout.columns_of(v)
-                graph.push_back(
-                    gtsam.HessianFactor(self._keys[v], block + np.diag(precision[columns]), -gradient[columns], 0.0)
-                )
-            else:
-                graph.push_back(pair_factor(self._keys[v], self._keys[w], block))
-        return graph
-
     def factor(self, reduction: Reduction, damping: float = 0.0) -> Factor:
-        """Cholesky factor of the same system, damped in units of the unknowns' scales.
+        """Cholesky factor of the full linear system at a reduction, damped in units of the unknowns' scales.
 
         Raises NotDefinite.
         """
         return sparse_factor(self.layout, reduction, damping)
-
-    @cached_property
-    def _keys(self) -> dict[int, int]:
-        """GTSAM keys of the adjusted variables."""
-        return {v: variable_key(self.layout, v) for v in self.layout.variables.adjusted()}
-
-    @cached_property
-    def _bundles(self) -> Bundles:
-        layout = self.layout
-        groups = layout.group_variables
-        return Bundles(
-            self.rows,
-            layout.groups,
-            group_blocks(layout.groups),
-            layout.model,
-            [[self._keys[v] for v in group] for group in groups],
-            [[layout.columns_of(v) for v in group] for group in groups],
-            layout.scales,
-        )
-
-    @cached_property
-    def graph(self) -> gtsam.NonlinearFactorGraph:
-        """Priors and bundle factors, for GTSAM's own optimisers and for iSAM2."""
-        graph = gtsam.NonlinearFactorGraph()
-        for factor in prior_factors(self.layout):
-            graph.add(factor)
-        for group, members in enumerate(self.layout.group_variables):
-            if members:
-                graph.add(self._bundles.factor(group))
-        return graph
-
-    def values(self, orientation: Array) -> gtsam.Values:
-        """GTSAM values of an orientation vector (columns,)."""
-        return shared_values(self.layout, orientation)
-
-    @property
-    def constant_cost(self) -> float:
-        """Cost of points that only held images see: no variable, so no bundle factor carries it."""
-        reduction = self.reduction(np.zeros(self.layout.columns), COSTS)
-        alone = [group for group, members in enumerate(self.layout.group_variables) if not members]
-        owner = self.rows.pattern_group[self.rows.piece[:, 0]]
-        return float(reduction.piece_cost[np.isin(owner, alone)].sum())

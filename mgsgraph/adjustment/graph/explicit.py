@@ -1,5 +1,6 @@
 """The explicit form: one factor per observation, points as variables; a reference for small problems and teaching."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import gtsam
@@ -7,16 +8,26 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.bundle import point_key, prior_factors, shared_values, variable_key
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.adjustment.graph.observations import observation_factor
+from mgsgraph.factors.collinearity import ImageRay
+from mgsgraph.factors.explicit import Correction, Measurement, measurement_factor
+from mgsgraph.factors.ground import GroundPrior
+from mgsgraph.factors.laser_range import Range
+from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer
+from mgsgraph.factors.stereo_surface import StereoHeight
+from mgsgraph.factors.surface import SurfaceHeight
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import (
+    CAMERA,
     CAUCHY,
     FIXED,
     GROUND,
     HUBER,
     IMAGE,
     NO_LOSS,
+    OPK_PAPER,
+    OPK_PEER,
     OUT,
+    PREDICTED,
     RANGE,
     STEREO,
     TUKEY,
@@ -24,6 +35,85 @@ from mgsgraph.kernel.rows import (
     Rows,
     one_observation,
 )
+
+_ATTITUDES = {CAMERA: about_axes, OPK_PAPER: opk_paper, OPK_PEER: opk_peer}
+
+
+def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
+    """The measurement of a single observation (`kernel.rows.one_observation`), and how its columns of unknowns act on
+    it.
+    """
+    kind, width, terms = int(rows.observation_kind[0]), int(rows.observation_width[0]), int(rows.observation_terms[0])
+    rates = terms if kind == IMAGE and model.line == PREDICTED else 0
+    singles = int(rows.observation_shared[0])
+    numbers, last = rows.data.tolist(), rows.data.size - singles * width
+    end = last - (min(terms, 1) if rows.observation_rate[0] else terms + rates)
+    basis, slopes = numbers[end : end + terms], numbers[end + terms : last] if rates else [0.0] * terms
+    if rows.observation_rate[0] and terms:
+        basis = [numbers[end] ** t for t in range(terms)]
+        slopes = [t * numbers[end] ** max(t - 1, 0) * float(rows.observation_rate[0]) for t in range(terms)]
+    columns = rows.entry_column[: terms + singles].tolist()
+    correction = Correction(
+        width,
+        6 if width >= 6 else 3,
+        tuple(columns[:terms]),
+        tuple(basis),
+        tuple(slopes),
+        tuple(columns[terms:]),
+        tuple(tuple(numbers[last + e * width : last + (e + 1) * width]) for e in range(singles)),
+    )
+    return _measurement(rows, model, kind, numbers[:end]), correction
+
+
+def _measurement(rows: Rows, model: Model, kind: int, constants: list[float]) -> Any:
+    if kind == IMAGE:
+        return _image_ray(model, constants, float(rows.observation_focal[0]))
+    if kind == RANGE:
+        return Range(constants[3], tuple(constants[:3]))
+    if kind == GROUND:
+        return GroundPrior(tuple(constants[:3]), tuple(constants[3:]))
+    if kind == STEREO:
+        return StereoHeight(tuple(constants[:3]), tuple(constants[3:6]), constants[6])
+    frame = rows.terrain_frame.tolist()
+    return SurfaceHeight(rows.terrain, tuple(frame[:2]), tuple(frame[2:]))
+
+
+def _image_ray(model: Model, constants: list[float], focal: float) -> ImageRay:
+    """Constants in the order of `kernel.tile.load_observation`."""
+    angles = 4 if model.angles == CAMERA else 3
+    centre, nominal, detector, rest = np.split(np.array(constants), np.cumsum([3, angles, 2]))
+    nothing = (0.0, 0.0, 0.0)
+    if model.line == PREDICTED:
+        (velocity, angular_rate, slope, offset), scale = map(tuple, np.split(rest, [3, 6, 8])), None
+    else:
+        velocity, angular_rate, slope, offset = nothing, nothing, nothing[:2], (0.0,)
+        scale = tuple(rest[:2]), tuple(rest[2:])
+    return ImageRay(
+        _ATTITUDES[model.angles],
+        tuple(centre),
+        tuple(nominal),
+        velocity,
+        angular_rate,
+        tuple(detector),
+        slope,
+        scale,
+        offset[0],
+        focal,
+    )
+
+
+def observation_factor(
+    keys: Sequence[int],
+    widths: Sequence[int],
+    point_key: int | Array,
+    rows: Rows,
+    model: Model,
+    noise: gtsam.noiseModel.Base,
+    label: str,
+) -> gtsam.CustomFactor:
+    """Factor of a single observation (`kernel.rows.one_observation`); other parameters as of `measurement_factor`."""
+    return measurement_factor(keys, widths, point_key, *measurement(rows, model), noise, label)
+
 
 _ESTIMATORS: dict[int, Any] = {
     HUBER: gtsam.noiseModel.mEstimator.Huber,
@@ -71,7 +161,7 @@ def explicit_graph(
                 continue
             if rows.kind[i] != FIXED:
                 values.insert(point_key(i), points[i])
-            for j in range(len(layout.patterns.observations[pattern])):
+            for j in range(layout.patterns.first[pattern + 1] - layout.patterns.first[pattern]):
                 weights = rows.weight[:, place + j * count + i - first]
                 if weights[0] > 0.0:
                     graph.add(_factor(layout, rows, i, pattern, j, weights))
@@ -80,18 +170,19 @@ def explicit_graph(
 
 def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: Array) -> gtsam.CustomFactor:
     """Factor of the j-th observation of a point (place in the layout)."""
-    observation, network = layout.patterns.observations[pattern][j], layout.network
-    variables = observation.variables
+    patterns, network = layout.patterns, layout.network
+    s = patterns.first[pattern] + j
+    variables = list(dict.fromkeys(patterns.entry_variable[patterns.entry[s] : patterns.entry[s + 1]].tolist()))
     label = f"point {network.points.ids[layout.point_order[i]]}"
-    if observation.image >= 0:
-        label += f", image {network.images[observation.image].name}"
+    if patterns.image[s] >= 0:
+        label += f", image {network.images[patterns.image[s]].name}"
     return observation_factor(
         [variable_key(layout, v) for v in variables],
         [int(layout.variables.width[v]) for v in variables],
         rows.start[i] if rows.kind[i] == FIXED else point_key(i),
         one_observation(rows, layout.groups, i, j),
         layout.model,
-        observation_noise(observation.kind, weights, layout.model),
+        observation_noise(int(patterns.kind[s]), weights, layout.model),
         label,
     )
 

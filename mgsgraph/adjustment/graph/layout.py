@@ -7,11 +7,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.memory_map import Storage
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rays import RayConstants
-from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows, with_stereo
+from mgsgraph.adjustment.graph.rows import ObservationRows, Storage, lay_out_rows, with_stereo
 from mgsgraph.adjustment.graph.shared import ANGLE_CODES, angles_of, bends
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables

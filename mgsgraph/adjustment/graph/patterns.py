@@ -3,13 +3,11 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_rows, mix_values
+from mgsgraph.adjustment.graph.loops import by_point, counted, distinct, mix_rows, mix_values
 from mgsgraph.adjustment.graph.stereo import StereoRows, columns, combinations
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.adjustment.marginals import JointCovariance
@@ -17,27 +15,6 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
-
-
-class Observation(NamedTuple):
-    """One observation of a pattern."""
-
-    kind: int
-    """IMAGE, RANGE, GROUND, SURFACE or STEREO."""
-    image: int
-    """Image that carries it; -1 for none."""
-    width: int
-    """Components of its state."""
-    terms: int
-    """Number of basis terms: its first entries."""
-    entries: tuple[tuple[int, int], ...]
-    """Variable of each basis term and single column, and its first column within it."""
-
-    @property
-    def variables(self) -> tuple[int, ...]:
-        """All variables that it depends on, each once, in the order of its entries."""
-        return tuple(dict.fromkeys(variable for variable, _ in self.entries))
-
 
 _Rows = tuple[Index, NDArray[np.int32], NDArray[np.int32]]
 """Rows of each point, as `sorting.by_point` gives them."""
@@ -102,20 +79,6 @@ class Patterns:
     def group_variables(self) -> tuple[tuple[int, ...], ...]:
         """Variables of each group, ascending; for small networks."""
         return tuple(tuple(part.tolist()) for part in np.split(self.group_member, self.group_first[1:-1]))
-
-    @cached_property
-    def observations(self) -> tuple[tuple[Observation, ...], ...]:
-        """Observations of each pattern one by one; for small networks."""
-        one = [
-            Observation(kind, image, width, terms, tuple(zip(*entries, strict=True)))
-            for kind, image, width, terms, *entries in zip(
-                self.kind.tolist(), self.image.tolist(), self.width.tolist(), self.terms.tolist(),
-                [part.tolist() for part in np.split(self.entry_variable, self.entry[1:-1])],
-                [part.tolist() for part in np.split(self.entry_inside, self.entry[1:-1])],
-                strict=True,
-            )
-        ]  # fmt: skip
-        return tuple(tuple(one[a:b]) for a, b in pairwise(self.first.tolist()))
 
 
 def sort_points(

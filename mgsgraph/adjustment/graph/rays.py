@@ -3,25 +3,26 @@ lines about which they are laid out change.
 """
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.patterns import Patterns
-from mgsgraph.adjustment.graph.poses import pose_tables
-from mgsgraph.adjustment.graph.ray_constants import (
+from mgsgraph.adjustment.graph.loops import (
     crossings,
     places_of_rays,
     put_detectors,
     put_poses,
     put_scale,
+    rays_inside,
 )
-from mgsgraph.adjustment.graph.sampled_rays import NO_UNITS, RayPlaces, SampledRays, Share
+from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.shared import SharedEffects
 from mgsgraph.adjustment.graph.variables import Terms, Variables
+from mgsgraph.compiled import in_threads
 from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
 from mgsgraph.geometry import rotation
@@ -30,6 +31,37 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
 from mgsgraph.network import Network
+
+_SHARE = 1 << 16
+"""Observations that a thread takes at a time."""
+_NO_UNITS = np.empty((0, 3))
+"""No room for directions: they are not asked for."""
+
+
+class Share(NamedTuple):
+    """The r rays of some neighbouring pieces, in the order of their observations."""
+
+    first: int
+    """Piece."""
+    last: int
+    """Piece after the last one."""
+    ray: NDArray[np.int32]
+    """(r,) ray."""
+    at: Index
+    """(r,) where its constants begin in the data."""
+    stride: Index
+    """(r,) step to the next one."""
+    place: Index
+    """(r,) among all observations."""
+    image: Index
+    """(r,) whose it is."""
+
+    def by(self, number: Index) -> Iterator[tuple[int, Index]]:
+        """Which rays have the same `number` (r,)."""
+        order = np.argsort(number, kind="stable")
+        edges = np.flatnonzero(np.diff(number[order], prepend=-1, append=-1)).tolist()
+        for a, b in pairwise(edges):
+            yield int(number[order[a]]), order[a:b]
 
 
 class Crossing(NamedTuple):
@@ -71,7 +103,7 @@ class RayConstants:
         """(k,) place of each ray among all observations; int32, for there are many."""
         places_of_rays(network.rays.point, slot, patterns.point_index, piece_of, piece, self.among, ray)
         counts = np.diff(rays[patterns.first])
-        self._places = RayPlaces(piece, begins, patterns.first, before, counts, patterns.image, ray)
+        self._piece, self._before, self._begins, self._rays, self._ray = piece, before, begins, counts, ray
 
     def fill(self, data: Array, weight: Array, terms: Terms, bent: Array, crossing: Crossing | None) -> None:
         """Constants (but for the scale of the measured-line form, `fill_scales`) and weights of all rays, and where
@@ -81,14 +113,29 @@ class RayConstants:
 
         def fill(share: Share) -> None:
             self._put_detectors(share, data, weight)
-            units = NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
+            units = _NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
             self._put_poses(share, data, terms, values, units, True)
             if crossing is not None:
-                piece, before, rays = self._places.piece, self._places.before, self._places.rays
-                ways = piece, before, rays, self._patterns.point_order
+                ways = self._piece, self._before, self._rays, self._patterns.point_order
                 crossings(share.first, share.last, *ways, data, units, *crossing)
 
-        self._places.each(fill)
+        self._each(fill)
+
+    def _each(self, work: Callable[[Share], None]) -> None:
+        """Do some work on all rays, shared by threads."""
+        total = int(self._begins[-1])
+        edges = np.unique(np.searchsorted(self._begins, [*range(0, total, _SHARE), total])).tolist()
+        in_threads(lambda ends: work(self._share(*ends)), list(pairwise(edges)))
+
+    def _share(self, first: int, last: int) -> Share:
+        most = int(self._begins[last] - self._begins[first])
+        ray = np.empty(most, dtype=np.int32)
+        at, stride, place, image = (np.empty(most, dtype=np.int64) for _ in range(4))
+        count = rays_inside(
+            first, last, self._piece, self._before, self._patterns.first, self._rays, self._patterns.image, self._ray,
+            ray, at, stride, place, image,
+        )  # fmt: skip
+        return Share(first, last, ray[:count], at[:count], stride[:count], place[:count], image[:count])
 
     def renewable(self, terms: Terms) -> bool:
         """Whether rays about other lines depend on the same nodes as those that were laid out."""
@@ -97,7 +144,7 @@ class RayConstants:
     def renew(self, data: Array, terms: Terms, bent: Array) -> None:
         """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
         values = self._variables.split(bent)
-        self._places.each(lambda share: self._put_poses(share, data, terms, values, NO_UNITS, False))
+        self._each(lambda share: self._put_poses(share, data, terms, values, _NO_UNITS, False))
 
     def fill_scales(self, data: Array, starts: Array) -> None:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
@@ -112,7 +159,7 @@ class RayConstants:
                 scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
                 put_scale(mine, share.at, share.stride, first, scale.reshape(-1, 4), data)
 
-        self._places.each(rescale)
+        self._each(rescale)
 
     @cached_property
     def _axes(self) -> list[Array | None]:
@@ -123,22 +170,6 @@ class RayConstants:
             for j in strip.images.tolist():
                 found[j] = strip.axes_of(j)
         return found
-
-    @cached_property
-    def sampled(self) -> SampledRays:
-        """Rays of images whose poses need no more than their trajectories' tables; others are passed over."""
-        network, strict = self._network, self._model.line == PREDICTED and self._model.angles == CAMERA
-        plain = strict & (network.pass_of < 0)
-        plain[[j for j in np.flatnonzero(plain).tolist() if self.effects.acts_on_rays(j)]] = False
-        focal = np.array([image.interior.focal_length for image in network.images])
-        size = np.array([image.lines for image in network.images], dtype=np.float64)
-        tables, polynomial = pose_tables(network.images, plain), np.array(network.with_polynomial)
-        return SampledRays(self._places, tables, focal, size, polynomial, np.asarray(network.rays.places))
-
-    @property
-    def all_sampled(self) -> bool:
-        """Whether these are all rays."""
-        return bool(np.all(self.sampled.tables.sampled))
 
     @cached_property
     def _optics(self) -> Index:
@@ -164,15 +195,14 @@ class RayConstants:
     def _put_poses(
         self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
     ) -> None:
-        self.sampled.put(share, data, terms.lines, units)
-        for j, mine in share.by(share.image, ~self.sampled.tables.sampled[share.image]):
+        for j, mine in share.by(share.image):
             self._put_image(j, mine, share, data, terms, values, units, whole)
 
     def _put_image(
         self, j: int, mine: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array,
         whole: bool,
     ) -> None:  # fmt: skip
-        """Poses of the rays `mine` of an image that needs more than its tables."""
+        """Poses of the rays `mine` of an image."""
         rays, model, axes, image = self._network.rays, self._model, self._axes[j], self._network.images[j]
         k, predicted, focal_length = share.ray[mine], model.line == PREDICTED, image.interior.focal_length
         lines, samples = terms.lines[k], rays.places[k, 1]

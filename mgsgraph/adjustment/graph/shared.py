@@ -10,7 +10,7 @@ from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, RANGE, Model
 from mgsgraph.network import Network, SharedKind, SharedUnknown
-from mgsgraph.network.interior import interior_effect, radius_of
+from mgsgraph.network.corrections import interior_effect, radius_of
 from mgsgraph.network.shared import DEGREE, beam_motion, image_effect
 
 ANGLE_CODES: dict[Angles, int] = {"camera": CAMERA, "opk-paper": OPK_PAPER, "opk-peer": OPK_PEER}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.sorting import counted
+from mgsgraph.adjustment.graph.loops import counted
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import IMAGE

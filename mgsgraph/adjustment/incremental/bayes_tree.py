@@ -20,7 +20,6 @@ from functools import cache
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.graph.bundle_factors import square_root
 from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
 from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.errors import SolverError
@@ -30,6 +29,57 @@ from mgsgraph.network.parts import Members, Unknown
 _WILDFIRE = 1e-7
 """A-priori sigmas: changes smaller than this are not handed on (a thousandth of what is promised where the posterior
 is a thousand times sharper than the prior)."""
+
+
+_ROUNDING = tuple(10.0**k for k in range(-15, -7))
+"""Shares of a system's largest curvature that rounding may have put wrong, and taken below zero: the least one that
+makes Cholesky's method go through is added. How much that is depends on how much of the rows the points have taken:
+1e-15 to 1e-10."""
+_CORNER = 1e200
+"""In place of the cost where only the gradient's row of the factor is wanted: no pivot runs out there."""
+
+
+def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple[Array, Array]:
+    """Rows (A, e) with A'A = block, A'e = right and |e|^2 = 2 cost: the reduced system as GTSAM wants it.
+
+    Parameters
+    ----------
+    block, right : (d, d), (d,)
+        Reduced normal matrix and gradient, per m and rad.
+    cost : float
+        Full cost of the rows behind them.
+    sigmas : (d,)
+        A-priori sigmas: the decomposition is done in these units, where small pivots mean something.
+
+    Returns
+    -------
+    jacobian : (d + 1, d)
+        Its last row is zero.
+    error : (d + 1,)
+
+    Raises
+    ------
+    RuntimeError
+        "Indeterminate linear system", as GTSAM words it, for a block that is not positive semidefinite.
+    """
+    d, bordered = right.size, np.empty((right.size + 1, right.size + 1))
+    bordered[:d, :d], bordered[d, d] = block * sigmas[:, None] * sigmas, _CORNER
+    bordered[d, :d] = bordered[:d, d] = right * sigmas
+    plain = np.diagonal(bordered)[:d].copy()
+    largest = float(plain.max(initial=0.0)) or 1.0
+    jacobian, error = np.zeros((d + 1, d)), np.zeros(d + 1)
+    # Eigenvalues would tell the rank, but their routine is threaded, and waits for a busy second core (as `product` of
+    # adjustment.square_root says). The gradient is kept in directions without curvature, too: the prior balances it.
+    for share in _ROUNDING:
+        np.fill_diagonal(bordered[:d, :d], plain + share * largest)
+        try:
+            lower = np.linalg.cholesky(bordered)
+        except np.linalg.LinAlgError:
+            continue
+        jacobian[:d], error[:d] = lower[:d, :d].T / sigmas, lower[d, :d]
+        error[d] = np.sqrt(max(2.0 * cost - float(error[:d] @ error[:d]), 0.0))
+        return jacobian, error
+    raise RuntimeError("Indeterminate linear system: a reduced system that is not positive semidefinite")
 
 
 @contextmanager

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER, PriorRows, Tree
-from mgsgraph.adjustment.incremental.shared import image_motion
 from mgsgraph.adjustment.incremental.state import (
     NOTICEABLE,
     Bundle,
@@ -22,6 +21,7 @@ from mgsgraph.adjustment.incremental.state import (
     Settled,
     Shared,
     StateStore,
+    image_motion,
     stretches,
 )
 from mgsgraph.adjustment.incremental.sweep import Sweep

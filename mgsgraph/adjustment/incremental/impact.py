@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Settled, Shared
+from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Settled, Shared, shared_of
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network.parts import Members, Unknown
@@ -237,10 +238,10 @@ def impact(
         Shared unknowns.
     """
     kept = settled.bundles
-    was = _Was(old, kept)
+    was, apart = _as_they_were(old, kept)
     reached = {unknown for members in settled.reached for unknown in members} | set(after) - set(before)
     moving = sorted(u for u in reached if u.kind in ("image", "node") and u in after)
-    now = {name for members, one in kept.items() if members not in was for name in one.network.points.ids}
+    now = {name for one in kept.values() for name in one.network.points.ids}
     adding = verb == "add"
     neighbours, linked = _neighbours(subjects, kept)
     return Impact(
@@ -250,7 +251,7 @@ def impact(
         _moved_points(kept, was),
         neighbours if adding else {},
         tuple(name for name in subjects if name not in linked) if adding else (),
-        tuple(name for name in was.row if name not in now),
+        tuple(name for name in apart if name not in now),
         _left_undetermined(kept, was),
         settled.updates,
         settled.systems,
@@ -285,33 +286,31 @@ def _moved_image(before: Shared | None, after: Shared) -> list[float]:
     return [*step[:6], size, *sigmas[:6], *after.sigmas[:6], float(np.linalg.norm(after.ground @ step)), *spread]
 
 
-class _Was:
-    """Points of some bundles as they were."""
-
-    def __init__(self, old: Mapping[Members, Bundle], kept: Mapping[Members, Bundle]) -> None:
-        same = {members for members, one in kept.items() if members in old and one.network is old[members].network}
-        self._same = {members: old[members] for members in same}
-        mixed = [one for members, one in old.items() if members not in same]
-        nothing = np.full((1, 3), np.nan)
-        self.row = {name: k for k, name in enumerate(name for one in mixed for name in one.network.points.ids)}
-        self._places = np.concatenate([*(one.places for one in mixed), nothing])
-        self._sigmas = np.concatenate([*(one.sigmas for one in mixed), nothing])
-
-    def __contains__(self, members: Members) -> bool:
-        """Whether a bundle has the same points as before."""
-        return members in self._same
-
-    def of(self, members: Members, bundle: Bundle) -> tuple[Array, Array]:
-        """Places and sigmas (n, 3) of a bundle's points; NaN for those that had none."""
-        if (one := self._same.get(members)) is not None:
-            return one.places, one.sigmas
-        rows = np.array([self.row.get(name, -1) for name in bundle.network.points.ids], dtype=np.int64)
-        return self._places[rows], self._sigmas[rows]
+def _as_they_were(
+    old: Mapping[Members, Bundle], kept: Mapping[Members, Bundle]
+) -> tuple[dict[Members, tuple[Array, Array]], list[str]]:
+    """Places and sigmas (n, 3) that the points of each bundle had before, NaN for those that had none; and the points
+    of the bundles that have been taken apart.
+    """
+    same = {members for members, one in kept.items() if members in old and one.network is old[members].network}
+    mixed = [one for members, one in old.items() if members not in same]
+    row = {name: k for k, name in enumerate(name for one in mixed for name in one.network.points.ids)}
+    nothing = np.full((1, 3), np.nan)
+    places = np.concatenate([*(one.places for one in mixed), nothing])
+    sigmas = np.concatenate([*(one.sigmas for one in mixed), nothing])
+    found = dict[Members, tuple[Array, Array]]()
+    for members, bundle in kept.items():
+        if members in same:
+            found[members] = old[members].places, old[members].sigmas
+        else:
+            mine = np.array([row.get(name, -1) for name in bundle.network.points.ids], dtype=np.int64)
+            found[members] = places[mine], sigmas[mine]
+    return found, list(row)
 
 
-def _moved_points(kept: Mapping[Members, Bundle], was: _Was) -> MovedPoints:
+def _moved_points(kept: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]) -> MovedPoints:
     """Points that have moved noticeably, and new ones."""
-    parts = [_moved_of(bundle, *was.of(members, bundle)) for members, bundle in kept.items()]
+    parts = [_moved_of(bundle, *was[members]) for members, bundle in kept.items()]
     ids = tuple(name for names, _ in parts for name in names)
     table = np.concatenate([np.zeros((0, 11)), *(values for _, values in parts)])
     return MovedPoints(ids, table[:, 0] > 0.0, table[:, 1:4], table[:, 4], table[:, 5:8], table[:, 8:11])
@@ -328,13 +327,15 @@ def _moved_of(bundle: Bundle, places: Array, sigmas: Array) -> tuple[list[str], 
     return bundle.network.points.ids[chosen].tolist(), table[chosen]
 
 
-def _left_undetermined(kept: Mapping[Members, Bundle], was: _Was) -> tuple[str, ...]:
+def _left_undetermined(
+    kept: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]
+) -> tuple[str, ...]:
     """Points that had a place and have none now."""
     found = list[str]()
     for members, bundle in kept.items():
         missing = np.isnan(bundle.places[:, 0])
         if np.any(missing):
-            had = np.isfinite(was.of(members, bundle)[0][:, 0])
+            had = np.isfinite(was[members][0][:, 0])
             found += bundle.network.points.ids[missing & had].tolist()
     return tuple(found)
 
@@ -356,3 +357,77 @@ def _neighbours(subjects: Sequence[str], kept: Mapping[Members, Bundle]) -> tupl
             if name not in own and (count := int(np.count_nonzero(mine[j] & with_own))):
                 shared[name] = shared.get(name, 0) + count
     return shared, linked
+
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
+
+CLOSE = 1e-2
+"""Sigmas within which incremental and batch results count as the same."""
+EXACT = 1e-4
+"""Sigmas beyond which the closing check takes over what batch has found."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closing(Record):
+    """Largest differences between the incremental result and batch, in sigmas of batch."""
+
+    unknown: Unknown
+    """Unknown with the largest difference."""
+    orientation: float
+    """Largest difference of a coefficient or shift, in its sigma."""
+    point: str
+    """Point with the largest difference."""
+    points: float
+    """Largest difference of a coordinate, in its sigma."""
+    adopted: bool
+    """Whether batch's result is to be taken over: it converged, and something is farther off than `EXACT`."""
+    converged: bool
+    """Whether batch converged; else the comparison says nothing."""
+
+    @property
+    def worst(self) -> float:
+        """Largest difference of all, in sigmas; infinite where one of the two has a place and the other has none."""
+        return max(self.orientation, self.points)
+
+    @property
+    def close(self) -> bool:
+        """Whether all differences are within `CLOSE`."""
+        return self.worst <= CLOSE
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        if not self.converged:
+            return "Closing check against batch: batch did not converge; the incremental result was kept."
+        verdict = "the same" if self.close else f"farther apart than {CLOSE:g} sigmas"
+        kept = "batch's result was taken over" if self.adopted else "the incremental result was kept"
+        return (
+            f"Closing check against batch: {verdict}; largest difference {self.orientation:.2g} sigmas for the "
+            f"{self.unknown}, {self.points:.2g} sigmas for point {self.point}; {kept}."
+        )
+
+
+def closing(solution: "Solution", values: Mapping[Unknown, Array], places: Array) -> Closing:
+    """Compare values of the unknowns and places (n, 3) of the points with a batch solution of the same network."""
+    worst, which = 0.0, next(iter(values), Unknown("image", "-"))
+    for unknown, batch in shared_of(solution).items():
+        off = float(np.max(np.abs(values[unknown] - batch.value) / batch.sigmas))
+        if off > worst:
+            worst, which = off, unknown
+    k, off = _farthest(solution, places)
+    converged = solution.converged
+    adopted = converged and max(worst, off) > EXACT
+    return Closing(which, worst, solution.network.points.ids[k], off, adopted, converged)
+
+
+def _farthest(solution: "Solution", places: Array) -> tuple[int, float]:
+    """The point that lies farthest off, and its largest difference of a coordinate in its sigma."""
+    known = np.isfinite(places[:, 0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        off = np.max(np.abs(places - solution.places) / solution.sigmas, axis=1)
+    off[~known & ~solution.determined] = 0.0
+    off[known != solution.determined] = np.inf
+    off[known & solution.determined & np.isnan(off)] = 0.0  # a fixed point has no sigma, and stays where it is
+    k = int(np.argmax(off))
+    return k, float(off[k])

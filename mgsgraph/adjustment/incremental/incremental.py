@@ -8,25 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.closing_check import Closing, closing
 from mgsgraph.adjustment.incremental.engine import Engine
-from mgsgraph.adjustment.incremental.impact import Impact, impact
-from mgsgraph.adjustment.incremental.shared import (
+from mgsgraph.adjustment.incremental.impact import Closing, Impact, closing, impact
+from mgsgraph.adjustment.incremental.state import (
+    ImagesByName,
+    InMemory,
+    Settled,
+    Shared,
+    StateStore,
     image_motion,
+    require_one_body,
     shared_by_images,
     shared_image,
     shared_of,
     shared_pass,
     shared_shift,
-)
-from mgsgraph.adjustment.incremental.state import (
-    ImagesByName,
-    InMemory,
-    KnownImage,
-    Settled,
-    Shared,
-    StateStore,
-    require_one_body,
     with_addition,
     with_points,
     without,
@@ -46,6 +42,7 @@ from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import (
+    KnownImage,
     Members,
     Unknown,
     alone,

@@ -17,11 +17,10 @@ from mgsgraph.adjustment.incremental.state import StateStore
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.definitions import Definitions, NamedPass, united
 from mgsgraph.network.joining import mountings, seconds
-from mgsgraph.network.node_priors import JointNodePrior, PolynomialPrior, normalised
+from mgsgraph.network.node_priors import PolynomialPrior, normalised
 from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
 
 _UNTURNED = 1e-3
@@ -84,17 +83,12 @@ def shortened(store: StateStore, known: Definitions, gone: Iterable[str]) -> Def
 
 def _over(one: NamedPass, images: Sequence[PushbroomImage]) -> NamedPass:
     """A pass with the nodes that its images need."""
-    if _with_given_nodes(one):
+    if isinstance(one.prior, PolynomialPrior):
         return one
     edges = np.array([seconds(image) for image in images]) - one.nodes.epoch
     nodes = one.nodes.over(float(edges[:, 0].min()), float(edges[:, 1].max()))
     same = np.array_equal(nodes.times, one.nodes.times)
     return one if same else replace(one, nodes=nodes)
-
-
-def _with_given_nodes(one: NamedPass) -> bool:
-    """Whether what is known of a pass is said of its nodes together, so that they stay: a polynomial, a joint prior."""
-    return isinstance(one.prior, JointNodePrior | PolynomialPrior)
 
 
 def _joined_by(store: KnowsImages, one: NamedPass, joining: Sequence[PushbroomImage], alike: bool) -> NamedPass:
@@ -119,11 +113,8 @@ def _joined_by(store: KnowsImages, one: NamedPass, joining: Sequence[PushbroomIm
     start, stop = float(edges[:, 0].min()) - one.nodes.epoch, float(edges[:, 1].max()) - one.nodes.epoch
     if first <= start and stop <= last:
         return one
-    if _with_given_nodes(one):
-        if one.nodes.basis == "lagrange" and len(one.nodes) == SUPPORT:
-            return replace(one, whole=False)  # one cubic polynomial, which holds before and after them
-        beyond = f"images beyond its nodes, {first:.3f} to {last:.3f} s past its epoch, whose joint prior can't go on"
-        raise InputError(where, beyond, "images within them")
+    if isinstance(one.prior, PolynomialPrior):
+        return replace(one, whole=False)  # one cubic polynomial, which holds before and after them
     nodes = one.nodes.over(min(first, start), max(last, stop))
     return one if np.array_equal(nodes.times, one.nodes.times) else replace(one, nodes=nodes)
 

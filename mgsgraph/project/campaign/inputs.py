@@ -156,7 +156,7 @@ def _described(path: Path) -> list[Path]:
 
 def _listed(kernel: Path) -> list[Path]:
     """Kernels that a meta-kernel lists."""
-    from mgsgraph.files.spice.kernel_contents import (
+    from mgsgraph.files.spice.kernels import (
         members,  # SPICE takes its time to load; only those who need it wait
     )
 

@@ -17,8 +17,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from mgsgraph.adjustment.cluster.address import parse_cluster
 from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
+from mgsgraph.adjustment.cluster.workers import parse_cluster
 from mgsgraph.analysis.soundness import is_result
 from mgsgraph.atomic_write import sweep
 from mgsgraph.case.reading import adjust, read_case

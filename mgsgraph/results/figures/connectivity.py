@@ -17,8 +17,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.network.connectivity_words import WEAKEST, connectivity_statements, worth_tying
+from mgsgraph.network.connectivity import WEAKEST, Connectivity, connectivity_statements, worth_tying
 from mgsgraph.results.figures.aggregate import MOST_ROWS, image_rows
 from mgsgraph.results.figures.map import frame, map_axes
 from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, plain_style, short

@@ -19,8 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import medians, solution_connectivity, span
 from mgsgraph.geometry.body import east_north_up, planetocentric
-from mgsgraph.geometry.error_ellipse import error_ellipses
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.map_plane import centre_of, east_north, error_ellipses
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity

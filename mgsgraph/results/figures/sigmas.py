@@ -8,7 +8,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.analysis.estimates import PoseEstimate
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.results.figures.sheet import Sheet, new_sheet, number, plain_style, short

@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from increments import by_image, distances, fan, network_of
 
-from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.graph.bundle import shared_vector
 from mgsgraph.adjustment.incremental.bayes_tree import Tree
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import ReducedSystem
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import SolverError
 from mgsgraph.network.parts import Members, Unknown
 
@@ -200,32 +194,3 @@ def test_a_sum_that_is_no_normal_matrix_is_an_error() -> None:
     with pytest.raises(SolverError, match="iSAM2 can't eliminate") as caught:
         tree.change(systems={members: bad})
     assert "\n" not in str(caught.value)
-
-
-def test_isam2_with_the_bundle_factors_themselves_agrees() -> None:
-    """GTSAM's own incremental optimiser, relinearising the custom factors until nothing moves."""
-    net = network_of(fan(), range(3))
-    layout = lay_out(net, SolverSettings())
-    graph = BundleGraph(layout)
-    parameters = gtsam.ISAM2Params()
-    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
-    parameters.setRelinearizeThreshold(0.0)
-    parameters.relinearizeSkip = 1
-    isam = gtsam.ISAM2(parameters)
-    isam.update(graph.graph, graph.values(np.zeros(layout.columns)))
-    for _ in range(5):
-        isam.update()
-    theirs = shared_vector(layout, isam.calculateBestEstimate())
-    adjustment = IncrementalAdjustment()
-    for part in by_image(net):
-        adjustment.add(part)
-    batch = adjust_network(net, SolverSettings())
-    assert distances(adjustment, batch).within()
-    for j, image in enumerate(net.images):
-        mine, at = adjustment.correction(image.name).coefficients.ravel(), layout.columns_of(j)
-        sigmas = np.sqrt(np.diag(batch.image_covariance(j)))
-        assert np.max(np.abs(theirs[at]) / sigmas) > 1.0
-        assert np.max(np.abs(theirs[at] - batch.coefficients[j].ravel()) / sigmas) < 1e-5
-        assert np.max(np.abs(theirs[at] - mine) / sigmas) < 1e-3
-        spread = isam.marginalCovariance(gtsam.symbol("o", j))
-        assert np.max(np.abs(adjustment.covariance(image.name) - spread) / np.outer(sigmas, sigmas)) < 1e-3

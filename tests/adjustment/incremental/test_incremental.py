@@ -27,7 +27,7 @@ from increments import (
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental import engine
 from mgsgraph.adjustment.incremental.bayes_tree import Tree
-from mgsgraph.adjustment.incremental.closing_check import EXACT
+from mgsgraph.adjustment.incremental.impact import EXACT
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
 from mgsgraph.adjustment.settings import SolverSettings

@@ -8,7 +8,7 @@ import pytest
 from increments import NOISE, fan, strip
 from strategies import differences
 
-from mgsgraph.adjustment.incremental.shared import ground_motion, image_motion
+from mgsgraph.adjustment.incremental.state import ground_motion, image_motion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection, OrientationPrior
 from mgsgraph.network.parts import KnownImage

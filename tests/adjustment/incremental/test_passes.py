@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.closing_check import closing
+from mgsgraph.adjustment.incremental.impact import closing
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.adjustment.incremental.sweep import Sweep

@@ -8,7 +8,7 @@ from networks import pair
 from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.closing_check import EXACT
+from mgsgraph.adjustment.incremental.impact import EXACT
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.network import Network

@@ -1,17 +1,18 @@
-"""What nothing determines, named before anything is solved: the datum of the whole network, or single images.
+"""Directions of the orientation in words; and what nothing determines, named before anything is solved: the datum of
+the whole network, or single images.
 
 Ties alone leave seven transformations of the whole network free: three translations, three rotations, scale. Their
 vectors on the orientation coefficients are built here, about the network's middle, and the null space of the normal
 matrix is compared with them; what of it is none of them is named by image and axis.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.datum.frames import Frames
-from mgsgraph.adjustment.datum.simple import simple_basis
-from mgsgraph.adjustment.datum.words import in_words, parts_of
+from mgsgraph.adjustment.frames import Axis, FlightFrame, Frames
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.body import east_north_up
@@ -21,7 +22,177 @@ from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.network.joining import nominal_poses
-from mgsgraph.text import listed
+from mgsgraph.text import listed, some
+
+_STEPS = 100
+_TOLERANCE = 1e-8
+"""Relative gain of a step below which the basis is good enough."""
+
+
+def simple_basis(vectors: Array) -> Array:
+    """(k, k) orthogonal R such that the columns of vectors (n, k), orthonormal, times R have simple structure.
+
+    Eigenvectors of (nearly) equal eigenvalues are any mixture of each other. Of all bases of their space, the one with
+    the largest sum of fourth powers has few large entries per direction (quartimax: Neuhaus & Wrigley 1954; Kaiser's
+    varimax is the same here). It begins from the pivoted QR decomposition of the projector on the space, which depends
+    on the space alone, not on the basis it is given in (Damle, Lin & Ying 2015).
+    """
+    if vectors.shape[1] < 2:
+        return np.eye(vectors.shape[1])
+    turn = _start(vectors)
+    before = 0.0
+    for _ in range(_STEPS):
+        turned = vectors @ turn
+        left, sums, right = np.linalg.svd(vectors.T @ turned**3)
+        turn = left @ right
+        if sums.sum() < before * (1.0 + _TOLERANCE):
+            break
+        before = float(sums.sum())
+    return np.asarray(turn)
+
+
+def _start(vectors: Array) -> Array:
+    """The basis nearest to the coordinates that the space holds best."""
+    from scipy.linalg import qr  # slow to import
+
+    _, _, pivots = qr(vectors.T, mode="economic", pivoting=True)
+    left, _, right = np.linalg.svd(vectors[pivots[: vectors.shape[1]]].T)
+    return np.asarray(left @ right)
+
+
+_LEAST = 0.01
+"""Share of a direction from which a part is kept."""
+_NAMED_SHARE = 0.08
+"""Share from which it is named, until `_ENOUGH` is."""
+_ENOUGH = 0.9
+_MOST = 4
+"""Terms that are named."""
+_MAINLY = 0.5
+"""Share of what an axis moves that it moves this way on the ground, for it to count there."""
+_CANCEL = 0.5
+"""Share of the larger effect on the ground that may be left where position and pointing counter each other."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one axis of one image (or one shift) has in a direction."""
+
+    axis: Axis
+    """Whose it is, which axis, which order."""
+    share: float
+    """Of the squared length of the direction, in prior units."""
+    amount: float
+    """Signed, m or rad per unit of the direction."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Term:
+    """One axis, or a position and the pointing that counters it on the ground, of one owner."""
+
+    what: str
+    owner: str
+    share: float
+    sign: float
+    parts: tuple[Part, ...]
+
+
+def parts_of(frames: Frames, direction: Array) -> tuple[Part, ...]:
+    """Parts of a direction (columns,), in units of `Layout.scales`, of a share of 1 % or more, largest first."""
+    share = frames.turned(direction[:, None])[:, 0] ** 2 / np.sum(direction**2)
+    amount = frames.amounts(direction[:, None])[:, 0]
+    # rounded, lest the last digit decide the order of equals
+    order = np.lexsort((np.arange(share.size), -np.round(share, 6)))
+    kept = [int(c) for c in order if share[c] >= _LEAST]
+    return tuple(Part(frames.axes[c], float(share[c]), float(amount[c])) for c in kept)
+
+
+def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) -> str:
+    """What a direction is; with its sigma (in prior units), how far one sigma moves its main term."""
+    groups: dict[str, list[_Term]] = {}
+    terms = sorted(_terms(frames, parts), key=lambda term: -round(term.share, 6))
+    for term in terms:
+        groups.setdefault(term.what, []).append(term)
+    whole = sorted(groups.values(), key=lambda group: -round(sum(term.share for term in group), 6))
+    named: list[list[_Term]] = []
+    explained = 0.0
+    for group in whole[:_MOST]:
+        share = sum(term.share for term in group)
+        if named and (share < _NAMED_SHARE or explained >= _ENOUGH):
+            break
+        explained += share
+        named.append(group)
+    text = ", with ".join(_group(group) for group in named)
+    together = f" ({'together ' if len(named) > 1 or len(named[0]) > 1 else ''}{100.0 * explained:.0f} %)"
+    if sigma is None:
+        return text
+    main = named[0][0]
+    amounts = " against ".join(quantity(abs(part.amount) * sigma, part.axis.unit) for part in main.parts)
+    whose = f" of {main.owner}" if len(terms) > 1 and len(named[0]) > 1 else ""
+    return f"{text}{together}: one sigma is {amounts}{whose}"
+
+
+def quantity(value: float, unit: str) -> str:
+    """A length in m or an angle in mrad, three significant digits."""
+    value, unit = (value * 1e3, "mrad") if unit == "rad" else (value, unit)
+    return f"{value:.3g} {unit}" if value < 1e3 else f"{value:.0f} {unit}"
+
+
+def _group(terms: Sequence[_Term]) -> str:
+    """The same of several owners."""
+    main = max(terms, key=lambda term: round(term.share, 6))
+    alike = [term.owner for term in terms if term.sign == main.sign]
+    other = [term.owner for term in terms if term.sign != main.sign]
+    text = f"{main.what} of {_owners(alike)}" + (" alike" if len(alike) > 1 else "")
+    return f"{text} and, the other way, of {_owners(other)}" if other else text
+
+
+def _owners(owners: Sequence[str]) -> str:
+    images = [owner.removeprefix("image ") for owner in owners if owner.startswith("image ")]
+    rest = [owner for owner in owners if not owner.startswith("image ")]
+    rest = [some(rest, len(rest), _MOST - 1)] if len(rest) > _MOST else rest
+    if len(images) > _MOST:
+        images = [some(images, len(images), _MOST - 1)]
+        return listed([f"images {images[0]}", *rest])
+    return listed([f"image{'s' * (len(images) > 1)} {listed(images)}", *rest]) if images else listed(rest)
+
+
+def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:
+    """Parts, those of position and pointing that counter each other put together."""
+    of_image: dict[tuple[int, int], list[Part]] = {}
+    terms: list[_Term] = []
+    for part in parts:
+        if part.axis.polynomial:
+            of_image.setdefault((part.axis.variable, part.axis.order), []).append(part)
+        else:
+            terms.append(_Term(str(part.axis), part.axis.owner, part.share, np.sign(part.amount), (part,)))
+    for (image, _), mine in of_image.items():
+        terms += _against(frames.of(image), mine)
+    return terms
+
+
+def _against(frame: FlightFrame, parts: Sequence[Part]) -> list[_Term]:
+    """Terms of one coefficient of one image: what cancels on the ground along the flight, across it, and the rest."""
+    rest, terms = list(parts), list[_Term]()
+    for way in frame.ground:
+        column = {part: frame.axes.index(part.axis.name) for part in rest}
+        moved = {part: float(part.amount * way[k]) for part, k in column.items()}
+        mainly = [part for part, k in column.items() if abs(way[k]) > _MAINLY * frame.reach[k]]
+        position = [part for part in mainly if part.axis.unit == "m"]
+        pointing = [part for part in mainly if part.axis.unit == "rad"]
+        one, other = (sum(moved[part] for part in group) for group in (position, pointing))
+        if not (position and pointing and abs(one + other) < _CANCEL * max(abs(one), abs(other))):
+            continue
+        main = tuple(max(group, key=lambda part: abs(moved[part])) for group in (position, pointing))
+        share = sum(part.share for part in main)
+        if min(part.share for part in main) < 0.1 * share:
+            continue
+        what = f"{main[0].axis} against {main[1].axis.name}"
+        terms.append(_Term(what, main[0].axis.owner, share, np.sign(main[0].amount), main))
+        rest = [part for part in rest if part not in main]
+    for part in rest:
+        terms.append(_Term(str(part.axis), part.axis.owner, part.share, np.sign(part.amount), (part,)))
+    return terms
+
 
 UNDETERMINED = 1e-13
 """Eigenvalue of the scaled normal matrix, relative to the largest, below which a direction isn't determined."""

@@ -1,20 +1,148 @@
-"""Constants of image rays put where the kernel reads them, and where points' nominal rays cross; compiled.
+"""Loops over points and image rays, compiled: points sorted by what they see, constants of rays put where the kernel
+reads them, and where points' nominal rays cross. No Python per point, per pattern or per image set.
 
-All of it goes over the rays of some neighbouring pieces, observation by observation as they lie in the data: of each
-of these r rays there is its number in the network, where its constants begin, the step to the next one, and its place
+Loops over rays take those of some neighbouring pieces, observation by observation as they lie in the data: of each of
+these r rays there is its number in the network, where its constants begin, the step to the next one, and its place
 among all observations.
 """
 
 import numpy as np
 
 from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
-from mgsgraph.factors.algebra import add, cross, dot, product, scale, subtract, transform, transpose
+from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
 from mgsgraph.factors.rotation import matrix_quaternion, opk_angles
-from mgsgraph.geometry.compiled_pose import attitude_at, place_at, vector
+from mgsgraph.geometry.compiled_pose import vector
 from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
 
 make_equations_compilable()
+
+
+@cached_kernel
+def by_point(point, image, node, points):
+    """Rows of each point, in the order of image and first node (then as given).
+
+    Parameters
+    ----------
+    point, image, node : (k,)
+    points : int
+        Number of points n.
+
+    Returns
+    -------
+    begin : (n + 1,)
+        Where each point's rows begin in `order`.
+    order : (k,)
+        Rows, point after point.
+    slot : (k,)
+        Place of each row among its point's.
+    """
+    begin = np.zeros(points + 1, dtype=np.int64)
+    for k in range(point.size):
+        begin[point[k] + 1] += 1
+    for i in range(points):
+        begin[i + 1] += begin[i]
+    order, filled = np.empty(point.size, dtype=np.int32), np.zeros(points, dtype=np.int32)
+    for k in range(point.size):
+        i = point[k]
+        at, first = begin[i] + filled[i], begin[i]
+        while at > first:
+            other = order[at - 1]
+            if image[other] < image[k] or (image[other] == image[k] and node[other] <= node[k]):
+                break
+            order[at] = other
+            at -= 1
+        order[at] = k
+        filled[i] += 1
+    slot = np.empty(point.size, dtype=np.int32)
+    for i in range(points):
+        for at in range(begin[i], begin[i + 1]):
+            slot[order[at]] = at - begin[i]
+    return begin, order, slot
+
+
+@compiled
+def mixed(signature, value):
+    """A signature with one more number in it (splitmix64)."""
+    z = (signature ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@cached_kernel
+def mix_rows(signature, begin, order, image, node, mark):
+    """Let the signatures (n,) of points know their rows."""
+    for i in range(signature.size):
+        one = mixed(signature[i], np.uint64(mark))
+        for at in range(begin[i], begin[i + 1]):
+            k = order[at]
+            one = mixed(mixed(one, np.uint64(image[k] + 1)), np.uint64(node[k] + 2))
+        signature[i] = one
+
+
+@cached_kernel
+def mix_values(signature, values):
+    """Let signatures (n,) know a number (n,) of each point, not below -1."""
+    for i in range(signature.size):
+        signature[i] = mixed(signature[i], np.uint64(values[i] + 2))
+
+
+@cached_kernel
+def distinct(signature):
+    """Number each distinct signature in the order of appearance: example of each, and the number of all (n,)."""
+    size = 1024
+    table, number = np.full(size, -1, dtype=np.int64), np.empty(signature.size, dtype=np.int64)
+    example, count = np.empty(signature.size, dtype=np.int64), 0
+    for i in range(signature.size):
+        if 2 * count >= size:
+            size *= 4
+            table = np.full(size, -1, dtype=np.int64)
+            for q in range(count):
+                at = np.int64(signature[example[q]] & np.uint64(size - 1))
+                while table[at] >= 0:
+                    at = (at + 1) & (size - 1)
+                table[at] = q
+        at = np.int64(signature[i] & np.uint64(size - 1))
+        while table[at] >= 0 and signature[example[table[at]]] != signature[i]:
+            at = (at + 1) & (size - 1)
+        if table[at] < 0:
+            table[at], example[count] = count, i
+            count += 1
+        number[i] = table[at]
+    return example[:count].copy(), number
+
+
+@cached_kernel
+def counted(number, count):
+    """Points in the order of their numbers (n,), each below `count`: that order, the way back, and how many of each."""
+    sizes = np.zeros(count, dtype=np.int64)
+    for i in range(number.size):
+        sizes[number[i]] += 1
+    at = np.cumsum(sizes) - sizes
+    order, index = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
+    for i in range(number.size):
+        k = at[number[i]]
+        order[k], index[i] = i, k
+        at[number[i]] = k + 1
+    return order, index, sizes
+
+
+@cached_kernel
+def followed(lines, measured, residuals, among, kind, point, point_index, image, size, beyond, out, found):
+    """Predicted lines (k,) of rays, as residuals (t, 2) about `lines` (k,) have them, but for points that are `out` and
+    those that lie nowhere; at most a share `beyond` of an image's lines (`size` (m,)) before it or after it. How far
+    the farthest moves.
+    """
+    farthest = 0.0
+    for k in range(lines.size):
+        line = measured[k, 0] - residuals[among[k], 0]
+        if kind[point_index[point[k]]] == out or not np.isfinite(line):
+            line = lines[k]
+        most = size[image[k]]
+        found[k] = min(max(line, -beyond * most), (1.0 + beyond) * most)
+        farthest = max(farthest, abs(found[k] - lines[k]))
+    return farthest
 
 
 @cached_kernel
@@ -88,67 +216,6 @@ def put_detectors(mine, ray, at, stride, place, sigmas, first, predicted, detect
         there = put(data, there, stride[c], (detector[r, 0], detector[r, 1]))
         if predicted:
             put(data, there + 6 * stride[c], stride[c], (slope[r, 0], slope[r, 1]))
-
-
-@compiled
-def tables_of(tables, image):
-    """Timing, table of positions and tables of attitude of one image."""
-    a, b = tables.timing_first[image], tables.timing_first[image + 1]
-    timing = tables.lines[a:b], tables.starts[a:b], tables.periods[a:b]
-    a, b = tables.position_first[image], tables.position_first[image + 1]
-    position = tables.times[a:b], tables.positions[a:b], tables.velocities[a:b]
-    return timing, position, attitude_table(tables.camera, image), attitude_table(tables.body, image)
-
-
-@compiled
-def attitude_table(tables, image):
-    """Table of attitude of one image (`geometry.compiled_pose.attitude_at`)."""
-    a, b = tables.first[image], tables.first[image + 1]
-    return tables.times[a:b], tables.quaternions[a:b], tables.turns[a : b - 1], tables.constants[image]
-
-
-@compiled
-def pose_at(line, timing, position_table, camera_table, body_table):
-    """Body-fixed position and attitude of the camera at a line, and their rates per line: as `PushbroomImage.pose`."""
-    lines, starts, periods = timing
-    k = max(np.searchsorted(lines, line, side="right") - 1, 0)
-    time, period = starts[k] + (line - lines[k]) * periods[k], periods[k]
-    place, motion = place_at(time, position_table)
-    to_camera, camera_turning = attitude_at(time, camera_table)
-    to_body, body_turning = attitude_at(time, body_table)
-    fixed = transform(to_body, place)
-    attitude = product(to_camera, transpose(to_body))
-    velocity = subtract(transform(to_body, motion), cross(body_turning, fixed))
-    turning = subtract(camera_turning, transform(attitude, body_turning))
-    return fixed, scale(period, velocity), attitude, scale(period, turning)
-
-
-@cached_kernel
-def put_sampled(ray, at, stride, image, tables, focal, size, polynomial, measured, lines, data, units):
-    """Nominal poses of the rays whose images have `tables` (`poses.PoseTables`), about lines (k,), in the strict form,
-    angles about the camera's axes.
-
-    `size` (m,) are the images' lines, `polynomial` (m,) says of which u is stored, `measured` (k, 2) are the measured
-    places. `units` (r, 3) are filled with unit directions where there is room for them.
-    """
-    before, own = np.int64(-1), tables_of(tables, 0)
-    for c in range(ray.size):
-        j, k, step = image[c], ray[c], stride[c]
-        if not tables.sampled[j]:
-            continue
-        if j != before:
-            before, own = j, tables_of(tables, j)
-        line = lines[k]
-        position, velocity, attitude, turning = pose_at(line, *own)
-        there = put(data, at[c], step, position)
-        there = put(data, there, step, matrix_quaternion(attitude))
-        if units.shape[0] > 0:
-            put_look(attitude, data, there, step, focal[j], units, c)
-        there = put(data, there + 2 * step, step, velocity)
-        there = put(data, there, step, turning) + 2 * step
-        data[there] = line - measured[k, 0]
-        if polynomial[j]:
-            data[there + step] = 2.0 * line / size[j] - 1.0
 
 
 @cached_kernel
