@@ -11,8 +11,6 @@ chance gives. Wrong measures of few points make residuals of many images larger,
 points: where nearly all points that stand out are measured in one image, or in those that stand out, and few other
 points are, the images explain the points; else the points explain the images, and these are looked at again without
 them. Of a redescending loss (Tukey) nothing stands out: what it leaves out depends on where it began.
-
-Finds which images and points drive an adjustment (`drivers`).
 """
 
 import math

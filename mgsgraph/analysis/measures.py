@@ -39,10 +39,6 @@ class Levels(Record):
     """Share of good measures whose test exceeds the critical value, two-sided."""
     power: float = 0.80
     """Share of blunders of one minimal detectable blunder that are found."""
-    scaled: bool = False
-    """Whether tests are divided by the a-posteriori sigma0, and held against Pope's tau; else sigma0 is 1, as the
-    a-priori sigmas imply."""
-
     def __post_init__(self) -> None:
         for name, value, low, high in (("alpha", self.alpha, 0.0, 0.5), ("power", self.power, self.alpha, 1.0)):
             if not (math.isfinite(value) and low < value < high):
@@ -61,17 +57,6 @@ class Levels(Record):
         from scipy.special import ndtri
 
         return self.critical + float(ndtri(self.power))
-
-    def critical_tau(self, degrees_of_freedom: float) -> float:
-        """Critical value of tests divided by the a-posteriori sigma0, Pope's tau (Pope 1976), of so many degrees of
-        freedom.
-        """
-        from scipy.special import stdtrit
-
-        if degrees_of_freedom <= 1.0:
-            return math.inf
-        t = -float(stdtrit(degrees_of_freedom - 1.0, 0.5 * self.alpha))
-        return t * math.sqrt(degrees_of_freedom / (degrees_of_freedom - 1.0 + t * t))
 
     def critical_squares(self, dimensions: int) -> float:
         """Critical value of a test of several dimensions, distributed as chi-square; `critical` squared for one."""

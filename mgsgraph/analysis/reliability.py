@@ -76,7 +76,7 @@ class Reliability(Record):
     critical: float
     """Modulus that a good measure's test exceeds with probability alpha."""
     sigma0: float
-    """A-posteriori standard deviation of unit weight; tests are divided by it where `levels.scaled` says so."""
+    """A-posteriori standard deviation of unit weight; tests are for 1, as the a-priori sigmas imply."""
     degrees_of_freedom: float
     """Sum of the redundancy numbers."""
 
@@ -189,13 +189,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
         squares += _singles(on_stereo, MeasureKind.STEREO, numbers, sigmas, root, levels, *where)
     degrees = float(out.redundancy.sum())
     sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
-    if levels.scaled:
-        for values, scale in ((out.test, sigma0), (out.joint, sigma0**2)):
-            values /= scale
-        for values in (out.detectable, out.effect, out.external):
-            values *= sigma0
-    critical = levels.critical_tau(degrees) if levels.scaled else levels.critical
-    return Reliability(at, levels, out, critical, sigma0, degrees)
+    return Reliability(at, levels, out, levels.critical, sigma0, degrees)
 
 
 def _taking_part(at: Linearised, roots: _Roots | None) -> tuple[Mask, Index, Index, Index]:

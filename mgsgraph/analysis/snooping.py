@@ -5,8 +5,6 @@ apart from it goes with it: the rays of a tie that only two images see, that is,
 where they don't influence each other: different points, whose tests would exceed their critical values whatever the
 larger blunders have done to them. In the end each is judged by what the others predict for it, and taken back where it
 agrees. A-priori values of the orientation, shifts and biases are tested, but stay.
-
-What data snooping takes out of a network: marks of it, the network without it, and what may come back.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -49,7 +47,7 @@ class Removal(Record):
     point: int
     """Network point of the observations."""
     test: float
-    """Joint test of the first when it went, chi-square (divided by sigma0 squared where `Levels.scaled` says so)."""
+    """Joint test of the first when it went, chi-square."""
     dimensions: int
     """Dimensions of the test."""
     critical: float
@@ -300,7 +298,7 @@ def snoop(
         raise InputError("data snooping, most", f"{most}", "0 or more")
     run = _Search(network, settings, levels, most, name, progress)
     run.take_out()
-    back = readmissible(network, run.at, run.solution, run.taken, run.removals, run.critical)
+    back = readmissible(network, run.at, run.solution, run.taken, run.removals, run.found.critical_joint)
     if back:
         run.removals = [one for one in run.removals if one not in back]
         run.taken = run.taken.changed([observation for one in back for observation in one.observations], False)
@@ -331,25 +329,16 @@ class _Search:
         self.adjustments, self.complete = 0, True
         self.adjust()
 
-    @property
-    def scale(self) -> float:
-        """Sigma0 by which tests are divided, or 1."""
-        return self.found.sigma0 if self._levels.scaled else 1.0
-
-    def critical(self, dimensions: int) -> float:
-        """Critical value of a joint test, before it is divided by sigma0 squared."""
-        return self.scale**2 * self.found.critical_joint(dimensions)
-
     def take_out(self) -> None:
         """Until no test exceeds its critical value."""
-        while candidates := _candidates(self.found, self.scale, self.adjustments):
+        while candidates := _candidates(self.found, self.adjustments):
             allowed = self._most - len(self.removals)
             if allowed <= 0:
                 self.complete = False
                 return
             sizes, critical = np.array([(one.size, one.removal.critical) for one in candidates]).T
             pulls = [(one.variables, one.pull) for one in candidates]
-            for k in independent(pulls, sizes, self.scale * np.sqrt(critical), self.at)[:allowed]:
+            for k in independent(pulls, sizes, np.sqrt(critical), self.at)[:allowed]:
                 one = candidates[k]
                 self.removals.append(one.removal)
                 self.taken = self.taken.changed(one.removal.observations, True)
@@ -365,7 +354,7 @@ class _Search:
         self.adjustments += 1
 
 
-def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidate]:
+def _candidates(found: Reliability, number: int) -> list[_Candidate]:
     """One for each point that has an observation over its critical value, worst first."""
     over = (found.severity > 1.0) & (found.measures.kind < MeasureKind.PRIOR)
     worst = np.flatnonzero(over)[np.argsort(-found.severity[over], kind="stable")]
@@ -374,11 +363,11 @@ def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidat
     if not chosen.size:
         return []
     index = ObservationIndex(found.at)
-    candidates = [_candidate(found, index, int(point), scale, number) for point in chosen]
+    candidates = [_candidate(found, index, int(point), number) for point in chosen]
     return sorted((one for one in candidates if one.severity > 1.0), key=lambda one: -one.severity)
 
 
-def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: float, number: int) -> _Candidate:
+def _candidate(found: Reliability, index: ObservationIndex, point: int, number: int) -> _Candidate:
     """The worst observation of a point, by its direction of the largest test."""
     at = found.at
     rows, observations = at.rows_of(point), index.of(point)
@@ -397,7 +386,7 @@ def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: f
     together = (worst[0], *alike)
     names = tuple(_name(at, *observation) for observation in together)
     critical = found.critical_joint(dimensions)
-    removal = Removal(together, names, point, test / scale**2, dimensions, critical, number)
+    removal = Removal(together, names, point, test, dimensions, critical, number)
     return _Candidate(removal, rows.variables, through.T @ combination, float(np.sqrt(test)))
 
 

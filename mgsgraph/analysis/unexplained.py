@@ -9,8 +9,6 @@ covariance, and the rest is tested again: what it had brought about elsewhere go
 Errors that are simply larger than stated would look like every effect at once. So a test has to be clear by Fisher's
 law, too, with the scatter that the residuals of the same points have: then a run names nothing with a probability of
 1 - `OWN_LEVEL` whatever the sigmas are. That scatter holds the effects themselves, so its level is a wider one.
-
-Score tests of families of effects, by the stated sigmas and by the residuals' own scatter.
 """
 
 import math

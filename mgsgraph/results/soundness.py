@@ -12,9 +12,9 @@ import numpy as np
 from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.fit import ABSURD, IMPOSSIBLE
 from mgsgraph.adjustment.linearity import Linearity
-from mgsgraph.adjustment.nominal import unexplained_ranges, unexplained_residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
+from mgsgraph.analysis.input_checks import unexplained_ranges, unexplained_residuals
 from mgsgraph.analysis.residual_tests import ODDS, GroupFit, group_fits
 from mgsgraph.analysis.soundness import MOST, Loss, soundness
 from mgsgraph.files.output.table import Column, Table

@@ -199,8 +199,6 @@ def test_levels_are_the_tables() -> None:
     for q in (1, 2, 3, 50):
         assert ncx2.sf(levels.critical_squares(q), q, levels.shift**2) == pytest.approx(0.80, abs=1e-6)
     assert chi2.sf(levels.critical_squares(1), 1) == pytest.approx(levels.alpha, rel=1e-6)
-    assert levels.critical_tau(1e7) == pytest.approx(levels.critical, abs=1e-3)
-    assert levels.critical_tau(5.0) < np.sqrt(5.0)  # tau is bounded by the root of the degrees of freedom
 
 
 @pytest.mark.parametrize(("alpha", "power"), [(0.0, 0.8), (0.6, 0.8), (0.001, 1.0), (0.01, 0.005), (np.nan, 0.8)])
@@ -315,13 +313,6 @@ def test_a_robust_test_is_that_of_the_prediction() -> None:
     found, dimensions = pair_tests(left[None, :2], np.diag(hat)[None, :2], hat[0, 1:2], np.sqrt(weight[:1]))
     assert dimensions == 2
     assert found[0] == pytest.approx(error @ np.linalg.solve(covariance, error), rel=1e-9)
-
-
-def test_scaled_tests_are_the_plain_ones_over_sigma0() -> None:
-    plain, scaled = known("pair"), reliability(solved("pair"), Levels(scaled=True))
-    assert np.allclose(scaled.measures.test * plain.sigma0, plain.measures.test, equal_nan=True)
-    assert scaled.critical == pytest.approx(Levels().critical_tau(plain.degrees_of_freedom))
-    assert np.allclose(scaled.severity * plain.sigma0, plain.severity, rtol=0.1)
 
 
 def test_inverses_by_cofactors() -> None:
