@@ -157,7 +157,8 @@ DOOR = {
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},
-    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.part": {"open"}, "mgsgraph.project.campaign.record": {"open"},
+    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.download": {"open"},
+    "mgsgraph.project.campaign.record": {"open"},
     "mgsgraph.atomic_write": {"open"}, "mgsgraph.sandbox": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip
 """Where files from outside are opened and parsed: all else takes them from these (docs/hostile_files.md)."""

@@ -33,3 +33,8 @@ VERBS = {
     "undo": ("projects", "Take back the last edit of a point of a project."),
 }
 """Module of each verb, and its line of help: known before that module is imported."""
+
+REMOVED = {
+    "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",
+}
+"""Options that verbs had once, and what serves instead."""

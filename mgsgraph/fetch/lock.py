@@ -8,8 +8,8 @@ from typing import Any
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import require_address
+from mgsgraph.fetch.download import RemoteSource
 from mgsgraph.fetch.needs import ImageNeeds
-from mgsgraph.fetch.part import RemoteSource
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.records import read_record, record_text
 from mgsgraph.files.writing import write_file
