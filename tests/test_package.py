@@ -149,7 +149,6 @@ DOOR = {
     "mgsgraph.files.cameras.hrsc_lines": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
-    "mgsgraph.project.checksum": {"open"},  # POSIX drops locks where any reader closes
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
     "mgsgraph.project.project": {"json.loads"},
     # our own files, not a user's

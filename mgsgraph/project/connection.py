@@ -9,15 +9,15 @@ import re
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import quote
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import read_json, understood
 from mgsgraph.files.writing import write_file
-from mgsgraph.project.checksum import checksum, held_open, note, noted, sign
+from mgsgraph.project.checksum import checksum, note, noted
 from mgsgraph.project.schema import APPLICATION, FORMAT, TABLES
 
 FILE = "project.sqlite"
@@ -37,7 +37,7 @@ _FORMAT_NUMBER = re.compile(r"[1-9][0-9]{0,5}")
 def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sqlite3.Connection]:
     """The project's file inside one transaction, which is committed at the end and rolled back on any exception.
 
-    Its checksum is compared first, and written anew after a change.
+    Its checksum is compared first, and written anew with a change.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         full or can't be written.
     """
     path = _existing(folder)
-    with _refused(folder, sqlite3.Error), _readable(path, folder) as file:
+    with _refused(folder, sqlite3.Error):
         with _refused(folder, UnicodeError):  # from the names in a damaged schema, which SQLite quotes
             if not write:
                 _recover(path, folder)
@@ -63,16 +63,16 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         try:
             with _refused(folder, UnicodeError):
                 _require_format(connection, folder)
-                _require_sound(connection, file, folder, thorough)
+                _require_sound(connection, folder, thorough)
                 if write:
                     # a read-only file lets even a transaction for writing begin, and complains at its first change
                     note(connection, 0)
             if write:
                 _say_who(folder)
             yield connection
-            _commit(connection, folder)
             if write:
-                _sign(connection, file)
+                note(connection, checksum(connection))
+            _commit(connection, folder)
         finally:
             _closed(connection, folder if write else None)
 
@@ -86,17 +86,6 @@ def _refused(folder: Path, kind: type[sqlite3.Error | UnicodeError]) -> Iterator
         raise _refusal(folder, error) from error
 
 
-@contextmanager
-def _readable(path: Path, folder: Path) -> Iterator[BinaryIO]:
-    """The project's file, opened for its checksum."""
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(held_open(path))
-        except OSError as error:
-            raise _unreadable(folder, error) from None
-        yield file
-
-
 def _commit(connection: sqlite3.Connection, folder: Path) -> None:
     try:
         connection.execute("COMMIT")
@@ -105,11 +94,6 @@ def _commit(connection: sqlite3.Connection, folder: Path) -> None:
             raise
         found = "another process has been reading it for a minute; nothing was changed"
         raise InputError(str(folder), found, remedy="do it again when that has ended") from None
-
-
-def _sign(connection: sqlite3.Connection, file: BinaryIO) -> None:
-    with suppress(sqlite3.Error, OSError):  # the change is whole: the next process does it
-        sign(connection, file)
 
 
 @contextmanager
@@ -123,9 +107,8 @@ def made(folder: Path, shown: Path) -> Iterator[sqlite3.Connection]:
             connection.execute(statement)
         connection.execute("INSERT INTO meta VALUES ('format', ?)", (str(FORMAT),))
         yield connection
+        note(connection, checksum(connection))
         connection.execute("COMMIT")
-        with held_open(folder / FILE) as file:
-            _sign(connection, file)
 
 
 def _refusal(folder: Path, error: sqlite3.Error | UnicodeError) -> InputError:
@@ -220,23 +203,14 @@ def _set_up(connection: sqlite3.Connection, write: bool) -> None:
 
 
 def _recover(path: Path, folder: Path) -> None:
-    """What a reader can't do itself: play back the journal of a process that was killed, and write its checksum."""
+    """What a reader can't do itself: play back the journal of a process that was killed."""
     try:
-        reader = _opened(path, False, folder)
+        _opened(path, False, folder).close()
     except sqlite3.Error as error:
         if not getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY"):
             raise
         with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=rw", uri=True)) as player:
             player.execute("SELECT 1 FROM sqlite_master")
-        return
-    try:
-        _require_format(reader, folder)
-        unsigned = not noted(reader)
-    finally:
-        reader.close()
-    if unsigned:
-        with suppress(InputError), connected(folder, write=True):  # it can be read all the same
-            pass
 
 
 def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
@@ -259,10 +233,10 @@ def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
         )  # fmt: skip
 
 
-def _require_sound(connection: sqlite3.Connection, file: BinaryIO, folder: Path, thorough: bool) -> None:
+def _require_sound(connection: sqlite3.Connection, folder: Path, thorough: bool) -> None:
     """Raise InputError where the file isn't as it was written; of one without a checksum, where its pages don't fit."""
     expected = noted(connection)
-    if expected and checksum(file) != expected:
+    if expected and checksum(connection) != expected:
         found = f"{FILE} is damaged, or another program has changed it (its checksum is another one)"
         own = f"sqlite3 {folder / FILE} 'PRAGMA user_version = 0'"
         raise InputError(str(folder), found, remedy=f"{ELSEWHERE}; if the change was yours, have it signed: {own}")
