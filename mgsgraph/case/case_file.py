@@ -1,12 +1,11 @@
 """A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name."""
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
-from mgsgraph.case.laser import of_today
 from mgsgraph.case.schema import CaseInput, ImageInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
@@ -14,13 +13,19 @@ from mgsgraph.files.kinds import Kind, kind_of, listed_names
 from mgsgraph.files.labels.image_kinds import ImageKind, image_kind, image_name
 from mgsgraph.files.opening import read_text
 
-_MOLA = re.compile(r"^(\s*\[\[\s*)mola(\s*\]\])", re.MULTILINE)
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
     "kernels": ("label",), "constants": ("label",), "focal_length_m": ("label",), "attitude_bias_s": ("label",),
     "position_bias_s": ("label",), "line_times": ("label",), "aberration": ("isd", "cube"), "observer": ("isd", "cube"),
 }  # fmt: skip
 """Keys that say something of files of some kinds alone."""
+_FORMER = {
+    "strips": ("[[passes]] with a prior", "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"),
+    "mola": ("[[shots]]", "its key pedr is file"),
+    "pedr": ("file", ""),
+    "leap_seconds": ("no such key: leap seconds are built in", "take it out"),
+}
+"""Words of earlier versions: those of today, and what else to change."""
 
 
 def decode(path: Path) -> CaseInput:
@@ -53,12 +58,20 @@ def stated(path: Path) -> CaseInput:
     except InputError:
         _refuse_other_kinds(path)
         raise
-    if "strips" in toml.tables:
-        remedy = "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"
-        raise InputError(f"{path}, strips", "[[strips]]", "[[passes]] with a prior", remedy)
-    text = _MOLA.sub(r"\1shots\2", toml.text)  # for the lines of what is wrong in tables of former names
-    toml = toml._replace(tables=of_today(toml.tables), text=text)
+    _refuse_former(toml.tables, str(path))
     return validated(toml, CaseInput, path, "all keys: mgsgraph help case")
+
+
+def _refuse_former(value: Any, where: str) -> None:
+    """Raise InputError for a table or key of an earlier version, and name the word of today."""
+    for one in value if isinstance(value, list) else [value]:
+        for key, inner in one.items() if isinstance(one, dict) else ():
+            expected, remedy = _FORMER.get(key, ("", ""))
+            if key.endswith("_mgon"):
+                expected, remedy = f"{key.removesuffix('mgon')}mrad", "1 mgon is 0.015708 mrad"
+            if expected:
+                raise InputError(f"{where}, {key}", "a word of earlier versions", expected, remedy)
+            _refuse_former(inner, f"{where}, {key}")
 
 
 def _refuse_other_kinds(path: Path) -> None:

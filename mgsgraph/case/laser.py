@@ -1,16 +1,13 @@
 """What a case file may say of laser shots: tables and keys, units in their names."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
 
-from mgsgraph.case.nodes import Positive, Sigma
+from mgsgraph.case.motion import Positive, Sigma
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import Altimeter
-
-_TIMED = ("mola", "shots", "altimetry", "terrain")
-"""Tables that had a key `leap_seconds`."""
 
 
 class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -29,7 +26,7 @@ class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A laser profile of an altimeter. Files of earlier versions call it [[mola]], and its file pedr."""
+    """A laser profile of an altimeter."""
 
     file: str
     """Shots as their archive has them: MOLA PEDR (binary, PEDR2TAB table, CSV of the Orbital Data Explorer), LOLA RDR
@@ -76,28 +73,6 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             found = f"no {key}, and none published for {altimeter.name}"
             raise InputError(source, found, f"{key} in [[shots]], shot_{key} in a project's [measures]")
         return msgspec.structs.replace(self, **sigmas)
-
-
-def of_today(table: dict[str, Any]) -> dict[str, Any]:
-    """The tables of a case file with those of [[mola]], as earlier versions call them, among [[shots]], and without the
-    leap seconds kernels that laser shots in UTC needed.
-    """
-    table = {key: _without_leap_seconds(value) if key in _TIMED else value for key, value in table.items()}
-    old = table.get("mola")
-    if not isinstance(old, list):
-        return table
-    renamed = [
-        {("file" if key == "pedr" else key): value for key, value in one.items()} if isinstance(one, dict) else one
-        for one in old
-    ]
-    others = {key: value for key, value in table.items() if key != "mola"}
-    return others | {"shots": [*renamed, *table.get("shots", ())]}
-
-
-def _without_leap_seconds(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_without_leap_seconds(one) for one in value]
-    return {key: one for key, one in value.items() if key != "leap_seconds"} if isinstance(value, dict) else value
 
 
 class AltimetryInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

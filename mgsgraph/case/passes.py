@@ -8,8 +8,11 @@ import msgspec
 import numpy as np
 
 from mgsgraph.case.motion import (
+    SPACING,
     AttitudeInput,
     Motion,
+    NodePriorInput,
+    NodesInput,
     PositionInput,
     ProcessInput,
     negligible_departures,
@@ -17,7 +20,6 @@ from mgsgraph.case.motion import (
     processes,
     trend_sigmas,
 )
-from mgsgraph.case.nodes import SPACING, NodePriorInput, NodesInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior

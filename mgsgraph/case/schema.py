@@ -8,8 +8,8 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
+from mgsgraph.case.motion import Factor, Positive, Sigma, three
 from mgsgraph.case.mountings import MountingInput
-from mgsgraph.case.nodes import Factor, Positive, Sigma
 from mgsgraph.case.passes import PassInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.labels.aberration import Observer
@@ -49,23 +49,14 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     def prior(self, where: str) -> OrientationPrior:
         """The sigmas, (degree + 1, 6), in m and rad; `where` names this table in errors."""
-        position = _three_sigmas(self.position_sigma_m, f"{where}, position_sigma_m")
-        angle = _three_sigmas(self.angle_sigma_mrad, f"{where}, angle_sigma_mrad") * MRAD
+        position = three(self.position_sigma_m, f"{where}, position_sigma_m", infinite=True)
+        angle = three(self.angle_sigma_mrad, f"{where}, angle_sigma_mrad", infinite=True) * MRAD
         factors = self.trend or (1.0, 0.1) + (0.01,) * self.degree
         if len(factors) <= self.degree:
             expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
             raise InputError(f"{where}, trend", f"{len(factors)} factors", expected)
         with errors_from(where):
             return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
-
-
-def _three_sigmas(value: float | list[float], where: str) -> Array:
-    """One sigma for all three directions, or three. (A union with a fixed-length tuple crashes msgspec 0.22.)"""
-    sigmas = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    sound = ((sigmas >= 1e-9) & (sigmas <= 1e9)) | np.isposinf(sigmas)
-    if sigmas.size not in (1, 3) or not np.all(sound):
-        raise InputError(where, f"{value}", "one number from 1e-9 to 1e9, or three (inf for unknown)")
-    return np.broadcast_to(sigmas, 3)
 
 
 class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -243,7 +234,7 @@ def _sigmas(value: float | list[float], width: int, where: str, kind: str) -> Ar
     if isinstance(value, list) and width == 1:
         raise InputError(where, f"{value}", f"one number for {kind}")
     padded = [*value, *value[-1:] * (3 - width)] if isinstance(value, list) else value
-    return _three_sigmas(padded, where)[:width]
+    return three(padded, where, infinite=True)[:width]
 
 
 _SHARED_SIGMAS = ("sigma_s", "sigma_mrad", "sigma_m", "sigma_ppm")

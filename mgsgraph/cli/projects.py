@@ -17,12 +17,16 @@ from mgsgraph.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.incremental.closing_check import Closing
     from mgsgraph.adjustment.incremental.impact import Impact
     from mgsgraph.adjustment.settings import Device
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited
     from mgsgraph.results.large_tables import TableForm
+
+
+_IMPACT = click.option(
+    "--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file."
+)
 
 
 @click.command()
@@ -62,8 +66,7 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.option("--shots", type=PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
 @click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT that they are images of.")
 @click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
-@click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
+@_IMPACT
 @click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
 @click.pass_context
 def add(
@@ -75,7 +78,6 @@ def add(
     of_pass: str,
     shares: tuple[str, ...],
     table: Path | None,
-    check: bool,
     dry_run: bool,
 ) -> None:
     """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
@@ -84,8 +86,7 @@ def add(
     (.toml), which brings everything that it names, passes among it. NAME is what control networks call it. The
     trajectory of a pass that is there goes on over the lines of its new images.
 
-    What is printed is the impact: which images and points moved, in metres and in their sigmas. --check ends with the
-    closing check: batch over everything, the largest difference, and batch's result where the two are not the same.
+    What is printed is the impact: which images and points moved, in metres and in their sigmas.
 
     Exit status: 0 added, 1 added and not come to rest, 2 bad input (nothing has changed).
     """
@@ -101,19 +102,14 @@ def add(
 
         require_writable(table, project)
     wanted = [parse_image(text) for text in images]
-    closing = None
-    with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
+    with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
             addition = read_addition(opened, wanted, ties, shots, of_pass, shares)
         if not dry_run:
             from mgsgraph.project.changes import add as put
-            from mgsgraph.project.changes import check as compare
 
             with stages.stage("adjusting"):
                 impact = put(opened, addition)
-            if check and impact is not None:
-                with stages.stage("closing check"):
-                    closing = compare(opened)
     if dry_run:
         click.echo(f"{project}: would add {_words(addition)}; nothing was changed")
         print_sentences(addition.notes)
@@ -126,10 +122,7 @@ def add(
     print_sentences(addition.notes)
     if impact is None:
         _warn(addition)
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
-        return
-    print_impact(impact, closing, table)
-    ctx.exit(0 if impact.converged else 1)
+    _print_impact(ctx, project, impact, table)
 
 
 def _words(addition: "Addition") -> str:
@@ -151,35 +144,24 @@ def _warn(addition: "Addition") -> None:
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("images", nargs=-1, required=True, metavar="IMAGE...")
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
-@click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
+@_IMPACT
 @click.pass_context
-def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None, check: bool) -> None:
+def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None) -> None:
     """Take each IMAGE (by its name) out of PROJECT with its measures, and adjust what it touched.
 
     Exit status: 0 removed, 1 removed and not come to rest, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.project.changes import check as compare
     from mgsgraph.project.changes import remove as take_out
     from mgsgraph.project.project import open_project
     from mgsgraph.results.impact import require_writable
 
     if table is not None:
         require_writable(table, project)
-    closing = None
-    with stage_bar(2 if check else 1) as stages, open_project(project, write=True) as opened:
-        with stages.stage("adjusting"):
-            impact = take_out(opened, images)
-        if check and impact is not None:
-            with stages.stage("closing check"):
-                closing = compare(opened)
+    with stage_bar(1) as stages, stages.stage("adjusting"), open_project(project, write=True) as opened:
+        impact = take_out(opened, images)
     click.echo(f"{project}: removed {', '.join(images)}")
-    if impact is None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
-        return
-    print_impact(impact, closing, table)
-    ctx.exit(0 if impact.converged else 1)
+    _print_impact(ctx, project, impact, table)
 
 
 @click.command()
@@ -195,7 +177,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 @click.option("--reject", "rejected", multiple=True, metavar="IMAGE", help="Set its measure in IMAGE aside.")
 @click.option("--accept", "accepted", multiple=True, metavar="IMAGE", help="Take a rejected measure in again.")
 @click.option("--remove", "gone", is_flag=True, help="Take POINT out.")
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@_IMPACT
 @click.pass_context
 def measure(
     ctx: click.Context, project: Path, point: str, new: bool, pixels: tuple[tuple[str, float, float], ...],
@@ -240,7 +222,7 @@ def measure(
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("change", type=int, required=False)
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@_IMPACT
 @click.pass_context
 def undo(ctx: click.Context, project: Path, change: int | None, table: Path | None) -> None:
     """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
@@ -266,12 +248,7 @@ def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", ta
         click.echo(f"{project}: change {one.change}. {one.sentence}")
         if one.impact is not None and one is not done[-1]:
             print_sentences(one.impact.sentences)
-    impact = done[-1].impact
-    if impact is None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
-        return
-    print_impact(impact, None, table)
-    ctx.exit(0 if impact.converged else 1)
+    _print_impact(ctx, project, done[-1].impact, table)
 
 
 @click.command()
@@ -320,8 +297,11 @@ def status(project: Path) -> None:
     click.echo(text)
 
 
-def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
-    """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
+def _print_impact(ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None) -> None:
+    """Sentences, the images reached, the points that moved most (all in a CSV file); exit 1 if not converged."""
+    if impact is None:
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        return
     print_sentences(impact.sentences)
     click.echo("\n".join(impact.tables_text()))
     if table is not None:
@@ -329,5 +309,4 @@ def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None
 
         write_impact(impact, table)
         click.echo(f"All points that moved are in {table}")
-    if closing is not None:
-        click.echo(f"- {closing.sentence}")
+    ctx.exit(0 if impact.converged else 1)

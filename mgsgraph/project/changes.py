@@ -91,15 +91,6 @@ def remove(project: Project, images: Sequence[str]) -> Impact | None:
     return impact
 
 
-def check(project: Project) -> Closing:
-    """The closing check against batch, without products; batch's result is taken over where it is needed."""
-    with errors_from(str(project.folder)):
-        closing, solution = incremental(project).close(project.name)
-    project.record("check", f"{len(solution.network.images)} images", _closing_facts(closing))
-    project.record_batch(solution)
-    return closing
-
-
 def _closing_facts(closing: Closing | None) -> dict[str, Any]:
     if closing is None or not np.isfinite(closing.worst):
         return {}

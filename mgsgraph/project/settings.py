@@ -8,7 +8,7 @@ import msgspec
 
 from mgsgraph.atomic_write import resolved
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.nodes import Factor, Sigma
+from mgsgraph.case.motion import Factor, Sigma
 from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.decoding import read_toml, validated

@@ -19,7 +19,7 @@ from mgsgraph.network import Pass, ProcessPrior
 from mgsgraph.network.finding import found_passes
 from mgsgraph.network.joining import mountings
 from mgsgraph.network.node_priors import normalised
-from mgsgraph.units import MGON, MRAD
+from mgsgraph.units import MRAD
 
 
 def pass_of(folder: Path, table: str = "") -> Pass:
@@ -37,13 +37,13 @@ def test_degrees_and_units(tmp_path: Path) -> None:
 sigmas_m = [[50.0, 40.0, 30.0], 10.0]
 [passes.attitude]
 degree = 2
-sigmas_mgon = [20.0, [8.0, 6.0, 4.0], 2.0]
+sigmas_mrad = [20.0, [8.0, 6.0, 4.0], 2.0]
 """
     found = pass_of(tmp_path, tables)
     assert len(found.nodes) == 4
     sigmas = found.prior.node_sigmas(normalised(found.nodes))
     np.testing.assert_allclose(sigmas[0, :3], np.hypot([50.0, 40.0, 30.0], 10.0), rtol=1e-6)
-    np.testing.assert_allclose(sigmas[3, 3:], np.sqrt(404.0 + np.array([8.0, 6.0, 4.0]) ** 2) * MGON, rtol=1e-6)
+    np.testing.assert_allclose(sigmas[3, 3:], np.sqrt(404.0 + np.array([8.0, 6.0, 4.0]) ** 2) * MRAD, rtol=1e-6)
 
 
 def test_what_is_not_said_is_as_for_images(tmp_path: Path) -> None:
@@ -156,7 +156,6 @@ WRONG = {
     "too few sigmas": (PASS + "attitude = { degree = 2, sigmas_mrad = [1, 2] }", "2 sigmas; expected 3 for degree = 2"),
     "unknown units": (PASS + "attitude = { sigmas_deg = [1] }", "'sigmas_deg'.*sigmas_mrad"),
     "unknown units of a process": (PASS + "position = { sigma_km = 1 }", "'sigma_km'.*'sigma_m'"),
-    "two units": (PASS + "attitude = { sigmas_mrad = [1], sigmas_mgon = [1] }", "sigmas_mrad and sigmas_mgon"),
     "no correlation time": (
         PASS + MARKOV.format(""),
         r"passes\[0\]\.position, correlation_time_s: gauss-markov without it; expected seconds in which",

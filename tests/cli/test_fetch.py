@@ -132,5 +132,5 @@ def test_an_interruption_does_not_wait_for_a_silent_server(archive: Flaky, tmp_p
 def test_help_names_the_options() -> None:
     done = run("fetch", "--help")
     assert done.returncode == 0
-    for option in ("--out", "--terrain", "--volume", "--mirror", "--mirrors", "--dry-run", "--update", "--verify"):
+    for option in ("--out", "--terrain", "--volume", "--mirror", "--mirrors", "--update", "--verify"):
         assert option in done.stdout

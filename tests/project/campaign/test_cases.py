@@ -92,12 +92,10 @@ network = "net.pvl"
 file = "points.gcp"
 [laser]
 file = "lidar.json"
-[[mola]]
-pedr = "ap.csv"
-leap_seconds = "naif.tls"
+[[shots]]
+file = "ap.csv"
 [[altimetry]]
 file = "cloud.csv"
-leap_seconds = "leap.tls"
 [terrain]
 radius = "megr.img"
 topography = "megt.lbl"
