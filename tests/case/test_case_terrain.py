@@ -19,7 +19,7 @@ from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import nominal_ground
 from mgsgraph.network.posts import posts_of
 from mgsgraph.network.terrain_control import coverage, terrain_ground
-from mgsgraph.project.campaign.inputs import checksums
+from mgsgraph.project.campaign.run import checksums
 from mgsgraph.results.control import control_section
 from mgsgraph.results.inventory import inventory
 from mgsgraph.simulation.files import write_site

@@ -1,7 +1,6 @@
 """Campaigns: what is due is done, what fails is told, on a cluster as well as here."""
 
 import json
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -69,8 +68,7 @@ def test_a_failed_case_does_not_stop_the_others(run: Run, sites: Path, tmp_path:
     assert good.sigma0 == solution.sigma0
     assert good.iterations == solution.iterations
     assert summary(done).startswith("3 cases: 2 done, 1 failed\n")
-    assert re.search(r"\nwest +failed +/", summary(done))
-    assert max(map(len, summary(done).splitlines())) <= 110
+    assert "\n- west: failed after" in summary(done)
 
 
 def test_products_are_those_of_adjust(run: Run, sites: Path, tmp_path: Path) -> None:
