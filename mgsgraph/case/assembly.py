@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
-from mgsgraph.case.schema import TerrainInput
+from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import (

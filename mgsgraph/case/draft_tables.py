@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.case.draft_images import DraftImage, without_place
-from mgsgraph.case.laser import AltimetryInput
 from mgsgraph.case.reading import read_altimetry
-from mgsgraph.case.schema import TerrainInput
+from mgsgraph.case.schema import AltimetryInput, TerrainInput
 from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution, read_terrain_model
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar

@@ -19,7 +19,6 @@ from mgsgraph.cli.options import (
     WORKERS,
     image_pair,
     overruling,
-    print_form_of_tables,
     print_sentences,
     print_solution,
 )
@@ -64,7 +63,6 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
 @TIES
 @click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
-@click.option("--relief", is_flag=True, help="Laser profiles and images onto each other by relief: `coregister`.")
 @overruling
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
@@ -74,7 +72,6 @@ def adjust(
     out: Path,
     cluster: str | None,
     two_steps: bool,
-    relief: bool,
     ties: Path | None,
     overrides: "Overrides",
     verbose: bool,
@@ -82,8 +79,7 @@ def adjust(
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
     Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
-    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md. With
-    --relief laser profiles of unknown shift are held to the surface that the images show: see docs/coregister.md.
+    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md.
 
     Exit status: 0 converged, 1 not converged, or to what is no result: most of a kind of observations left out, an
     absurd sigma0, orientations beyond 100 a-priori sigmas (results are written); 2 bad input.
@@ -98,10 +94,8 @@ def adjust(
     from mgsgraph.files.output.folders import require_replaceable
     from mgsgraph.results.results import write_results
 
-    if overrides.tables is not None and (relief or two_steps):
-        raise click.UsageError("--tables goes with neither --two-steps nor --relief")
-    if relief and (two_steps or cluster is not None):
-        raise click.UsageError("--relief goes with neither --two-steps nor --cluster")
+    if overrides.tables is not None and two_steps:
+        raise click.UsageError("--tables doesn't go with --two-steps")
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
@@ -111,10 +105,8 @@ def adjust(
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
     estimating = any(one.asks_for_strengths for one in read.network.passes)
-    if estimating and (relief or two_steps or cluster is not None):
-        raise click.UsageError("estimated strengths of processes go with none of --relief, --two-steps and --cluster")
-    if relief:
-        ctx.exit(0 if _coregistered(replace(read, settings=settings), out, overrides.figures) else 1)
+    if estimating and (two_steps or cluster is not None):
+        raise click.UsageError("estimated strengths of processes go with neither --two-steps nor --cluster")
     connection: AbstractContextManager[Connection | None]
     connection = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
@@ -126,11 +118,10 @@ def adjust(
         else:
             solution, said = adjust_network(read.network, settings, read.name, bar, workers), []
     solution = replace(solution, seconds=reading | dict(solution.seconds))
-    written = write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
+    write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution)
     for sentence in said:
         click.echo(sentence)
-    print_form_of_tables(written, overrides.tables)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if is_result(solution) else 1)
 
@@ -360,8 +351,7 @@ def coregister(
 
 
 def _coregistered(
-    read: "Case", out: Path, figures: bool, settings: "ReliefSettings | None" = None,
-    before: "Solution | None" = None, workers: int | None = None,
+    read: "Case", out: Path, figures: bool, settings: "ReliefSettings", before: "Solution | None", workers: int | None
 ) -> bool:
     """Register a case by relief, write and print what came out; whether it converged."""
     from mgsgraph.cli.progress import counting_bars

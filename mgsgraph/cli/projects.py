@@ -11,7 +11,6 @@ from mgsgraph.cli.options import (
     NO_FIGURES,
     PATH,
     TABLES,
-    print_form_of_tables,
     print_sentences,
     print_solution,
 )
@@ -192,8 +191,7 @@ def measure(
     """
     from mgsgraph.errors import InputError
     from mgsgraph.project import edits
-    from mgsgraph.project.journal import Measure
-    from mgsgraph.project.project import open_project
+    from mgsgraph.project.project import Measure, open_project
     from mgsgraph.results.impact import require_writable
 
     if not (pixels or rejected or accepted or gone):
@@ -280,7 +278,6 @@ def solve(
     print_solution(solved.solution)
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence}")
-    print_form_of_tables(solved.files, tables)
     click.echo(f"Results are in {solved.folder}")
     ctx.exit(0 if is_result(solved.solution) else 1)
 

@@ -35,6 +35,7 @@ VERBS = {
 """Module of each verb, and its line of help: known before that module is imported."""
 
 REMOVED = {
+    "adjust --relief": "mgsgraph coregister CASE",
     "add --check": "mgsgraph solve PROJECT ends with the closing check",
     "remove --check": "mgsgraph solve PROJECT ends with the closing check",
     "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",

@@ -107,8 +107,6 @@ class SolvedProject:
     """How far the incremental result was off; None where there was none."""
     folder: Path
     """Folder of the products."""
-    files: tuple[str, ...]
-    """Names of the files in it."""
 
 
 def solve(
@@ -137,10 +135,10 @@ def solve(
             incremental(project, settings).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
-    folder, files = project.keep_solution(
+    folder = project.keep_solution(
         solution, lambda to: write_results(solution, to, figures, networks=project.networks, tables=tables)
     )
-    return SolvedProject(solution, closing, folder, tuple(files))
+    return SolvedProject(solution, closing, folder)
 
 
 def put_in(store: ProjectStore, addition: Addition) -> None:

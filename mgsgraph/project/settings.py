@@ -1,8 +1,7 @@
 """What a project takes for granted of every image and measure that is added to it."""
 
-from collections.abc import Mapping
+import json
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -87,21 +86,14 @@ def _absolute(spice: SpiceInput | None, folder: Path) -> SpiceInput | None:
 
 
 def settings_to_json(settings: ProjectSettings) -> str:
-    """One line of JSON; infinite sigmas as the text "inf"."""
-    return msgspec.json.encode(_finite(msgspec.to_builtins(settings))).decode()
+    """One line of JSON; infinite sigmas as `Infinity`."""
+    return json.dumps(msgspec.to_builtins(settings))
 
 
 def settings_from_json(text: str, where: str) -> ProjectSettings:
     """The settings that the text holds."""
     try:
-        return msgspec.convert(msgspec.json.decode(text), ProjectSettings, strict=False)
-    except msgspec.MsgspecError as error:
+        return msgspec.convert(json.loads(text), ProjectSettings, strict=False)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{where}, settings", str(error), remedy="open it with the mgsgraph that wrote it") from None
 
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return "inf" if isinstance(value, float) and value == float("inf") else value

@@ -9,8 +9,7 @@ from mgsgraph.files.opening import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.links import groups
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
-from mgsgraph.project.journal import all_set_aside
-from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow
+from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow, all_set_aside
 from mgsgraph.text import many, some
 
 _NAMED = 6

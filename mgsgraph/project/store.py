@@ -22,6 +22,8 @@ from mgsgraph.project.columns import (
     POINTS,
     Cells,
     StoredPoints,
+    StoredRecords,
+    StoredStereo,
     index_among,
     points_of,
     put_adjusted,
@@ -32,7 +34,6 @@ from mgsgraph.project.columns import (
     rays_of,
 )
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
-from mgsgraph.project.stored_records import StoredRecords, StoredStereo
 from mgsgraph.results.archive_arrays import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")

@@ -10,7 +10,7 @@ from profiles import with_profile
 
 import mgsgraph
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.laser import ShotsInput
+from mgsgraph.case.schema import ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import LOLA, MLA, MOLA
 

@@ -19,8 +19,7 @@ from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
-from mgsgraph.project.checksum import checksum
-from mgsgraph.project.connection import WRITER
+from mgsgraph.project.connection import WRITER, checksum
 from mgsgraph.project.project import KeptAdjustment, Project, open_project
 from mgsgraph.project.schema import FORMAT
 from mgsgraph.project.settings import ProjectSettings, read_settings

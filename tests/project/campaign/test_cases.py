@@ -1,6 +1,7 @@
 """Which cases a campaign has, where their results go, and what they are made from."""
 
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
