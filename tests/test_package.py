@@ -156,7 +156,7 @@ DOOR = {
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},
-    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.download": {"open"},
+    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.lock": {"open"},
     "mgsgraph.project.campaign.record": {"open"},
     "mgsgraph.atomic_write": {"open"}, "mgsgraph.sandbox": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip

@@ -142,7 +142,7 @@ JITTER = 'attitude = {{ model = "jitter", sigma_mrad = 0.01{0} }}\n'
 TWO = '[[passes]]\nname = "two"\n'
 WRONG = {
     "an image in two passes": (PASS + TWO + 'images = ["R"]', r"passes\[1\], images: 'R', which pass 'one' has"),
-    "strips": ('[[strips]]\nname = "s"', r"strips: \[\[strips\]\]; expected \[\[passes\]\] with a prior"),
+    "strips": ('[[strips]]\nname = "s"', r"strips: a word of earlier versions; expected \[\[passes\]\] with a prior"),
     "a prior beside a process": (PASS + "prior = {}\nposition = { degree = 1 }", "prior beside position or attitude"),
     "two without images": (TWO + TWO, "several without images"),
     "unknown image": (PASS.replace('"R"', '"S"'), r"passes\[0\], images: the image 'S'; expected some of the case's"),

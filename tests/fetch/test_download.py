@@ -32,8 +32,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.fetch import download as parts
-from mgsgraph.fetch.download import NotInArchive, Remote, RemoteSource, RetryPolicy
+from mgsgraph.fetch import lock as parts
+from mgsgraph.fetch.download import NotInArchive, Remote, RetryPolicy
+from mgsgraph.fetch.lock import RemoteSource
 from mgsgraph.fetch.store import limit_of, require_content
 
 CONTENT = np.random.default_rng(1).bytes(200_000)
