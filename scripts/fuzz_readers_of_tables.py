@@ -139,7 +139,7 @@ def of_what_is_kept() -> Iterator[Row]:
 def of_archives() -> Iterator[Row]:
     from mgsgraph.fetch.archives import Archives
     from mgsgraph.fetch.case_file import _INSTRUMENT, camera_focal_length
-        from mgsgraph.fetch.lock import LOCK, Lock, PartialFile
+    from mgsgraph.fetch.lock import LOCK, Lock, PartialFile
     from mgsgraph.fetch.search import read_index
 
     addresses = "".join(f'{name} = "https://example.org/{name}/"\n' for name in ("images", "kernels", "pedr"))

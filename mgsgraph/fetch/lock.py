@@ -1,4 +1,4 @@
-"""What a folder holds, from where: whole files with their SHA-256 in fetch.lock, by which a second run needs no network;
+"""What a folder holds, from where: whole files with their SHA-256 in fetch.lock, by which a second run asks no network;
 and what has come in part, in NAME.part, and beside it NAME.part.json with what the archive said of the whole. Whatever
 lies at these two, no link is followed, and no file is taken up or written to that has another name, too.
 """
