@@ -94,7 +94,7 @@ def _normalised(site: SimulatedSite) -> Iterator[tuple[str, Array]]:
 def _of_kernels(image: SimulatedImage, stated: dict[str, Any]) -> Iterator[tuple[str, Array]]:
     """Coefficients of the correction that would make the nominal image, as the case takes it, the true one."""
     lines = np.linspace(0.0, float(image.true.lines), _LINES)
-    nominal = fit_polynomials(image.nominal)[0].pose(lines)
+    nominal = fit_polynomials(image.nominal).pose(lines)
     true = image.true.pose(lines)
     turned = rotation.logarithm(nominal.matrix @ np.swapaxes(true.matrix, 1, 2))
     missing = np.hstack([true.position - nominal.position, turned])

@@ -31,7 +31,7 @@ def read_rig(data: Path) -> tuple[list[PushbroomImage], TiePoints]:
     """NAC-L and NAC-R with jigsaw's nominal attitude (CKDEGREE 2), and their network."""
     folder = data / "lro_nac_hadley"
     images = [read_isis_cube(folder / f"observationImage{name[-1]}.pvl", name) for name in SIDES]
-    return [fit_attitude(image, 2)[0] for image in images], read_control_network(folder / "observationPair.net")
+    return [fit_attitude(image, 2) for image in images], read_control_network(folder / "observationPair.net")
 
 
 def with_angles(image: PushbroomImage, ascension: Array, declination: Array) -> PushbroomImage:

@@ -3,8 +3,8 @@
 from itertools import groupby
 
 from mgsgraph.files.cameras.camera import Camera, times_of_label
-from mgsgraph.files.cameras.table import CAMERAS
-from mgsgraph.files.labels.stated_aberration import spacecraft_of
+from mgsgraph.files.cameras.label import CAMERAS
+from mgsgraph.files.labels.aberration import spacecraft_of
 
 HEAD = ("camera", "NAIF id", "first line", "line period", "constants", "positions of cubes", "attitude")
 

@@ -47,7 +47,7 @@ ONLY_IN = {
     "starlette": ("mgsgraph.studio",),
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
-        "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.geometry", "mgsgraph.matching",
+        "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
         "mgsgraph.registration.dem", "mgsgraph.results.stac_item", "mgsgraph.studio.ground",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
@@ -142,7 +142,6 @@ def reached(found: dict[str, Path], start: Iterable[str]) -> set[str]:
 DOOR = {
     "mgsgraph.files.opening": {"os.fdopen", "json.loads", "open"},  # os.open
     "mgsgraph.files.decoding": {"tomllib.loads"},
-    "mgsgraph.files.toml_lines": {"tomllib.loads"},  # keys of what was read
     "mgsgraph.files.rasters.raster_file": {"DatasetReader"},
     "mgsgraph.files.spice.kernels": {"spiceypy.furnsh"},
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label

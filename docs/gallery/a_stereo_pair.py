@@ -19,7 +19,7 @@ print(solution)
 
 # %%
 # Where everything lies, and how well the tie points are known.
-from mgsgraph.results.figures.ground_map import map_sheet
+from mgsgraph.results.figures.map import map_sheet
 
 ground_map = map_sheet(solution)
 

@@ -31,7 +31,7 @@ print(*statements(solution), sep="\n")
 
 # %%
 # Where everything lies: outlines, tie points by their sigma, laser points. Look for holes.
-from mgsgraph.results.figures.ground_map import map_sheet
+from mgsgraph.results.figures.map import map_sheet
 
 ground_map = map_sheet(solution)
 

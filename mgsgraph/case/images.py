@@ -16,13 +16,12 @@ from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.duplicate_images import require_distinct
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import require_plausible
-from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
 
 
 def read_images(
     wanted: CaseInput, orientations: Sequence[OrientationInput], of_passes: Sequence[Sequence[int]], path: Path
-) -> tuple[tuple[PushbroomImage, ...], tuple[PolynomialFit, ...]]:
-    """All images, and what polynomials of their nominal orientation cost, where these are used.
+) -> tuple[PushbroomImage, ...]:
+    """All images.
 
     Parameters
     ----------
@@ -35,7 +34,7 @@ def read_images(
     path : Path
         Where the case file is.
     """
-    found, fits = dict[int, PushbroomImage](), list[PolynomialFit | None]()
+    found = dict[int, PushbroomImage]()
     entries = wanted.passes
     for table, entry, mine in zip(table_names(entries), entries, of_passes, strict=True):
         _require_of_pass(wanted, orientations, mine, f"{path}, {table}{f' ({entry.name})' if entry.name else ''}")
@@ -44,12 +43,11 @@ def read_images(
     for j, (image, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
         if j not in found:
             found[j] = read_image(image, wanted.spice, path.parent, f"{path}, images[{j}]")
-        found[j], fit = orientation.nominal_of(found[j])
-        fits.append(fit)
+        found[j] = orientation.nominal_of(found[j])
     images = tuple(found[j] for j in range(len(wanted.images)))
     images = mounted_images(wanted.mountings, instruments(wanted, path), images, str(path))
     require_distinct(images, f"{path}, images")
-    return images, tuple(fit for fit in fits if fit is not None)
+    return images
 
 
 def instruments(wanted: CaseInput, path: Path) -> list[str]:

@@ -31,7 +31,6 @@ from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
 from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
@@ -77,8 +76,6 @@ class Case(Record):
     """Shots of each profile that take part."""
     pictures: tuple[Path | None, ...] = ()
     """File of each image's pixels, where the case names one."""
-    fits: tuple[PolynomialFit, ...] = ()
-    """What the polynomials of the nominal orientation cost, for each image where they are used."""
     terrain: tuple[TerrainModel, ...] = ()
     """Terrain models whose posts can lie on the surface that the images show."""
     footprints: Mapping[str, float] = field(default_factory=dict)
@@ -127,14 +124,11 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     if ties is not None:
         wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
     of_passes = members(wanted.passes, [image.name for image in wanted.images], str(path))
-    images, fits = read_images(wanted, wanted.orientations, of_passes, path)
-    return case_of(wanted, path, images, fits, laser)
+    images = read_images(wanted, wanted.orientations, of_passes, path)
+    return case_of(wanted, path, images, laser)
 
 
-def case_of(
-    wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], fits: tuple[PolynomialFit, ...] = (),
-    laser: bool = True,
-) -> Case:  # fmt: skip
+def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], laser: bool = True) -> Case:
     """The case of a file's tables and the images that they name, which have been read; see `read_case`."""
     folder = path.parent
     of_passes = members(wanted.passes, [image.name for image in wanted.images], str(path))
@@ -167,7 +161,7 @@ def case_of(
     pictures = tuple(picture_of(image, folder) for image in wanted.images)
     files = tuple(folder / entry.network for entry in wanted.tie_groups)
     return Case(
-        wanted.name, path, network, settings, tie_points, profiles, pictures, fits, models, parts.footprints, files,
+        wanted.name, path, network, settings, tie_points, profiles, pictures, models, parts.footprints, files,
         tuple(notes),
     )  # fmt: skip
 

@@ -67,7 +67,7 @@ def read_scene(
     if len(wanted.images) < 2:
         raise InputError(str(path), "one image", "two that overlap, at least")
     of_passes = members(wanted.passes, names, str(path))
-    images, _ = read_images(wanted, wanted.orientations, of_passes, path)
+    images = read_images(wanted, wanted.orientations, of_passes, path)
     priors = image_priors(wanted, of_passes, path)
     pictures = tuple(
         Picture(image, read_picture(picture_file(wanted, j, path)), prior)

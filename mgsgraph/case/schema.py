@@ -15,7 +15,7 @@ from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.geometry.altimeters import Altimeter
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_attitude, fit_polynomials
+from mgsgraph.geometry.polynomial_trajectory import fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.text import listed
@@ -129,10 +129,10 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] | None = None
     """Factor of the constant term's sigma for each power of u, at u = 1; 1, 0.1, then 0.01 when absent."""
 
-    def nominal_of(self, image: PushbroomImage) -> tuple[PushbroomImage, PolynomialFit | None]:
-        """An image with the nominal orientation that is said here, and what polynomials cost, where these are used."""
+    def nominal_of(self, image: PushbroomImage) -> PushbroomImage:
+        """An image with the nominal orientation that is said here."""
         if self.nominal == "trajectory":
-            return image, None
+            return image
         return (fit_polynomials if self.nominal == "polynomial" else fit_attitude)(image, self.nominal_order)
 
     def prior(self, where: str) -> OrientationPrior:

@@ -19,8 +19,16 @@ from mgsgraph.export.csm_state import RefinedTables, Turning, body_table, model_
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.opening import read_json
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.files.support_data.isd_layout import J2000, MODEL, RotationTable, StateTable, SunTable
-from mgsgraph.files.support_data.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.files.support_data.isd_layout import (
+    J2000,
+    MODEL,
+    RotationTable,
+    StateTable,
+    SunTable,
+    rotation_table,
+    state_table,
+    support_fields,
+)
 from mgsgraph.files.writing import file_stem, write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic

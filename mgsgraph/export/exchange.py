@@ -19,19 +19,15 @@ from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.files.kinds import Kind, kind_of
 from mgsgraph.files.networks.asp_gcp import ground_control_text, read_ground_control_network
-from mgsgraph.files.networks.asp_match import MatchFile, joined, match_files, read_match, read_match_text
-from mgsgraph.files.networks.asp_match_names import images_of as named_images
-from mgsgraph.files.networks.asp_match_names import prefix_of
+from mgsgraph.files.networks.asp_match import MatchFile, joined, match_files, prefix_of, read_match, read_match_text
+from mgsgraph.files.networks.asp_match import images_of as named_images
 from mgsgraph.files.networks.asp_nvm import half_sizes, nvm_files, offsets_path, read_nvm, read_offsets
 from mgsgraph.files.networks.binary import binary_network
-from mgsgraph.files.networks.choosing import images_of, in_images, used_images
+from mgsgraph.files.networks.editing import images_of, in_images, thinned, united, used_images
 from mgsgraph.files.networks.network_file import read_network
 from mgsgraph.files.networks.pvl_writing import network_text
 from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, Duplicates
-from mgsgraph.files.networks.table import read_table
-from mgsgraph.files.networks.table_writing import table_parquet, table_text
-from mgsgraph.files.networks.thinning import thinned
-from mgsgraph.files.networks.uniting import united
+from mgsgraph.files.networks.table import read_table, table_parquet, table_text
 from mgsgraph.files.writing import Output, begins, fresh_file, require_free
 from mgsgraph.network.links import groups
 from mgsgraph.record import Record

@@ -14,11 +14,10 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import leading
-from mgsgraph.files.networks.choosing import with_measures
+from mgsgraph.files.networks.editing import SAME_PLACE, apart, united, with_measures
 from mgsgraph.files.networks.pvl import MEASURE_TYPES
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
 from mgsgraph.files.networks.table import read_whole
-from mgsgraph.files.networks.uniting import SAME_PLACE, apart, united
 from mgsgraph.files.opening import sha256_of, understood
 from mgsgraph.files.output.folders import PROGRAM, RECORD
 from mgsgraph.files.records import read_record

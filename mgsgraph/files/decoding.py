@@ -4,7 +4,7 @@ import math
 import re
 import tomllib
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
@@ -13,7 +13,6 @@ import msgspec
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import read_text, require_bearable
-from mgsgraph.files.toml_lines import line_of
 
 FORMAT = 1
 """Of case files, settings of projects and candidates."""
@@ -32,6 +31,11 @@ _DEEP = re.compile(
     r"(?:(?:(?<![\w-])[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){20}|(?:[\[{][\s,]*+){100}"
 )
 """Dotted keys of which tomllib makes tables by the square of their number, and brackets on which it breaks down."""
+_Place = tuple[str | int, ...]
+_PART = r"(?:\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'|[\w-]+)"
+_TABLE = re.compile(rf"\s*(\[\[?)\s*({_PART}(?:\s*\.\s*{_PART})*)\s*\]")
+_PAIR = re.compile(rf"\s*({_PART}(?:\s*\.\s*{_PART})*)\s*=")
+_LONG_TEXT = re.compile(r"\"\"\"(?:[^\\]|\\.)*?\"{3,5}|'''.*?'{3,5}", re.DOTALL)
 _STEP = re.compile(r"\.?(\w+)|\[(\d+|\.\.\.)\]")
 _KEY = re.compile(r"Object (missing required|contains unknown) field `(.*)`")
 _WORDS = {
@@ -102,6 +106,41 @@ def validated(
         raise InputError(str(source), "half a character", "text") from None
     _refuse_nan(table, str(source))
     return found
+
+
+def line_of(text: str, place: Sequence[str | int]) -> int | None:
+    """Line, counted from 1, of what is at a place of a TOML text that `tomllib` has read: ("images", 0, "isd").
+
+    That of its key, or of the innermost table around it, or array or inline table that holds it; None where there is
+    neither.
+    """
+    lines, counts = dict[_Place, int](), dict[_Place, int]()
+    table: _Place = ()
+    plain = _LONG_TEXT.sub(lambda found: "\n" * found[0].count("\n"), text)
+    for number, line in enumerate(plain.split("\n"), start=1):
+        head, pair = _TABLE.match(line), _PAIR.match(line)
+        found: _Place = () if head else table
+        keys = _keys(head[2] if head else pair[1] if pair else "")
+        for k, key in enumerate(keys, start=1):
+            found = (*found, key)
+            lines.setdefault(found, number)
+            if head and head[1] == "[[" and k == len(keys):
+                counts[found] = counts.get(found, -1) + 1
+            if head and found in counts:
+                found = (*found, counts[found])
+                lines.setdefault(found, number)
+        table = found if head else table
+    wanted = tuple(place)
+    return next((lines[wanted[:k]] for k in range(len(wanted), 0, -1) if wanted[:k] in lines), None)
+
+
+def _keys(dotted: str) -> list[str]:
+    """The parts of a key as they are meant, without quotation marks."""
+    keys, value = list[str](), tomllib.loads(f"{dotted} = 0") if dotted else {}
+    while isinstance(value, dict) and value:
+        ((key, value),) = value.items()
+        keys.append(key)
+    return keys
 
 
 def _refusal(

@@ -13,12 +13,11 @@ from pathlib import Path
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lola import RECORD, is_lola_rdr
 from mgsgraph.files.altimetry.pedr import FRAME
-from mgsgraph.files.altimetry.shots import is_archive_table
-from mgsgraph.files.altimetry.tables import table_of
+from mgsgraph.files.altimetry.tables import is_archive_table, table_of
 from mgsgraph.files.labels.image_label import label_text
 from mgsgraph.files.labels.isis_cube import is_cube_json
+from mgsgraph.files.networks.table import MAGIC, parquet_names
 from mgsgraph.files.networks.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
-from mgsgraph.files.networks.table_parquet import MAGIC, parquet_names
 from mgsgraph.files.opening import head_of, json_object, read_bytes, read_text
 from mgsgraph.files.support_data.isd_layout import MODEL
 from mgsgraph.files.support_data.model_state import is_model_state

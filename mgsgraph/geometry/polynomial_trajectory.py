@@ -12,20 +12,14 @@ import numpy as np
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory
-from mgsgraph.record import Record
-from mgsgraph.text import root_mean_square
-from mgsgraph.units import ARCSEC
 
 if TYPE_CHECKING:
     from mgsgraph.geometry.image import PushbroomImage
 
 _NODES = 2049
 """Records at which polynomials of the attitude are laid out again; the great arc between two is then on the curve."""
-_DENSE = 10
-"""The dense grid has this many intervals in one between two samples."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,51 +75,7 @@ class PolynomialTrajectory:
         return pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Misfit(Record):
-    """How far polynomials are from what they were fitted to: rms and largest over some lines of the image."""
-
-    position_rms: Array
-    """(3,) m, body-fixed X, Y, Z."""
-    position_max: Array
-    """(3,) m."""
-    angle_rms: Array
-    """(3,) rad, omega, phi, kappa."""
-    angle_max: Array
-    """(3,) rad."""
-    pixel_rms: Array
-    """(2,) lines, samples: where the polynomials see the ground that the trajectory sees in a pixel."""
-    pixel_max: Array
-    """(2,) lines, samples."""
-
-    def __str__(self) -> str:
-        def text(rms: Array, largest: Array, unit: float) -> str:
-            return ", ".join(f"{a / unit:.3g} ({b / unit:.3g})" for a, b in zip(rms, largest, strict=True))
-
-        return (
-            f"rms (largest): X, Y, Z {text(self.position_rms, self.position_max, 1.0)} m; "
-            f"omega, phi, kappa {text(self.angle_rms, self.angle_max, ARCSEC)} arcsec; "
-            f"line, sample {text(self.pixel_rms, self.pixel_max, 1.0)} px"
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PolynomialFit(Record):
-    """The fit's own error."""
-
-    order: int
-    """Of the polynomials."""
-    samples: int
-    """Number of places they were fitted to."""
-    at_samples: Misfit
-    """There."""
-    between: Misfit
-    """On a grid ten times denser."""
-
-
-def fit_polynomials(
-    image: "PushbroomImage", order: int = 2, samples: int = 31
-) -> tuple["PushbroomImage", PolynomialFit]:
+def fit_polynomials(image: "PushbroomImage", order: int = 2, samples: int = 31) -> "PushbroomImage":
     """The same image with polynomials in place of its trajectory.
 
     Parameters
@@ -140,10 +90,8 @@ def fit_polynomials(
 
     Returns
     -------
-    image : PushbroomImage
+    PushbroomImage
         Its trajectory a `PolynomialTrajectory`.
-    fit : PolynomialFit
-        What the exchange costs.
     """
     if order < 0 or samples <= order:
         raise InputError(f"image {image.name}, polynomials", f"order {order} through {samples} samples", "more samples")
@@ -153,7 +101,7 @@ def fit_polynomials(
     pose = image.trajectory.pose(times)
     # Legendre's basis keeps the equations well conditioned; the record holds plain powers of s
     basis = np.polynomial.legendre.legvander(s, order)
-    values = np.hstack([pose.position, _unwrapped(pose)])
+    values = np.hstack([pose.position, np.unwrap(rotation.omega_phi_kappa(pose.matrix), axis=0)])
     fitted = np.linalg.lstsq(basis, values, rcond=None)[0]
     coefficients = np.zeros((order + 1, 6))
     for column in range(6):
@@ -163,11 +111,10 @@ def fit_polynomials(
         image.trajectory.epoch, float(start), float(stop), coefficients[:, :3], coefficients[:, 3:],
         image.trajectory.spin,
     )  # fmt: skip
-    exchanged = replace(image, trajectory=trajectory)
-    return exchanged, _fit(image, exchanged, order, times)
+    return replace(image, trajectory=trajectory)
 
 
-def fit_attitude(image: "PushbroomImage", order: int = 2) -> tuple["PushbroomImage", PolynomialFit]:
+def fit_attitude(image: "PushbroomImage", order: int = 2) -> "PushbroomImage":
     """The same image with polynomials in place of its attitude, as jigsaw's CKDEGREE fits them.
 
     Parameters
@@ -179,10 +126,8 @@ def fit_attitude(image: "PushbroomImage", order: int = 2) -> tuple["PushbroomIma
 
     Returns
     -------
-    image : PushbroomImage
+    PushbroomImage
         Its trajectory's attitude table is of the polynomials; over the table's own times, not the image's.
-    fit : PolynomialFit
-        What the exchange costs; `samples` is the number of records.
 
     Raises
     ------
@@ -202,34 +147,4 @@ def fit_attitude(image: "PushbroomImage", order: int = 2) -> tuple["PushbroomIma
     s = np.linspace(-1.0, 1.0, _NODES)
     quaternions = rotation.from_matrix(rotation.from_angles_313(legendre.legvander(s, order) @ fitted))
     smooth = AttitudeTable(middle + half * s, rotation.continuous(quaternions), table.constant)
-    exchanged = replace(image, trajectory=replace(trajectory, camera=smooth))
-    return exchanged, _fit(image, exchanged, order, table.times)
-
-
-def _unwrapped(pose: Pose) -> Array:
-    """Angles (n, 3) in rad along the image, without jumps of a full turn."""
-    return np.unwrap(rotation.omega_phi_kappa(pose.matrix), axis=0)
-
-
-def _fit(image: "PushbroomImage", exchanged: "PushbroomImage", order: int, times: Array) -> PolynomialFit:
-    """The record of a fit to the trajectory at times (n,), of which those beyond the image count at its edges."""
-    (start, stop), _ = image.timing.at(np.array([0.0, float(image.lines)]))
-    dense, within = np.linspace(start, stop, _DENSE * (times.size - 1) + 1), np.clip(times, start, stop)
-    return PolynomialFit(order, times.size, _misfit(image, exchanged, within), _misfit(image, exchanged, dense))
-
-
-def _misfit(image: "PushbroomImage", exchanged: "PushbroomImage", times: Array) -> Misfit:
-    """Polynomials against the trajectory at times (n,), in the image at its edges and its middle."""
-    before, after = image.trajectory.pose(times), exchanged.trajectory.pose(times)
-    turned = rotation.omega_phi_kappa(after.matrix) - rotation.omega_phi_kappa(before.matrix)
-    turned = in_turn(turned)
-    lines = np.repeat(image.timing.lines(times), 3)
-    columns = np.tile([0.0, 0.5 * image.samples, float(image.samples)], times.size)
-    ground, _ = image.image_to_ground(lines, columns)
-    seen, _ = exchanged.ground_to_image(ground, start=lines)
-    moved = (seen - np.column_stack([lines, columns]))[np.isfinite(ground).all(axis=1)]
-    if not moved.size:
-        moved = np.full((1, 2), np.nan)  # an image of the sky has no ground
-
-    misfits = after.position - before.position, turned, moved
-    return Misfit(*(part for values in misfits for part in (root_mean_square(values, 0), np.abs(values).max(axis=0))))
+    return replace(image, trajectory=replace(trajectory, camera=smooth))

@@ -55,6 +55,13 @@ def repeats(values: NDArray[Any]) -> bool:
     return values.size > 1 and not any(values.strides)
 
 
+def thinned(size: int, most: int | None) -> Index:
+    """All of `size` indices, or `most` of them, evenly spread from the first to the last."""
+    if most is None or size <= most:
+        return np.arange(size)
+    return np.linspace(0, size - 1, most).astype(np.int64)
+
+
 def chosen_rows(values: NDArray[_Scalar], rows: Index | Mask) -> NDArray[_Scalar]:
     """Some rows of an array (n, ...); of one that repeats a value no more memory than before."""
     if repeats(values):

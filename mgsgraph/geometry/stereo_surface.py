@@ -99,13 +99,10 @@ class StereoSurface(Record):
         """Line and sample (n, 2) in the second image of places (n, 2) in the first, beyond the nodes the last; and
         (n, 2, 2) derivatives by the places.
         """
-        from mgsgraph.geometry.compiled_spline import read_splines  # compiled: not before it is needed
-
-        values, slopes = np.empty((len(places), 2)), np.empty((len(places), 2, 2))
-        rows, columns = self._splines[0].get_knots()
-        coefficients = [spline.get_coeffs().reshape(self.covered.shape) for spline in self._splines]
-        read_splines(rows, columns, np.stack(coefficients), (places - self.first) / self.step, values, slopes)
-        return values, slopes / self.step
+        at = ((places - self.first) / self.step).T
+        values = [spline.ev(*at) for spline in self._splines]
+        slopes = [[spline.ev(*at, dx=1 - k, dy=k) for k in range(2)] for spline in self._splines]
+        return np.stack(values, axis=1), np.transpose(slopes, (2, 0, 1)) / self.step
 
     def at_nodes(self, places: Array) -> tuple[Mask, Array, Array]:
         """Of places (n, 2) in the first image: whether all nodes around are covered; sigma and roughness (n,) in

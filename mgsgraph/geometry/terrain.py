@@ -244,13 +244,6 @@ class TerrainGrid(Record):
         longitudes, latitudes, _ = planetocentric(points).T
         return self._patch(longitudes, latitudes).value
 
-    def slope(self, longitudes: Array, latitudes: Array) -> Array:
-        """Slope (n,) in rad of the patches against the sphere through them at places (n,); NaN outside."""
-        self._require("radius", "a slope")
-        patch = self._patch(longitudes, latitudes)
-        east = patch.eastward / self.longitude_step / np.cos(latitudes)
-        return np.asarray(np.arctan(np.hypot(east, patch.southward / self.latitude_step) / patch.value))
-
     def height_sigmas(self, points: Array) -> Array:
         """Sigma (n,) in m of the model's height under points (n, 3) in m, without that of its horizontal position,
         which is common to all. NaN outside the grid and beside missing posts, infinite where the grid knows no sigma.

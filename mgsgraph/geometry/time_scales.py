@@ -4,7 +4,6 @@ The difference of TDB and TT is the term of one year that SPICE has (leap second
 spacecraft 2.7 m of its way. The leap seconds are those of IERS Bulletin C from 1972 up to now.
 """
 
-import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 
@@ -30,11 +29,10 @@ _LEAPS = (
 """Months from whose first day on that difference is one second more than before."""
 _STARTS = np.array([(datetime.fromisoformat(f"{month}-01T00:00Z") - _J2000).total_seconds() for month in _LEAPS])
 """s UTC past J2000 of these days."""
-_UTC = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))[T ](\d\d):(\d\d)(?::(\d\d(?:\.\d*)?))?Z?")
-"""Year, month and day or day of the year, hour, minute, second."""
-_TO_MINUTE = len("2009-09-06T07:50")
-_SECONDS = 61.0
-"""Of a minute at most, a leap second among them."""
+_UTC = (
+    r"^\s*(?P<minute>\d{4}-(?:\d\d-\d\d|\d{3})[T ]\d\d:\d\d)(?::(?P<second>(?:[0-5]\d|60)(?:\.\d*)?))?Z?\s*$"
+)
+"""Year, month and day or day of the year, hour, minute; second, a leap second among them."""
 
 
 def tdb_of_tt(times: Array) -> Array:
@@ -50,49 +48,28 @@ def _yearly_term(times: Array) -> Array:
 
 def tdb_of_utc(texts: Sequence[str], where: str) -> Array:
     """S TDB past J2000 of times such as 2009-09-06T07:50:38.773, from 1972 on; InputError names `where`."""
-    minutes, seconds = _in_columns(Names.of(texts).arrow) or _one_by_one(texts, where)
-    leaps = np.searchsorted(_STARTS, minutes, side="right") - 1
-    return tdb_of_tt(minutes + seconds + leaps + _FIRST_LEAPS + _TT_OF_TAI)
-
-
-def _in_columns(texts: pa.Array) -> tuple[Array, Array] | None:
-    """S UTC past J2000 of the minutes of times (n,), each of which is read once, and their seconds; None where they are
-    written otherwise than to the second, or can't be read.
-    """
-    seconds = pc.utf8_slice_codeunits(texts, _TO_MINUTE)
-    whole = r"^\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?Z?$"
-    if not pc.all(pc.match_substring_regex(texts, whole)).as_py():
-        return None
-    past = np.asarray(pc.utf8_rtrim(pc.utf8_slice_codeunits(seconds, 1), "Z").cast(pa.float64()))
-    minutes = RepeatedNames.of(pc.utf8_slice_codeunits(texts, 0, _TO_MINUTE))
-    try:
-        begins = np.array([_minute_and_second(text, "")[0] for text in minutes.distinct] or [0.0])
-    except InputError:
-        return None
-    return (begins[minutes.numbers], past) if np.all(past < _SECONDS) else None
-
-
-def _one_by_one(texts: Sequence[str], where: str) -> tuple[Array, Array]:
-    minutes, seconds = np.array([_minute_and_second(text, where) for text in texts]).reshape(-1, 2).T
-    return minutes, seconds
-
-
-def _minute_and_second(text: str, where: str) -> tuple[float, float]:
-    """S UTC past J2000 of a time's minute, and its seconds; a leap second is the sixtieth."""
-    found = _UTC.fullmatch(text.strip())
-    try:
-        if found is None:
-            raise ValueError(text)
-        year, month, day, of_year, hour, minute, second = found.groups(default="")
-        when = datetime(int(year), int(month or 1), int(day or 1), int(hour), int(minute), tzinfo=UTC)
-        when += timedelta(days=int(of_year or 1) - 1)
-        past = (when - _J2000).total_seconds()
-        if when.year != int(year) or past < _STARTS[0] or float(second or 0.0) >= _SECONDS:
-            raise ValueError(text)
-    except (ValueError, OverflowError):
+    given = Names.of(texts).arrow
+    parts = pc.extract_regex(given, _UTC)
+    begins = RepeatedNames.of(pc.fill_null(pc.struct_field(parts, "minute"), ""))
+    minutes = np.array([_past(begin) for begin in begins.distinct], dtype=np.float64)[begins.numbers]
+    for k in np.flatnonzero(np.isnan(minutes))[:1].tolist():
         expected = "UTC such as 2009-09-06T07:50:38.773, from 1972 on"
-        raise InputError(where, f"a time that can't be read: {text.strip()[:40]!r}", expected) from None
-    return past, float(second or 0.0)
+        raise InputError(where, f"a time that can't be read: {given[k].as_py().strip()[:40]!r}", expected)
+    seconds = pc.struct_field(parts, "second")
+    whole = np.asarray(pc.if_else(pc.equal(seconds, ""), "0", seconds).cast(pa.float64()))
+    leaps = np.searchsorted(_STARTS, minutes, side="right") - 1
+    return tdb_of_tt(minutes + whole + leaps + _FIRST_LEAPS + _TT_OF_TAI)
+
+
+def _past(minute: str) -> float:
+    """S UTC past J2000 of a minute as `_UTC` has it; NaN where there is none, or before 1972."""
+    date, clock = minute[: -len("T07:50")], minute[-len("07:50") :]
+    try:
+        day = datetime.strptime(date, "%Y-%m-%d" if date.count("-") > 1 else "%Y-%j").replace(tzinfo=UTC)
+        past = (day.replace(hour=int(clock[:2]), minute=int(clock[3:])) - _J2000).total_seconds()
+    except ValueError:
+        return float("nan")
+    return past if past >= _STARTS[0] and day.year == int(date[:4]) else float("nan")
 
 
 def utc_of_tdb(time: float) -> datetime:

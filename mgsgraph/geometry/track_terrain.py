@@ -15,6 +15,7 @@ data errors are 0.4 (InSight) to 1.3 times (Gale) such sigmas, rms.
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from mgsgraph.errors import InputError
@@ -32,12 +33,8 @@ POST_STEP = DEG / 200.0
 """rad, between posts: 300 m, as far apart as MOLA's shots along a track."""
 _NEIGHBOURS = 0.15
 """s, within which shots follow each other without a gap."""
-_CHUNK = 1 << 18
-"""Posts tried at once."""
 _EDGE = 1e-9
-"""Share, or step, by which a post may lie beside a triangle and still be on its edge."""
-_FLAT = 1e-12
-"""Area, in cells, below which a triangle is none."""
+"""Share by which a post may lie beside a triangle and still be on its edge."""
 _MOST = 1 << 28
 """Posts of a grid."""
 
@@ -92,11 +89,16 @@ def track_terrain(
         net = Delaunay(plane - origin)
     except QhullError:
         raise InputError(source, f"{places.shape[0]} shots on one line", "tracks that span an area") from None
-    corners = net.simplices[_small(places[net.simplices], longest_edge)]
+    small = _small(places[net.simplices], longest_edge)
     lattice = west * steps[0], north * steps[1]
-    at = np.column_stack([(longitudes - lattice[0]) / steps[0], (lattice[1] - latitudes) / steps[1]])
-    values = _laid_out(at[corners], radii[corners], (rows, columns))
-    distances = np.full(values.shape, np.nan)
+    linear = LinearNDInterpolator(net, radii)
+    values, distances = np.full((rows, columns), np.nan), np.full((rows, columns), np.nan)
+    eastward = (lattice[0] + np.arange(columns) * steps[0]) * shrink
+    for row in range(rows):
+        posts = np.column_stack([eastward, np.full(columns, lattice[1] - row * steps[1])]) - origin
+        triangle = net.find_simplex(posts, tol=_EDGE)
+        held = (triangle >= 0) & small[triangle]
+        values[row, held] = linear(posts[held])
     level = float(radii.mean())
     nearest = KDTree(places * (level / radii)[:, None])
     for row in np.flatnonzero(np.any(np.isfinite(values), axis=1)).tolist():
@@ -160,45 +162,3 @@ def _small(corners: Array, longest: float) -> Mask:
     """(t,) which triangles with corners (t, 3, 3) in m have no edge longer than a limit (m), in space."""
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     return np.asarray(edges.max(axis=1) <= longest)
-
-
-def _laid_out(corners: Array, values: Array, shape: tuple[int, int]) -> Array:
-    """Values (rows, columns) at the posts that lie in some triangle, linear over it; NaN elsewhere.
-
-    Parameters
-    ----------
-    corners : (t, 3, 2)
-        Columns and rows, not whole numbers.
-    values : (t, 3)
-        At the corners.
-    shape : (2,)
-        Rows and columns of posts.
-    """
-    laid = np.full(shape, np.nan)
-    least, most = np.ceil(corners.min(axis=1) - _EDGE), np.floor(corners.max(axis=1) + _EDGE)
-    box = (most - least + 1.0).astype(np.int64)
-    count = np.prod(np.maximum(box, 0), axis=1)
-    ends = np.cumsum(count)
-    total = int(ends[-1]) if ends.size else 0
-    parts = np.searchsorted(ends, np.arange(_CHUNK, total + _CHUNK, _CHUNK))
-    for mine in np.split(np.arange(count.size), parts):
-        triangle = np.repeat(mine, count[mine])
-        inside = np.arange(triangle.size) - np.repeat(np.cumsum(count[mine]) - count[mine], count[mine])
-        row, column = np.divmod(inside, box[triangle, 0])
-        post = np.column_stack([column, row]) + least[triangle]
-        shares = _shares(corners[triangle], post)
-        held = np.all(shares >= -_EDGE, axis=1)
-        column, row = post[held].astype(np.int64).T
-        laid[row, column] = np.einsum("ni,ni->n", shares[held], values[triangle[held]])
-    return laid
-
-
-def _shares(corners: Array, places: Array) -> Array:
-    """(n, 3) barycentric coordinates of places (n, 2) in triangles with corners (n, 3, 2); -1 in those without area."""
-    one, two, off = (x - corners[:, 2] for x in (corners[:, 0], corners[:, 1], places))
-    area = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    flat = np.abs(area) < _FLAT
-    area = np.where(flat, 1.0, area)
-    first = (off[:, 0] * two[:, 1] - off[:, 1] * two[:, 0]) / area
-    second = (one[:, 0] * off[:, 1] - one[:, 1] * off[:, 0]) / area
-    return np.where(flat[:, None], -1.0, np.column_stack([first, second, 1.0 - first - second]))

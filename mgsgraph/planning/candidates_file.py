@@ -198,7 +198,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
         if not entry.of_pass and _same_exposure(image, known):
             found = f"image {entry.name!r}, which is {known.name!r} of the network under another name"
             raise InputError(where, found, "a new image", "take it out of the candidates")
-    image, _ = orientation.nominal_of(image)
+    image = orientation.nominal_of(image)
     brought = joining(coverage.definitions, entry.name, entry.of_pass, where=f"{where}, of_pass")
     return planned_image(coverage, KnownImage(image, prior, entry.held), ties, brought)
 

@@ -229,7 +229,7 @@ def images_alone(path: Path) -> tuple[list[NewImage], str]:
     """
     wanted = decode(path)
     of_passes = members(wanted.passes, [entry.name for entry in wanted.images], str(path))
-    images, _ = read_images(wanted, wanted.orientations, of_passes, path)
+    images = read_images(wanted, wanted.orientations, of_passes, path)
     known = map(KnownImage, images, wanted.priors(str(path)), (entry.held for entry in wanted.images))
     return [
         NewImage(one, _files(entry, path), picture_of(entry, path.parent))
@@ -270,7 +270,7 @@ def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> New
     entry = plain_image(stated, settings.spice, Path(), where)
     image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
     orientation = settings.orientation
-    image, _ = orientation.nominal_of(image)
+    image = orientation.nominal_of(image)
     prior = orientation.prior(f"{where}, settings, orientation")
     return NewImage(KnownImage(image, prior), (wanted.path,), picture_of(entry, Path()))
 

@@ -71,13 +71,13 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
     if names:
         images = [_alone(wanted, j, path) for j in _chosen(known, names, path)]
     else:
-        images = [*read_images(wanted, wanted.orientations, members(wanted.passes, known, str(path)), path)[0]]
+        images = [*read_images(wanted, wanted.orientations, members(wanted.passes, known, str(path)), path)]
     return OrientedImages(tuple(map(View, images)), case=wanted)
 
 
 def _alone(wanted: CaseInput, number: int, path: Path) -> PushbroomImage:
     image = read_image(wanted.images[number], wanted.spice, path.parent, f"{path}, images[{number}]")
-    return wanted.orientations[number].nominal_of(image)[0]
+    return wanted.orientations[number].nominal_of(image)
 
 
 def _chosen(known: Sequence[str], names: Sequence[str], path: Path) -> list[int]:

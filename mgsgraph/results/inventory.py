@@ -97,7 +97,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     if unmeasured is not None and matched:
         raise unmeasured
     names = [image.name for image in wanted.images]
-    images, _ = read_images(wanted, wanted.orientations, members(wanted.passes, names, str(path)), path)
+    images = read_images(wanted, wanted.orientations, members(wanted.passes, names, str(path)), path)
     found = overlaps([footprint(image) for image in images])
     pairs = [
         f"{images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"

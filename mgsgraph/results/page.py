@@ -29,7 +29,7 @@ from mgsgraph.results.tables import points_table, residuals_table
 from mgsgraph.workers import called_in_workers
 
 _TEMPLATE = "results/templates/report.html"
-_SECTIONS = ("map", "registration", "orientation", "residuals", "comparison")
+_SECTIONS = ("map", "orientation", "residuals", "comparison")
 """Sections of the page that have figures of the solution."""
 _ENDINGS = (".html", ".htm")
 MOST_ROWS = 1000

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.files.networks.binary import LABEL_BYTES, network_header, network_label
 from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType
-from mgsgraph.files.support_data.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.files.support_data.isd_layout import rotation_table, state_table, support_fields
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index

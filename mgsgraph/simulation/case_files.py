@@ -11,8 +11,14 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
 from mgsgraph.files.networks import pvl_writing
 from mgsgraph.files.networks.tie_points import control_network
-from mgsgraph.files.support_data.isd_layout import J2000, RotationTable, SunTable
-from mgsgraph.files.support_data.isd_writing import rotation_table, state_table, support_fields
+from mgsgraph.files.support_data.isd_layout import (
+    J2000,
+    RotationTable,
+    SunTable,
+    rotation_table,
+    state_table,
+    support_fields,
+)
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage

@@ -12,8 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import digits
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.map_plane import places_at
-from mgsgraph.geometry.records import Array, Index
-from mgsgraph.registration.measured import thinned
+from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened
 

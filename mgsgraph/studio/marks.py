@@ -6,10 +6,9 @@ import numpy as np
 
 from mgsgraph.files.output.csv_json import plain
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
-from mgsgraph.registration.measured import thinned
 from mgsgraph.studio.block import Block
 
 MOST_TIES = 20_000

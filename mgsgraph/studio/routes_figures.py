@@ -28,7 +28,7 @@ _MATPLOTLIB = Lock()
 _MOST = 1200
 """Lines and samples of a picture in a figure; more are halved."""
 _MOST_IMAGES = 4
-_OF_SOLUTION = ("residuals", "corrections", "orientation", "connectivity", "minima")
+_OF_SOLUTION = ("residuals", "map", "orientation", "connectivity", "minima")
 """Views of which a figure is what the results have."""
 
 
@@ -127,13 +127,13 @@ class Figures:
 
     def _of_solution(self, view: str) -> "Sheet":
         from mgsgraph.results.figures.connectivity import links_sheet
+        from mgsgraph.results.figures.map import map_sheets
         from mgsgraph.results.figures.minima import minima_sheets
         from mgsgraph.results.figures.orientation import orientation_sheets
-        from mgsgraph.results.figures.page import correction_sheets
         from mgsgraph.results.figures.residuals import residual_sheets
 
         drawn_by: dict[str, Callable[[Solution], Iterable[Sheet]]] = {
-            "minima": minima_sheets, "residuals": residual_sheets, "corrections": correction_sheets,
+            "minima": minima_sheets, "residuals": residual_sheets, "map": map_sheets,
             "orientation": orientation_sheets, "connectivity": lambda found: [links_sheet(found)],
         }  # fmt: skip
         solution = self._scene.solution

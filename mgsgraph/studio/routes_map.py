@@ -11,10 +11,9 @@ from starlette.routing import Route
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import digits
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Mask, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.project.reading import results_of
-from mgsgraph.registration.measured import thinned
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.comparison import compare
 from mgsgraph.studio.map_layers import longitude_latitude, relief_png, residual_vectors, sigma_cells

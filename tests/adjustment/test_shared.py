@@ -227,7 +227,7 @@ def test_both_time_biases_are_a_later_line_but_for_the_bodys_turning() -> None:
 def test_the_body_turns_as_its_prime_meridian_says() -> None:
     """Mars: 350.89198226 degrees a day (IAU 2009), also where polynomials stand for the tables."""
     image = pair().images[0]
-    polynomial, _ = fit_polynomials(image)
+    polynomial = fit_polynomials(image)
     for trajectory in (image.trajectory, polynomial.trajectory):
         assert trajectory.spin is not None
         np.testing.assert_allclose(trajectory.spin, [0.0, 0.0, 350.89198226 * DEG / 86400.0], atol=1e-12)
@@ -447,7 +447,7 @@ def test_one_clear_line(changed: object, message: str) -> None:
 
 def test_a_time_bias_needs_to_know_how_the_body_turns() -> None:
     net = network(pair())
-    polynomial, _ = fit_polynomials(net.images[0])
+    polynomial = fit_polynomials(net.images[0])
     assert isinstance(polynomial.trajectory, PolynomialTrajectory)
     silent = replace(polynomial, trajectory=replace(polynomial.trajectory, spin=None))
     still: Network = replace(net, images=(silent, net.images[1]))

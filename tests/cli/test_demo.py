@@ -32,7 +32,7 @@ def test_a_site_with_figures(demo: tuple[Path, subprocess.CompletedProcess[str]]
     names = {path.name for path in out.iterdir()}
     assert {"summary.json", "solution.json", "registration.json", "points.csv", "discrepancy.csv"} <= names
     assert {"disagreement.csv", "coregistration.json", "profiles.csv", "story.png", "costs.png"} <= names
-    assert {"overlay_1.png", "closeups.png", "discrepancy.png", "orientation.png", "map.svg"} <= names
+    assert {"overlay_1.png", "closeups.png", "discrepancy.png", "orientation.png", "map.png"} <= names
     assert {"case.toml", "truth.json", "network.pvl", "mgs.tm"} <= {path.name for path in (out / "inputs").iterdir()}
     record = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert tuple(record["seconds"]) == STAGES

@@ -53,7 +53,7 @@ def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_matches_are_written_and_replaced(site: Path, out: Path) -> None:
     assert {path.name for path in out.iterdir()} == {
-        "match.json", "matches.csv", "network.net", "network.pvl", "matches.png", "matches.svg",
+        "match.json", "matches.csv", "network.net", "network.pvl", "matches.png",
     }  # fmt: skip
     before = read_control_network(out / "network.pvl")
     assert len(before.ids) > 60

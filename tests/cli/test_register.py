@@ -23,7 +23,7 @@ def test_before_and_after_an_adjustment(mola_case: Path, tmp_path: Path) -> None
     record = json.loads((out / "registration.json").read_text(encoding="utf-8"))
     assert set(record["orientations"]) == {"nominal", "adjusted"}
     assert [line[2:] for line in done.stdout.splitlines() if line.startswith("- ")] == record["statements"]
-    assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png", ".svg"}
+    assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png"}
     orientations = "nominal orientation", "adjusted orientation"
     for said in ("fall in SIM/A", *orientations, "along and across the flight", "five steps"):
         assert said in done.stdout

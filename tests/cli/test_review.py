@@ -9,7 +9,7 @@ import pytest
 from commands import refused, run
 
 from mgsgraph.files.networks.network_file import read_control_network, read_network
-from mgsgraph.files.networks.table_writing import table_text
+from mgsgraph.files.networks.table import table_text
 
 
 @pytest.fixture

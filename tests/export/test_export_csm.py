@@ -82,7 +82,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 @pytest.fixture(scope="module")
 def polynomials(tmp_path_factory: pytest.TempPathFactory) -> Written:
-    return written(adjusted(lambda image: fit_polynomials(image)[0]), tmp_path_factory.mktemp("polynomials"))
+    return written(adjusted(lambda image: fit_polynomials(image)), tmp_path_factory.mktemp("polynomials"))
 
 
 @pytest.fixture(params=["tables", "polynomials"])

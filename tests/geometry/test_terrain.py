@@ -90,15 +90,6 @@ def test_height_is_the_distance_along_the_normal(cell: tuple[int, int], s: float
     np.testing.assert_allclose(height, off, rtol=0, atol=2e-3)
 
 
-def test_slope_of_a_plane_that_rises_northward() -> None:
-    rows = np.arange(10.0)
-    tilt = 0.1
-    grid = rough(radii=RADIUS - np.tan(tilt) * RADIUS * STEP * rows[:, None] + np.zeros((10, 12)))
-    slope = grid.slope(np.array([175.2 * DEG]), np.array([-14.1 * DEG]))
-
-    np.testing.assert_allclose(slope, tilt, rtol=1e-3)
-
-
 @given(st.floats(-10.0, 10.0), st.floats(0.0, 0.999))
 def test_wrapping_has_no_seam(turns: float, share: float) -> None:
     grid = rough(wraps=True)

@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
 
@@ -263,12 +262,12 @@ def test_figures_are_whole_with_and_without_a_solution(case: Case, solution: Sol
     for name, found in (("before", register_case(case)), ("both", register_case(case, solution))):
         names = write_registration(found, tmp_path / name)
         kinds = ("overlay_1", "overlay_2", "closeups", "discrepancy")
-        drawn = [f"{kind}.{end}" for kind in kinds for end in ("png", "svg")]
+        drawn = [f"{kind}.png" for kind in kinds]
         assert names == [*OTHERS, *drawn]
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == sorted(names)
         for file in drawn:
             data = (tmp_path / name / file).read_bytes()
-            assert data[-8:-4] == b"IEND" if file.endswith("png") else ElementTree.fromstring(data).tag.endswith("svg")
+            assert data[-8:-4] == b"IEND"
         sizes[name] = (tmp_path / name / "closeups.png").stat().st_size
     assert sizes["both"] > sizes["before"]
 

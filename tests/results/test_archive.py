@@ -437,7 +437,7 @@ def test_writing_needs_no_file_name_that_ends_in_npz(solution: Solution, tmp_pat
 
 def test_a_solution_with_polynomials_is_archived(tmp_path: Path) -> None:
     net = network(pair())
-    images = (fit_polynomials(net.images[0], 3)[0], net.images[1])
+    images = (fit_polynomials(net.images[0], 3), net.images[1])
     solution = adjust_network(replace(net, images=images), SolverSettings())
     write_archive(solution, tmp_path / "solution.npz")
     got, want = read_solution(tmp_path).network.images, solution.network.images

@@ -21,7 +21,7 @@ from mgsgraph.results.figures.matches import matches_sheet
 from mgsgraph.results.matching import KeptTiles, match_into, match_statements, write_matches
 
 TABLES = {"match.json", "matches.csv", "network.net", "network.pvl"}
-FIGURES = {"matches.png", "matches.svg"}
+FIGURES = {"matches.png"}
 
 
 @pytest.fixture

@@ -23,12 +23,10 @@ from mgsgraph.case.reading import Case, read_case
 from mgsgraph.case.reading import adjust as adjust_case
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import NONE, Table, fixed
-from mgsgraph.geometry.body import east_north_up
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results import page as report_page
 from mgsgraph.results.comparison import compare, orientation_difference
 from mgsgraph.results.figures import page as report_figures
-from mgsgraph.results.figures.page import local_corrections
 from mgsgraph.results.figures.page_scene import Scene, scenes
 from mgsgraph.results.page import tables as tables_of
 from mgsgraph.results.page import write_report
@@ -38,7 +36,7 @@ from mgsgraph.simulation.files import write_pair
 LINES, SAMPLES = (3000, 3400), (100, 250)
 """Of the bright field in the pictures."""
 FIGURES = {
-    "map", "connectivity", "discrepancy", "closeups", "orientation", "residuals", "corrections", "sigma_map",
+    "map", "connectivity", "discrepancy", "closeups", "orientation", "residuals", "sigma_map",
     "comparison",
 }
 
@@ -245,13 +243,6 @@ def test_measures_are_those_that_fit_worst(solution: Solution) -> None:
 )
 def test_numbers(value: float, said: str) -> None:
     assert fixed(value) == said
-
-
-def test_corrections_are_eastward_northward_upward(solution: Solution) -> None:
-    frames = east_north_up(solution.places)
-    before = solution.places - np.einsum("nij,i->nj", frames, np.array([1.0, 2.0, -3.0]))
-    moved = local_corrections(replace(solution, places_before=before))
-    np.testing.assert_allclose(moved, np.tile([1.0, 2.0, -3.0], (len(before), 1)), atol=1e-6)
 
 
 # --- against an earlier solution

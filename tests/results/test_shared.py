@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
-from sharing import block, camera_clock, drawn, shared, with_all_kinds
+from sharing import block, camera_clock, drawn, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
@@ -18,7 +18,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.shared_unknowns import pitch_axis, shared_estimates
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
-from mgsgraph.registration.measured import registration_offsets
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.results.results import solution_json, write_results
 from mgsgraph.results.shared import shared_section, shared_table
@@ -155,14 +154,3 @@ def test_the_archive_keeps_them(tmp_path: Path) -> None:
     write_archive(replace(solution, shared=solution.shared[:-1]), tmp_path / "solution.npz")
     with pytest.raises(InputError, match="shared"):
         read_solution(tmp_path)
-
-
-def test_figures_project_with_the_adjusted_focal_length() -> None:
-    net = replace(network(pair()), shared=(shared(SharedKind.FOCAL_LENGTH, [0, 1]),))
-    solution = adjust_network(net, SolverSettings())
-    longer = replace(solution, shared=(np.array([0.05]),))
-    one, two = (registration_offsets(each, 1) for each in (solution, longer))
-    np.testing.assert_array_equal(one.before, two.before)
-    moved = two.after[:, 1] - one.after[:, 1]
-    expected = (one.after[:, 1] - 512.0) * 0.05 / 3.5
-    np.testing.assert_allclose(moved, expected, atol=0.02)

@@ -34,7 +34,7 @@ from mgsgraph.results.stac_item import item
 from mgsgraph.results.terrain_model import BANDS, dem_section, make_dem, write_dem
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
-FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png", "dem.svg"}
+FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png"}
 
 
 @cache
@@ -364,7 +364,7 @@ def test_an_earlier_model_is_replaced_by_a_whole_one_only(tmp_path: Path, monkey
     out = tmp_path / "out"
     road(out, monkeypatch)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    assert set(before) == FILES - {"dem.png", "dem.svg"}
+    assert set(before) == FILES - {"dem.png"}
 
     def full(*given: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

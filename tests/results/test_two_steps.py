@@ -256,7 +256,7 @@ def test_results_with_figures_can_be_replaced(tmp_path: Path) -> None:
     found, out = merit("block"), tmp_path / "out"
     write_two_steps(found, out)
     drawn = {path.name for path in out.iterdir()}
-    assert {"passes.png", "passes.svg", "map.png", "height_map.png", "height_map.svg", "two_steps.txt"} <= drawn
+    assert {"passes.png", "map.png", "height_map.png", "two_steps.txt"} <= drawn
     write_two_steps(found, out, figures=False)
     write_results(found.steps.fitted, out, figures=False)
     assert not any(path.name.startswith(("passes.png", "two_steps")) for path in out.iterdir())

@@ -20,6 +20,7 @@ import study  # noqa: E402
 
 from mgsgraph.case.reading import read_case  # noqa: E402
 from mgsgraph.errors import InputError  # noqa: E402
+from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory  # noqa: E402
 from mgsgraph.network import PointClass  # noqa: E402
 from mgsgraph.simulation.files import write_site  # noqa: E402
 from mgsgraph.simulation.site import simulate_site  # noqa: E402
@@ -52,9 +53,9 @@ def test_the_papers_case_has_the_papers_rows(gusev: tables.Result) -> None:
     nadir, held = (prior.sigmas for prior in network.priors)
     np.testing.assert_allclose(held, 2.0 * nadir, rtol=1e-3)
     np.testing.assert_allclose(nadir[:, 0], [100.0, 2.0, 0.2])
-    for fit in gusev.case.fits:  # polynomials of order 2, as theirs
-        assert (fit.order, fit.samples) == (2, 31)
-    assert len(gusev.case.fits) == 2
+    for image in network.images:  # polynomials of order 2, as theirs
+        assert isinstance(image.trajectory, PolynomialTrajectory)
+        assert image.trajectory.position.shape == (3, 3)
 
 
 def test_both_cases_are_written_and_the_one_asked_for_is_returned(tmp_path: Path) -> None:
@@ -63,7 +64,7 @@ def test_both_cases_are_written_and_the_one_asked_for_is_returned(tmp_path: Path
     assert (rigorous.name, papers.name) == ("case.toml", "case_papers.toml")
     assert "back-projected" not in rigorous.read_text(encoding="utf-8")
     assert "[terrain]" not in papers.read_text(encoding="utf-8")
-    assert len(read_case(rigorous).fits) == 2
+    assert all(isinstance(image.trajectory, PolynomialTrajectory) for image in read_case(rigorous).network.images)
     with pytest.raises(InputError, match="weighting"):
         write_site(site, tmp_path, "equal")  # type: ignore[arg-type]
 

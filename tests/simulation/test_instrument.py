@@ -64,7 +64,7 @@ def test_what_cannot_be_simulated_is_said() -> None:
         InstrumentErrors(attitude_time=float("nan"))
     with pytest.raises(InputError, match=r"shape \(3\)"):
         InstrumentErrors(camera_boresight=np.zeros(2))
-    image, _ = fit_polynomials(pair().images[0])
+    image = fit_polynomials(pair().images[0])
     with pytest.raises(InputError, match="isn't sampled"):
         as_taken(image, InstrumentErrors())
     with pytest.raises(InputError):

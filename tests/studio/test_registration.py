@@ -109,7 +109,7 @@ def test_heights_by_cell_are_those_of_the_statistics(tmp_path: Path) -> None:
         assert fetched(address, "/api/figure/heights.png")[2].startswith(b"\x89PNG")
 
 
-VIEWS = ("footprints", "relief", "residuals", "corrections", "orientation", "connectivity")
+VIEWS = ("footprints", "relief", "residuals", "map", "orientation", "connectivity")
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.places import by_pauses, positions, require_radii, unit_of_radii
-from mgsgraph.files.altimetry.shots import is_archive_table, shots_of, unpacked
-from mgsgraph.files.altimetry.tables import table_of
+from mgsgraph.files.altimetry.shot_values import by_pauses, positions, require_radii, unit_of_radii
+from mgsgraph.files.altimetry.shots import shots_of, unpacked
+from mgsgraph.files.altimetry.tables import is_archive_table, table_of
 from mgsgraph.files.altimetry.text_table import TextTable
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.places import crossings, positions
+from mgsgraph.files.altimetry.shot_values import crossings, positions, shots_with
 from mgsgraph.geometry.altimeters import LOLA
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
@@ -107,22 +107,18 @@ def _shots(
     spots, owners = records["spots"].ravel()[chosen], records[chosen // SPOTS]
     record, spot = chosen // SPOTS + 1, chosen % SPOTS + 1
     times = tdb_of_tt(owners["seconds"] + owners["fraction"] * 2.0**-32)
-    nothing = np.full(chosen.size, np.nan)
-
     def known(values: NDArray[np.unsignedinteger]) -> Array:
         return np.where((values != _NONE) & (values > 0), values * _MM, np.nan)
 
-    return AltimeterShots(
-        source=str(path), orbits=crossings(times, str(path)), frames=record, shots=spot, times=times + clock_bias,
-        footprints=positions(
+    return shots_with(
+        str(path), LOLA, times + clock_bias, positions(
             np.column_stack([spots["longitude"], spots["latitude"]]) * _ANGLE, spots["radius"] * _MM,
             lambda k: f"{path}, record {record[k]}, spot {spot[k]}",
         ),
-        areoid_radii=known(owners["selenoid_radius"]), ranges=known(spots["range"]), range_corrections=nothing,
+        orbits=crossings(times, str(path)), frames=record, shots=spot, areoid_radii=known(owners["selenoid_radius"]),
+        ranges=known(spots["range"]), off_nadir=owners["off_nadir"] * _OFF_NADIR, ground=ground,
         spacecraft=from_planetocentric(np.column_stack([
             owners["spacecraft_longitude"] * _ANGLE * DEG, owners["spacecraft_latitude"] * _ANGLE * DEG,
             known(owners["spacecraft_radius"]),
         ])),
-        off_nadir=owners["off_nadir"] * _OFF_NADIR, ground=ground, channels=np.zeros(chosen.size, dtype=np.int64),
-        clocks=nothing, pulses=nothing, altimeter=LOLA,
     )  # fmt: skip

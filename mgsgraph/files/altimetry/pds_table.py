@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lola import RECORD, lola_shots
-from mgsgraph.files.altimetry.places import crossings, known_ranges, positions, require_radii, require_records
+from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.altimetry.text_table import plain_name
-from mgsgraph.files.csv_columns import numbers_of
-from mgsgraph.files.opening import LARGEST_NUMBER, number_of, read_bytes
+from mgsgraph.files.opening import number_of, read_bytes
 from mgsgraph.files.pvl import Block, Document, whole_label
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
@@ -53,8 +51,6 @@ _TYPES = {
 }  # fmt: skip
 _SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
 """Bytes of a number, by the letter of its type."""
-_FIRST, _LAST = ord(" "), ord("~")
-"""Of the characters that can be printed."""
 _LARGEST = 1e15
 """m, rad or s: no number of an altimeter."""
 _AS_CSV = "write a CSV with longitude_deg, latitude_deg, radius_m, time_s and range_m"
@@ -157,7 +153,6 @@ class _Rows:
         radius, height = found["radius"], found["height"]
         if found["longitude"] is None or found["latitude"] is None or (radius is None and height is None):
             raise self._unknown("longitude, latitude, and radius or topography")
-        body = self._altimeter.body
         above = self._altimeter.height_sphere if radius is None else 0.0
         if np.isnan(above):
             raise InputError(
@@ -166,18 +161,13 @@ class _Rows:
             )
         radii = above + self._values(radius or height)
         degrees = np.column_stack([self._values(found["longitude"]), self._values(found["latitude"])]) / DEG
-        require_radii(radii, body, str(self.path))
         times, n = self._times(found["tdb"], found["utc"]), self._rows.size
-        nothing, numbers = np.full(n, np.nan), np.arange(1, n + 1)
-        ranges = self._values(found["range"]) if found["range"] is not None else nothing
-        return AltimeterShots(
-            source=str(self.path), orbits=crossings(times, str(self.path)), frames=numbers,
-            shots=np.ones(n, dtype=np.int64), times=times + clock_bias,
-            footprints=positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
-            areoid_radii=nothing, ranges=known_ranges(ranges, np.ones(n, dtype=bool)), range_corrections=nothing,
-            spacecraft=np.full((n, 3), np.nan), off_nadir=nothing, ground=np.ones(n, dtype=bool),
-            channels=np.zeros(n, dtype=np.int64), clocks=nothing, pulses=nothing, altimeter=self._altimeter,
-        )  # fmt: skip
+        ranges = self._values(found["range"]) if found["range"] is not None else np.full(n, np.nan)
+        return shots_with(
+            str(self.path), self._altimeter, times + clock_bias,
+            positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
+            orbits=crossings(times, str(self.path)), ranges=known_ranges(ranges, np.ones(n, dtype=bool)),
+        )
 
     def _unknown(self, expected: str) -> InputError:
         names = ", ".join(one.block.text("NAME") for one in self._columns)
@@ -196,15 +186,9 @@ class _Rows:
         whole = self._rows.view(np.uint8).reshape(self._rows.size, -1)
         return np.ascontiguousarray(whole[:, column.start : column.start + column.size])
 
-    def _texts(self, column: Column) -> Names:
-        content = self._bytes(column)
-        if np.all((content >= _FIRST) & (content <= _LAST)):
-            names = Names(content.ravel(), np.arange(len(content) + 1) * column.size)
-            return Names.of(pc.utf8_trim(names.arrow, ' "'))
-        last = column.start + column.size == self._rows.dtype.itemsize  # zeros that fill up a row are nothing
-        found = (row.tobytes() for row in content)
-        texts = (row.rstrip(b"\0") if last else row for row in found)
-        return Names.of([text.decode("latin-1").strip(' "') for text in texts])
+    def _texts(self, column: Column) -> NDArray[np.bytes_]:
+        """(n,) without blanks, quotation marks and the zeros that fill up a row."""
+        return np.char.strip(self._bytes(column).view(f"S{column.size}")[:, 0], b' "')
 
     def _values(self, column: Column | None) -> Array:
         """Of a column, in m, rad or s."""
@@ -236,16 +220,16 @@ class _Rows:
     def _numbers(self, column: Column) -> Array:
         """Those of a column of text."""
         texts = self._texts(column)
-        found = numbers_of(texts.arrow, LARGEST_NUMBER)
-        if found is None or np.any(np.isnan(found)):
-            places = (f"{self.path}, row {k + 1}, {column.name}" for k in range(len(texts)))
-            found = np.array([number_of(*one) for one in zip(texts, places, strict=True)])
-        return found
+        try:
+            return texts.astype(np.float64)
+        except ValueError:
+            places = (f"{self.path}, row {k + 1}, {column.name}" for k in range(texts.size))
+            return np.array([number_of(one.decode("latin-1"), at) for one, at in zip(texts, places, strict=True)])
 
     def _times(self, tdb: Column | None, utc: Column | None) -> Array:
         if tdb is not None:
             return self._values(tdb)
         if utc is None:
             raise self._unknown("a column UTC or EPHEMERIS_TIME")
-        texts = pc.replace_substring(pc.replace_substring(self._texts(utc).arrow, "/", "-"), " ", "T")
-        return tdb_of_utc(Names.of(texts), str(self.path))
+        texts = (one.decode("latin-1").replace("/", "-").replace(" ", "T") for one in self._texts(utc).tolist())
+        return tdb_of_utc(Names.of(list(texts)), str(self.path))

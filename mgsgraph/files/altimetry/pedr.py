@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.places import known_ranges, require_records
+from mgsgraph.files.altimetry.shot_values import known_ranges, require_records
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.pvl import Block, flat_label
 from mgsgraph.geometry.altimetry import AltimeterShots
@@ -225,28 +225,26 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
 def _require_sound(frames: NDArray[np.void], path: Path) -> None:
     """Values that show another record length or byte order before they show as footprints in the wrong place."""
     radii = frames["shot_radius"] * _CM
-    wild = np.any((radii > 0.0) & ((radii < _LEAST) | (radii > _LARGEST)), axis=1)
-    for i in np.flatnonzero(wild)[:1]:
-        raise InputError(
-            f"{path}, frame {i + 1}", f"a radius of {radii[i][radii[i] > 0.0].min():.0f} m",
-            f"{_LEAST:.0f} .. {_LARGEST:.0f} m", "the records have another length or byte order",
-        )
-    whole, again = frames["seconds"] + 1e-6 * frames["microseconds"], frames["time"]
-    apart = (again != 0.0) & ~(np.abs(whole - again) < 1e-3)
-    for i in np.flatnonzero(apart)[:1]:
-        raise InputError(
-            f"{path}, frame {i + 1}", f"times {whole[i]:.6f} s and {again[i]:.6f} s", "the same time in both fields",
-        )
-    used = np.any(radii > 0.0, axis=1)
-    slow = ~(np.abs(frames["clock"] / _CLOCK - 1.0) < _CLOCK_TOLERANCE)
-    for i in np.flatnonzero(used & slow)[:1]:
-        raise InputError(f"{path}, frame {i + 1}", f"a clock of {frames['clock'][i]} Hz", "about 1e8 Hz")
-    for name, most in (("latitude", 90.0), ("longitude", 360.0)):
-        for field, what in ((name, name), (f"spacecraft_{name}", f"spacecraft's {name}")):
-            degrees = frames[field] * 1e-6
-            for i in np.flatnonzero(used & (np.abs(degrees) > most))[:1]:
-                found, expected = f"{degrees[i]:g} degrees", f"-{most:g} .. {most:g}"
-                raise InputError(f"{path}, frame {i + 1}, {what}", found, expected, "fetch the file anew")
+    used, again = np.any(radii > 0.0, axis=1), frames["time"]
+    whole = frames["seconds"] + 1e-6 * frames["microseconds"]
+    places = [
+        (f", {what}", frames[field] * 1e-6, -most, most, "degrees")
+        for name, most in (("latitude", 90.0), ("longitude", 360.0))
+        for field, what in ((name, name), (f"spacecraft_{name}", f"spacecraft's {name}"))
+    ]
+    for what, values, least, most, unit in (
+        (", radius", np.where(radii > 0.0, radii, _LEAST).min(axis=1), _LEAST, _LARGEST, "m"),
+        (", radius", np.where(used, radii.max(axis=1), _LEAST), _LEAST, _LARGEST, "m"),
+        (", difference of its two times", np.where(again != 0.0, whole - again, 0.0), -1e-3, 1e-3, "s"),
+        (", clock", frames["clock"], _CLOCK * (1.0 - _CLOCK_TOLERANCE), _CLOCK * (1.0 + _CLOCK_TOLERANCE), "Hz"),
+        *places,
+    ):
+        checked = used | (unit == "s")
+        for i in np.flatnonzero(checked & ~((values >= least) & (values <= most)))[:1]:
+            raise InputError(
+                f"{path}, frame {i + 1}{what}", f"{values[i]:.9g} {unit}", f"{least:.9g} .. {most:.9g}",
+                "the records have another length or byte order, or are damaged: fetch the file anew",
+            )
 
 
 def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:

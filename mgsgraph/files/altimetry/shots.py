@@ -1,24 +1,21 @@
 """Laser shots of any altimeter's archive, known by their content: MOLA PEDR, LOLA RDR, MLA, LALT, our own selections.
 
-What is read: MOLA PEDR binary and as text (`pedr`, `pedr_text`), LOLA RDR binary (`lola`) and as CSV, MLA RDR as CSV of
-the Orbital Data Explorer and a selection of `mgsgraph shots` (`shot_tables`), any PDS3 table by its label
-(`pds_table`). All but PEDR files may be packed by gzip.
+What is read: MOLA PEDR (`pedr`) and LOLA RDR (`lola`), binary; tables of PEDR2TAB, of the Orbital Data Explorer (MOLA,
+LOLA, MLA) and selections of `mgsgraph shots` (`tables`); any PDS3 table by its label (`pds_table`). All but PEDR files
+may be packed by gzip.
 """
 
 from pathlib import Path
 
-import numpy as np
-
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.limits import require_possible_shots
 from mgsgraph.files.altimetry.lola import is_lola_rdr, lola_shots
 from mgsgraph.files.altimetry.pds_table import is_label, read_labelled_shots, require_whole
 from mgsgraph.files.altimetry.pedr import FRAME, pedr_shots
-from mgsgraph.files.altimetry.pedr_text import PEDR_RADII, pedr_text_shots
-from mgsgraph.files.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
+from mgsgraph.files.altimetry.shot_values import require_possible_shots
+from mgsgraph.files.altimetry.tables import is_archive_table, shots_of_table, table_of
 from mgsgraph.files.altimetry.text_table import TextTable
 from mgsgraph.files.opening import read_bytes, unpacked_gzip
-from mgsgraph.geometry.altimetry import AltimeterShots, require_lengths
+from mgsgraph.geometry.altimetry import AltimeterShots
 
 _SMALL, _MOST_TIMES = 1 << 24, 30
 """bytes that any packed file may unpack to, and times its own: gzip packs tables of numbers to a fifth or so."""
@@ -61,10 +58,6 @@ def shots_of(
 ) -> AltimeterShots:  # fmt: skip
     """As `read_shots`, of the content of a file, unpacked if it was packed; as a table, where it is one already."""
     shots = _as_read(content, packed, path, clock_bias, version, table)
-    ways = np.linalg.norm(shots.spacecraft - shots.footprints, axis=1)
-    known = np.isfinite(ways) & np.isfinite(shots.ranges)
-    if np.any(known):
-        require_lengths(shots.ranges[known], ways[known], "ranges", str(path))
     require_possible_shots(shots)
     return shots
 
@@ -90,18 +83,9 @@ def _as_read(
     if is_label(content):
         return read_labelled_shots(path, clock_bias)
     table = table_of(content, path) if table is None else table
-    layout = layout_of(table)
-    if layout is not None:
-        return shots_of_table(table, layout, clock_bias)
-    if is_selection(table):
-        return read_selection(table, clock_bias)
-    _require_unpacked(packed, path)
-    return pedr_text_shots(table, clock_bias, version)
-
-
-def is_archive_table(table: TextTable) -> bool:
-    """Whether a text is one of an altimeter's archive, or a selection of it, not just a cloud of points."""
-    return layout_of(table) is not None or bool(PEDR_RADII & set(table.names)) or "altimeter" in table.names
+    if not is_archive_table(table):
+        _require_unpacked(packed, path)
+    return shots_of_table(table, clock_bias, version)
 
 
 def unpacked(content: bytes, path: Path) -> tuple[bytes, bool]:

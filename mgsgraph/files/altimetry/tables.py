@@ -4,80 +4,92 @@
   one (TT; its digits are those of UTC and the leap seconds), which becomes TDB.
 * MLA RDR as CSV of ODE, names and km as in USGS's ode_csv2shapefile.py. The range is half of the time of flight, for no
   source says the unit of 1way_range; nor that of the spacecraft's height and of the angle off nadir, which are left.
-* A selection as `mgsgraph shots` writes it, and any CSV that names its columns so.
+* A selection as `mgsgraph shots` writes it, and any CSV that names its columns so; empty cells are unknown.
+* MOLA PEDR as PEDR2TAB and ODE write it. ODE serves version L alone; a table says it only by its file's name. Shots of
+  versions before L are turned from the IAU1991 to the IAU2000 frame.
+
+Columns are found by the names in the header, whatever their order, case, padding or spelling ("Ephermis Time").
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lola import INVALID
-from mgsgraph.files.altimetry.places import crossings, known_ranges, positions, unit_of_radii, whole_numbers
+from mgsgraph.files.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
+from mgsgraph.files.altimetry.shot_values import (
+    crossings,
+    known_ranges,
+    positions,
+    shots_with,
+    unit_of_radii,
+    whole_numbers,
+)
 from mgsgraph.files.altimetry.text_table import TextTable
-from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, Altimeter
+from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, MOLA, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.time_scales import require_years, tdb_of_tt, tdb_of_utc
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import RepeatedNames
 from mgsgraph.units import DEG, KM, SPEED_OF_LIGHT
 
 _HALF_LIGHT = 0.5e-9 * SPEED_OF_LIGHT
 """m of one way in a ns of both."""
 
 
-class Columns(Protocol):
-    """A table that is read by the plain names of its columns."""
-
-    path: Path
-    names: list[str]
-
-    def read(self, *wanted: str) -> dict[str, Array]:
-        """Finite numbers (n,) of those of the wanted columns that there are."""
-
-    def texts(self, name: str) -> Names:
-        """Texts (n) of a column."""
-
-    def line_numbers(self) -> Index:
-        """Numbers (n,) of the rows, from 1."""
-
-    def where(self, row: int) -> str:
-        """File and row, for errors."""
-
-    def called(self, name: str) -> str:
-        """File and column, for errors."""
-
-
 @dataclass(frozen=True, slots=True)
 class Layout:
     """What a table's columns mean."""
 
-    altimeter: Altimeter
-    """Whose shots."""
-    columns: Mapping[str, tuple[str, float]]
-    """By meaning: the column's plain name, and how many m, rad or s its unit is; lengths in the radius' unit."""
+    altimeter: Altimeter | None
+    """Whose shots; None: a column says it."""
+    columns: Mapping[str, str]
+    """By meaning, the plain names that a column may have, between blanks."""
+    known_by: frozenset[str]
+    """Plain names that tell the layout."""
+    name: tuple[str, ...] = ()
+    """Meanings of the columns that call a shot; where one lacks, its line does."""
+    bare: bool = False
+    """Whether lengths are km or m, which the radii tell, a shot may have no radius (0 to -1), and no orbit is stated.
+    """
+    remedy: str = ""
+    """What gives a table with all columns."""
 
-    def fits(self, names: list[str]) -> bool:
-        """Whether a header with these plain names has the columns that can't be done without."""
-        return {self.columns[one][0] for one in ("longitude", "latitude", "radius")} <= set(names)
 
-
-LOLA_CSV = Layout(LOLA, {
-    "longitude": ("ptlongitude", DEG), "latitude": ("ptlatitude", DEG), "radius": ("ptradius", KM),
-    "range": ("ptrange", KM), "tt": ("terrestrialdyntime", 1.0), "utc": ("coordinateduniversaltime", 1.0),
-    "spacecraft longitude": ("sclongitude", DEG), "spacecraft latitude": ("sclatitude", DEG),
-    "spacecraft radius": ("scradius", KM), "off nadir": ("offnadir", DEG), "flag": ("flg", 1.0),
-    "second": ("missionet", 1.0), "frame": ("frm", 1.0), "spot": ("s", 1.0), "geoid": ("geoid", KM),
-})  # fmt: skip
-MLA_CSV = Layout(MLA, {
-    "longitude": ("longitude", DEG), "latitude": ("latitude", DEG), "radius": ("radius", KM),
-    "flight": ("tofnset", _HALF_LIGHT), "tdb": ("ephemeristime", 1.0), "utc": ("utc", 1.0), "channel": ("chn", 1.0),
-})  # fmt: skip
+_LOLA = Layout(LOLA, {
+    "longitude": "ptlongitude", "latitude": "ptlatitude", "radius": "ptradius", "range": "ptrange",
+    "tt": "terrestrialdyntime", "utc": "coordinateduniversaltime", "spacecraft longitude": "sclongitude",
+    "spacecraft latitude": "sclatitude", "spacecraft radius": "scradius", "off nadir": "offnadir", "flg": "flg",
+    "missionet": "missionet", "frm": "frm", "s": "s", "areoid": "geoid",
+}, frozenset({"ptlongitude", "ptlatitude", "ptradius"}), ("missionet", "frm", "s"), bare=True)  # fmt: skip
+_MLA = Layout(MLA, {
+    "longitude": "longitude", "latitude": "latitude", "radius": "radius", "flight": "tofnset", "tdb": "ephemeristime",
+    "utc": "utc", "channel": "chn",
+}, frozenset({"longitude", "latitude", "radius", "chn", "tofnset"}), bare=True)  # fmt: skip
+_OWN = Layout(None, {
+    "longitude": "longitudedeg", "latitude": "latitudedeg", "radius": "radiusm", "tdb": "times", "orbit": "orbit",
+    "frame": "frame", "shot": "shot", "channel": "channel", "ground": "ground", "range": "rangem",
+    "range correction": "rangecorrectionm", "areoid": "areoidradiusm", "off nadir": "offnadirdeg", "clock": "clockhz",
+    "pulse": "pulses", "spacecraft x": "spacecraftxm", "spacecraft y": "spacecraftym", "spacecraft z": "spacecraftzm",
+}, frozenset({"longitudedeg", "latitudedeg", "radiusm", "rangem", "times"}), ("frame", "shot"))  # fmt: skip
+_GAPS = frozenset(list(_OWN.columns)[9:])
+"""What may be empty in a selection, from the range on."""
+_PEDR = Layout(MOLA, {
+    "longitude": "longeast longitude eastlongitude lon", "latitude": "latnorth latitude lat",
+    "radius": "planetrad planetradius planetaryradius radius", "topography": "topography", "range": "molarange range",
+    "channel": "c", "attitude": "a", "orbit": "orbit rev", "utc": "utc", "tdb": "ephemeristime ephermistime et",
+    "spacecraft longitude": "sclong", "spacecraft latitude": "sclat", "spacecraft radius": "scradius",
+    "off nadir": "offndr", "areoid": "areoidrad", "range correction": "rcorr",
+}, frozenset({"planetrad", "planetradius", "planetaryradius"}), remedy=(
+    "ask ODE for the points file (..._pts_csv.csv), PEDR2TAB for its groups 0 and 2 with header lines"
+))  # fmt: skip
+"""In what unit PEDR2TAB writes Sigopt is not known."""
+_LENGTHS = ("radius", "range", "spacecraft radius", "areoid")
 _LOLA_HEADER = (
     "Coordinated_Universal_Time,Pt_Longitude,Pt_Latitude,Pt_Radius,Pt_Range,Pt_PulseW,Pt_Energy,Pt_noi,Pt_Thr,Pt_Gn,Flg,S,"
     "Frm,Mission_ET,Subseconds,Terrestrial_Dyn_Time,TX_Energy_mJ,TX_PulseW,SC_Longitude,SC_Latitude,SC_radius,Geoid,"
@@ -88,7 +100,12 @@ _LOLA_ROW = re.compile(rb"\s*\d{4}-\d\d-\d\dT[\d:.]+\s*(,[^,\n]*){28}(\n|$)")
 _NONE = -1.0
 """What LOLA writes for a radius or range that there is none of; less is a sign that was damaged."""
 _NOISE_CHANNEL = 5
-"""Of MLA, from which on a return is noise (pyXover leaves out chn > 4)."""
+"""Of MLA, from which on a return is noise (pyXover leaves out chn > 4); other altimeters have no such channel."""
+_NOT_GROUND = 4
+"""PEDR2TAB adds this to the attitude flag A of a shot that didn't reach the ground."""
+_TIMES = ("tdb", "tt", "utc")
+_LARGEST = 2.0**53
+"""Of whole numbers."""
 
 
 def table_of(content: bytes, path: Path) -> TextTable:
@@ -96,138 +113,133 @@ def table_of(content: bytes, path: Path) -> TextTable:
     return TextTable(content, path, _LOLA_HEADER if _LOLA_ROW.match(content) else None)
 
 
-def layout_of(table: TextTable) -> Layout | None:
-    """The archive's layout that a header has; None for any other table."""
-    if LOLA_CSV.fits(table.names):
-        return LOLA_CSV
-    return MLA_CSV if MLA_CSV.fits(table.names) and {"chn", "tofnset"} <= set(table.names) else None
+def is_archive_table(table: TextTable) -> bool:
+    """Whether a text is one of an altimeter's archive, or a selection of it, not just a cloud of points."""
+    names = set(table.names)
+    archives = any(layout.known_by <= names for layout in (_LOLA, _MLA))
+    return archives or bool(_PEDR.known_by & names) or "altimeter" in names
 
 
-def shots_of_table(table: Columns, layout: Layout, clock_bias: float) -> AltimeterShots:
-    """Shots of an archive's table, in its order; a shot without a radius is left out.
+def shots_of_table(table: TextTable, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+    """Shots of a table, in its order.
 
-    InputError for a column that is missing, a value that can't be, a radius in no unit in which it is the body's.
+    Parameters
+    ----------
+    table : TextTable
+        Without a column that says otherwise all are ground returns, which alone most programs write.
+    clock_bias : float
+        s, added to the times of the shots.
+    version : str, optional
+        Product version, a letter, of the PEDR that a table was taken from.
+
+    Raises
+    ------
+    InputError
+        A column that is missing or there twice, a value that can't be, radii in no unit in which they are the body's,
+        a PEDR2TAB table whose version is not known.
     """
-    names = {meaning: name for meaning, (name, _) in layout.columns.items()}
-    numbers = table.read(*[name for meaning, name in names.items() if meaning != "utc"])
+    layout = next((one for one in (_LOLA, _MLA, _OWN) if one.known_by <= set(table.names)), _PEDR)
+    if layout is not _PEDR:
+        return _shots(table, layout, clock_bias)
+    letter = IAU2000_VERSION if table.with_commas and version is None else pedr_version(table.path, None, version)
+    shots = _shots(table, layout, clock_bias)
+    return in_iau2000(shots) if letter < IAU2000_VERSION else shots
 
-    def column(meaning: str) -> Array | None:
-        return numbers.get(names.get(meaning, ""))
 
-    radii = numbers[names["radius"]]
+def _shots(table: TextTable, layout: Layout, clock_bias: float) -> AltimeterShots:
+    names = _meant(table, layout)
+    values, there = _values(table, layout, names), None
+    if layout.bare:
+        there, unit = _with_radius(table, layout, names, values)
+        values |= {one: values[one] * unit for one in _LENGTHS if one in values}
+        values["radius"] = np.where(there, values["radius"], unit)
+    if "flight" in values:
+        values["range"] = _HALF_LIGHT * values["flight"]
+    if "tdb" in values or "tt" in values:
+        times = values["tdb"] if "tdb" in values else tdb_of_tt(values["tt"])
+    else:
+        times = tdb_of_utc(table.texts(names["utc"]), table.called(names["utc"]))
+    require_years(times, str(table.path))
+    n = times.size
+
+    def value(meaning: str) -> Array:
+        return values.get(meaning, np.full(n, np.nan))
+
+    def whole(meaning: str, largest: float = _LARGEST) -> Index:
+        return whole_numbers(value(meaning), lambda k: f"{table.where(k)}, {meaning}", largest)
+
+    ground = np.ones(n, dtype=bool)
+    if "flg" in values:
+        ground &= whole("flg", 2.0**32) & INVALID == 0
+    if "ground" in values:
+        ground &= whole("ground", 1.0) == 1
+    ground &= ~(value("channel") >= _NOISE_CHANNEL) & ~(value("attitude") >= _NOT_GROUND)
+    known: dict[str, Array | Index | Mask] = {"frames": table.line_numbers(), "ground": ground}
+    if layout.name and set(layout.name) <= set(values):
+        *seconds, frames, shots = (whole(one) for one in layout.name)
+        known |= {"frames": seconds[0] * 100 + frames if seconds else frames, "shots": shots}
+    if "orbit" in values or layout.bare:
+        known["orbits"] = crossings(times, str(table.path)) if layout.bare else whole("orbit")
+    if "channel" in values:
+        known["channels"] = whole("channel")
+    if "topography" in values and "areoid" not in values:
+        values["areoid"] = values["radius"] - values["topography"]
+    found = shots_with(
+        str(table.path), layout.altimeter or _altimeter(table), times + clock_bias,
+        positions(np.column_stack([values["longitude"], values["latitude"]]), values["radius"], table.where),
+        ranges=known_ranges(value("range"), ground, _NONE * KM if layout.bare else 0.0), spacecraft=_spacecraft(value),
+        areoid_radii=value("areoid"), range_corrections=value("range correction"), off_nadir=value("off nadir") * DEG,
+        clocks=value("clock"), pulses=value("pulse"), **known,
+    )  # fmt: skip
+    return found if there is None or np.all(there) else found.chosen(there)
+
+
+def _meant(table: TextTable, layout: Layout) -> dict[str, str]:
+    """Plain names of columns by what they mean; InputError where one is missing that can't be done without."""
+    found, where = dict[str, str](), f"{table.path}, header"
+    for meaning, names in layout.columns.items():
+        there = [name for name in table.names if name in names.split()]
+        if len(there) > 1:
+            raise InputError(where, f"two columns for the {meaning}", "one")
+        if there:
+            found[meaning] = there[0]
+    for what, meanings in (
+        ("longitude", ("longitude",)), ("latitude", ("latitude",)), ("radius", ("radius",)), ("time", _TIMES)
+    ):  # fmt: skip
+        if not set(meanings) & set(found):
+            names = " ".join(layout.columns.get(one, "") for one in meanings)
+            raise InputError(where, f"no column for the {what}", " or ".join(names.split()), layout.remedy)
+    return found
+
+
+def _values(table: TextTable, layout: Layout, names: Mapping[str, str]) -> dict[str, Array]:
+    """Columns (n,) of numbers by what they mean, in the file's units."""
+    gaps = _GAPS if layout is _OWN else frozenset()
+    full = table.read(*(name for meaning, name in names.items() if meaning not in {"utc", *gaps}))
+    return {
+        meaning: table.with_gaps(name) if meaning in gaps else full[name]
+        for meaning, name in names.items() if meaning != "utc"
+    }  # fmt: skip
+
+
+def _with_radius(
+    table: TextTable, layout: Layout, names: Mapping[str, str], values: Mapping[str, Array]
+) -> tuple[Mask, float]:
+    """Which shots (n,) have a radius, and the unit of lengths in m."""
+    radii = values["radius"]
     there = ~((radii <= 0.0) & (radii >= _NONE))
     if not np.any(there):
         raise InputError(str(table.path), f"{there.size} shots without a radius", "shots that reached the ground")
-    length = unit_of_radii(radii[there], layout.altimeter.body, table.called(names["radius"]))
-    known = layout.columns["radius"][1]
-
-    def value(meaning: str) -> Array:
-        found = column(meaning)
-        if found is None:
-            return np.full(radii.size, np.nan)
-        unit = layout.columns[meaning][1]
-        return found * (length if unit == known else unit)
-
-    times = _times(table, column("tdb"), column("tt"), names)
-    angles = np.column_stack([numbers[names["longitude"]], numbers[names["latitude"]]])
-    places = positions(angles, np.where(there, radii, 1.0) * length, table.where)
-    spacecraft = [value(f"spacecraft {one}") for one in ("longitude", "latitude", "radius")]
-    ranges = value("flight") if column("flight") is not None else value("range")
-
-    def whole(meaning: str) -> Index | None:
-        found = column(meaning)
-        return None if found is None else whole_numbers(found, lambda k: f"{table.where(k)}, {names[meaning]}")
-
-    frames, shots = _numbers_of(table, whole("second"), whole("frame"), whole("spot"))
-    channels = whole("channel")
-    ground = _ground(whole("flag"), channels, radii.size)
-    found = AltimeterShots(
-        source=str(table.path), orbits=crossings(times, str(table.path)), frames=frames, shots=shots,
-        times=times + clock_bias, footprints=places, areoid_radii=value("geoid"),
-        ranges=known_ranges(ranges, ground, _NONE * length), range_corrections=np.full(radii.size, np.nan),
-        spacecraft=from_planetocentric(np.column_stack(spacecraft)),
-        off_nadir=value("off nadir"), ground=ground,
-        channels=np.zeros(radii.size, dtype=np.int64) if channels is None else channels,
-        clocks=np.full(radii.size, np.nan), pulses=np.full(radii.size, np.nan), altimeter=layout.altimeter,
-    )  # fmt: skip
-    return found if np.all(there) else found.chosen(there)
+    assert layout.altimeter is not None
+    return there, unit_of_radii(radii[there], layout.altimeter.body, table.called(names["radius"]))
 
 
-def _times(table: Columns, tdb: Array | None, tt: Array | None, names: Mapping[str, str]) -> Array:
-    if tdb is not None:
-        return tdb
-    if tt is not None:
-        return tdb_of_tt(tt)
-    if names.get("utc") in table.names:
-        return tdb_of_utc(table.texts(names["utc"]), table.called(names["utc"]))
-    expected = " or ".join(names[one] for one in ("tdb", "tt", "utc") if one in names)
-    raise InputError(f"{table.path}, header", "no column for the time", expected)
-
-
-def _numbers_of(
-    table: Columns, seconds: Index | None, frames: Index | None, spots: Index | None
-) -> tuple[Index, Index]:
-    if seconds is not None and frames is not None and spots is not None:
-        return seconds * 100 + frames, spots
-    lines = table.line_numbers()
-    return lines, np.ones(lines.size, dtype=np.int64)
-
-
-def _ground(flags: Index | None, channels: Index | None, n: int) -> Mask:
-    ground = np.ones(n, dtype=bool)
-    if flags is not None:
-        ground &= flags & INVALID == 0
-    if channels is not None:
-        ground &= channels < _NOISE_CHANNEL
-    return ground
-
-
-# --- our own selections
-
-_OWN = {
-    "orbit": "orbits", "frame": "frames", "shot": "shots", "channel": "channels",
-}  # fmt: skip
-"""Whole numbers of a selection: the column's name and the record's."""
-_OWN_GAPS = {
-    "range_m": "ranges", "range_correction_m": "range_corrections", "areoid_radius_m": "areoid_radii",
-    "off_nadir_deg": "off_nadir", "clock_hz": "clocks", "pulse_s": "pulses",
-}  # fmt: skip
-_PLACE = ("spacecraft_x_m", "spacecraft_y_m", "spacecraft_z_m")
-
-
-def is_selection(table: TextTable) -> bool:
-    """Whether a table has what a selection of `mgsgraph shots` has, at least: places, times and ranges."""
-    return {"longitudedeg", "latitudedeg", "radiusm", "rangem", "times"} <= set(table.names)
-
-
-def read_selection(table: TextTable, clock_bias: float) -> AltimeterShots:
-    """Shots as `selection_columns` has them; lengths are m, empty cells unknown."""
-    needed = table.read("longitudedeg", "latitudedeg", "radiusm", "times", *_OWN, "ground")
-    n = needed["times"].size
-    gaps = {
-        name: table.with_gaps(column.replace("_", "")) * (DEG if column.endswith("deg") else 1.0)
-        for column, name in _OWN_GAPS.items()
-    }
-    angles = np.column_stack([needed["longitudedeg"], needed["latitudedeg"]])
-    lines = {"frames": table.line_numbers().astype(np.float64), "shots": np.ones(n)}
-
-    def whole(column: str, name: str) -> Index:
-        values = needed.get(column, lines.get(name, np.zeros(n)))
-        return whole_numbers(values, lambda k: f"{table.where(k)}, {column}", 2.0**53)
-
-    require_years(needed["times"], table.called("times"))
-    known: dict[str, Any] = {name: whole(column, name) for column, name in _OWN.items()} | gaps
-    return AltimeterShots(
-        source=str(table.path), times=needed["times"] + clock_bias,
-        footprints=positions(angles, needed["radiusm"], table.where),
-        spacecraft=np.column_stack([table.with_gaps(one.replace("_", "")) for one in _PLACE]),
-        ground=_flags(table, needed.get("ground", np.ones(n))), altimeter=_altimeter(table), **known,
-    )  # fmt: skip
-
-
-def _flags(table: TextTable, values: Array) -> Mask:
-    """Zeros and ones (n,) as truth values."""
-    return np.asarray(whole_numbers(values, lambda k: f"{table.where(k)}, ground", 1.0) == 1)
+def _spacecraft(value: Callable[[str], Array]) -> Array:
+    """(n, 3) m, body-fixed, by axes or by planetocentric places; NaN where neither is known."""
+    axes = np.column_stack([value(f"spacecraft {axis}") for axis in "xyz"])
+    degrees = [value(f"spacecraft {one}") * DEG for one in ("longitude", "latitude")]
+    places = from_planetocentric(np.column_stack([*degrees, value("spacecraft radius")]))
+    return np.where(np.isnan(axes), places, axes)
 
 
 def _altimeter(table: TextTable) -> Altimeter:

@@ -1,24 +1,107 @@
-"""What there is to know of a line-scan camera, and what the label of one of its images says.
+"""What there is to know of a line-scan camera, what the label of one of its images says, and camera constants by their
+SPICE names (``INS-74021_FOCAL_LENGTH``), wherever they come from: kernels, cubes, JSON.
 
+A new camera is one more `Camera` in `mars`, `moon` or a file of its own, and in `label.CAMERAS`: both roads have it
+there, that of cubes with their own SPICE tables (`labels.isis_cube`) and that of kernels (`labels.labelled_image`).
 Formulas: ISIS CameraDetectorMap, LineScanCameraDetectorMap, CameraFocalPlaneMap.
 """
 
-from collections.abc import Callable, Mapping
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.keywords import Keywords, NaifKeywords, number
 from mgsgraph.files.cameras.line_times import LineTimes, LineTimesPlace, uniform
+from mgsgraph.files.opening import finite_number
 from mgsgraph.files.pvl import Block
 from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import Distortion
+from mgsgraph.geometry.distortion import Distortion, RadialDistortion
+from mgsgraph.geometry.records import Array
 from mgsgraph.units import ISIS_OFFSET, MM
 
 LabelKind = Literal["isis", "pds3"]
+
+
+class Keywords(Protocol):
+    """Constants by name, in the units of SPICE's instrument kernels: km, mm, degrees, seconds."""
+
+    def numbers(self, name: str, count: int) -> Array:
+        """The first `count` numbers of a keyword (cubes hold as much of a list as ISIS asked for); InputError where it
+        is missing, a text, or shorter.
+        """
+        ...
+
+    def __contains__(self, name: str) -> bool:
+        """Whether there is such a keyword."""
+        ...
+
+
+def number(keywords: Keywords, name: str) -> float:
+    """The one number of a keyword; InputError as `Keywords.numbers`."""
+    return float(keywords.numbers(name, 1)[0])
+
+
+@dataclass(frozen=True, slots=True)
+class NaifKeywords:
+    """What spiceinit copied out of the kernels into a cube (object NaifKeywords) or into JSON ("naif_keywords")."""
+
+    source: str
+    """Where they stand, for messages."""
+    values: Mapping[str, Any]
+    """Words, numbers or lists of them, by name."""
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.values
+
+    def numbers(self, name: str, count: int) -> Array:
+        """See `Keywords.numbers`."""
+        where = f"{self.source}, {name}"
+        if name not in self.values:
+            remedy = "run spiceinit again with the camera's addendum kernel"
+            raise InputError(f"{self.source}, NaifKeywords", f"no {name}", f"{name} = {count} number(s)", remedy)
+        value = self.values[name]
+        items = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
+        if len(items) < count:
+            raise InputError(where, f"{len(items)} items", f"{count} number(s)")
+        return np.array([_finite(item, where) for item in items[:count]])
+
+    def time(self, name: str) -> float:
+        """A time in s TDB past J2000, which ISIS writes as the number's 8 bytes in hexadecimal, the lowest first."""
+        text = str(self.values.get(name, ""))
+        try:
+            (time,) = struct.unpack("<d", bytes.fromhex(text))
+            return finite_number(repr(time))
+        except (ValueError, struct.error):
+            raise InputError(f"{self.source}, {name}", repr(text[:60]), "16 hexadecimal digits of a time") from None
+
+
+def _finite(item: Any, where: str) -> float:
+    try:
+        return finite_number(str(item))
+    except ValueError:
+        raise InputError(where, repr(item)[:60], "a finite number") from None
+
+
+def keywords_of(block: Block) -> NaifKeywords:
+    """Those of a block of a label."""
+    return NaifKeywords(block.document.source, _ByName({name: entry.value for name, entry in block.entries.items()}))
+
+
+class _ByName(dict[str, Any]):
+    """Values by name in any case: a label's blocks keep their keywords in lower case."""
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(str(name).lower())
+
+    def __getitem__(self, name: str) -> Any:
+        return super().__getitem__(name.lower())
+
+    def get(self, name: str, default: Any = None) -> Any:
+        return super().get(name.lower(), default)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,19 +110,21 @@ class LabelKeys:
 
     identity: Mapping[str, str]
     """Values (in capitals, without blanks) of some keywords, by which the camera is known."""
-    start: str
-    """Spacecraft clock count, or UTC, of the first line's top edge."""
-    utc: str
-    """UTC of the same, rounded; the clock count is held against it."""
-    period: str
-    """Time from line to line, ms where the label states no unit; empty where labels have none."""
-    product: str
-    """Product id; the file's name where a label has none."""
-    target: str
-    """Body."""
     serial: tuple[str, ...]
     """Keywords whose values make up ISIS's serial number behind the mission's name, in their order; those that a label
     doesn't have are left out, as ISIS does."""
+    start: str = "SpacecraftClockCount"
+    """Spacecraft clock count, or UTC, of the first line's top edge."""
+    utc: str = "StartTime"
+    """UTC of the same, rounded; the clock count is held against it."""
+    stop: str = ""
+    """UTC of the last line, of cameras whose line times are known to end with it."""
+    period: str = ""
+    """Time from line to line, ms where the label states no unit; empty where labels have none."""
+    product: str = "ProductId"
+    """Product id; the file's name where a label has none."""
+    target: str = "TargetName"
+    """Body."""
     line_summing: str = ""
     """Periods per image line; 1 where there is no such keyword."""
     sample_summing: str = ""
@@ -50,8 +135,15 @@ class LabelKeys:
     """The number by which that keyword calls the detector's first pixel."""
     serial_end: str = ""
     """The serial number's last part, where no keyword of the label has it."""
-    stop: str = ""
-    """UTC of the last line, of cameras whose line times are known to end with it."""
+
+
+def pds3_keys(identity: Mapping[str, str], serial: tuple[str, ...], **others: Any) -> LabelKeys:
+    """Keywords of the archive's labels, as most of them are called, and `others`."""
+    usual = {
+        "start": "SPACECRAFT_CLOCK_START_COUNT", "utc": "START_TIME", "stop": "STOP_TIME", "product": "PRODUCT_ID",
+        "target": "TARGET_NAME", "period": "LINE_EXPOSURE_DURATION",
+    }  # fmt: skip
+    return LabelKeys(identity, serial, **usual | others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +219,6 @@ class Camera:
     """NAIF id."""
     instrument: int
     """NAIF id by which kernels call its constants and its frame."""
-    addendum: str
-    """ISIS's kernel of its constants."""
     isis: LabelKeys
     """Labels of ISIS cubes."""
     pds3: LabelKeys | None
@@ -137,6 +227,12 @@ class Camera:
     """Interior orientation of an image."""
     source: str
     """Where formulas come from."""
+    addendum: str
+    """ISIS's kernel of its constants."""
+    pixels: int
+    """Of the detector line."""
+    summing: int
+    """Most pixels that are summed across track."""
     line_times: LineTimesOf = times_of_label
     """Line times, where the label's are not the true ones."""
     instrument_kernel: Interior | None = None
@@ -228,6 +324,7 @@ def interior_by_addendum(
     focal_length : float, optional
         m, where ISIS's camera model has it by itself.
     """
+    require_summing(label)
     code = label.camera.instrument
     axes = [keywords.numbers(f"INS{label.detector or code}_ITRANS{axis}", 3) for axis in "LS"]
     to_pixel = np.stack(axes)
@@ -244,9 +341,34 @@ def interior_by_addendum(
     )
 
 
-def require_summing(label: LineScanLabel, highest: int, pixels: int) -> None:
+def by_addendum(
+    distortion: Callable[[Keywords, LineScanLabel], Distortion], centre: tuple[float, float] | None = None
+) -> Interior:
+    """Interior orientation of a camera by `interior_by_addendum`, with a distortion by its keywords."""
+    return lambda keywords, label: interior_by_addendum(keywords, label, distortion(keywords, label), centre)
+
+
+def radial(keywords: Keywords, label: LineScanLabel) -> RadialDistortion:
+    """ISIS CameraDistortionMap: three coefficients OD_K of powers of mm."""
+    k0, k1, k2 = keywords.numbers(f"INS{label.camera.instrument}_OD_K", 3)
+    return RadialDistortion(k0, k1 / MM**2, k2 / MM**4)
+
+
+def scaled_interior(
+    label: LineScanLabel, focal_length: float, per_metre: float, centre: float, distortion: Distortion
+) -> InteriorOrientation:
+    """Interior orientation by an instrument kernel: pixels per m along both axes, the principal point's sample."""
+    require_summing(label)
+    return InteriorOrientation(
+        focal_length=focal_length, to_pixel=np.array([[0.0, per_metre, 0.0], [0.0, 0.0, per_metre]]),
+        centre=np.array([0.0, centre]), first=np.array([0.0, label.first_sample]),
+        sample_summing=label.sample_summing, distortion=distortion,
+    )  # fmt: skip
+
+
+def require_summing(label: LineScanLabel) -> None:
     """Raise InputError unless the summing is one that the camera has and the image lies on its detector."""
-    summing = label.sample_summing
+    summing, highest, pixels = label.sample_summing, label.camera.summing, label.camera.pixels
     if not (1.0 <= summing <= highest and summing % 1.0 == 0.0):
         raise InputError(str(label.path), f"crosstrack summing {summing:g}", f"1 .. {highest} for {label.camera.name}")
     last = label.first_sample + label.samples * summing

@@ -19,14 +19,16 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import (
     Camera,
+    Keywords,
     LabelBlock,
     LabelKeys,
     LineScanLabel,
     interior_by_addendum,
+    number,
+    pds3_keys,
     require_summing,
 )
 from mgsgraph.files.cameras.hrsc_lines import read_line_times
-from mgsgraph.files.cameras.keywords import Keywords, number
 from mgsgraph.files.cameras.line_times import LineTimes, LineTimesLocation
 from mgsgraph.files.labels.image_label import bytes_around, cube_of, cube_size, data_location
 from mgsgraph.files.pvl import Block
@@ -38,7 +40,7 @@ DETECTORS = ("S2", "RED", "P2", "BLUE", "NADIR", "GREEN", "P1", "IR", "S1")
 """The nine lines in the order of their NAIF ids, from -41211 to -41219; those that look ahead come last."""
 MEX, HRSC_HEAD = -41, -41210
 """NAIF ids of the spacecraft, and of the camera that all lines share."""
-_ACTIVE_PIXELS, _MACROPIXELS = 5184, (1, 2, 4, 8)
+_MACROPIXELS = (1, 2, 4, 8)
 _NOMINAL_FOCAL_LENGTH = 175.0
 """mm, of all lines in the instrument kernel; the addendum has 174.61 to 175.23 under the same name."""
 _PROJECTED_LEVEL = 3
@@ -112,7 +114,7 @@ def _require_macropixel(label: LineScanLabel) -> None:
     if label.sample_summing not in _MACROPIXELS:
         expected = ", ".join(map(str, _MACROPIXELS))
         raise InputError(str(label.path), f"macropixels of {label.sample_summing:g}", f"one of {expected}")
-    require_summing(label, _MACROPIXELS[-1], _ACTIVE_PIXELS)
+    require_summing(label)
 
 
 def _interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
@@ -148,28 +150,18 @@ def _by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> InteriorO
 
 HRSC = tuple(
     Camera(
-        name=f"MEX HRSC {name}",
-        mission="MEX",
-        spacecraft=MEX,
-        instrument=HRSC_HEAD - 1 - k,
-        frame=HRSC_HEAD,
+        name=f"MEX HRSC {name}", mission="MEX", spacecraft=MEX, instrument=HRSC_HEAD - 1 - k, frame=HRSC_HEAD,
         isis=LabelKeys(
-            identity={"InstrumentId": "HRSC", "DetectorId": f"MEX_HRSC_{name}"}, start="StartTime", utc="StartTime",
-            stop="StopTime", period="", product="ProductId", target="TargetName",
-            serial=("SpacecraftClockStartCount", "InstrumentId", "DetectorId"),
+            {"InstrumentId": "HRSC", "DetectorId": f"MEX_HRSC_{name}"},
+            ("SpacecraftClockStartCount", "InstrumentId", "DetectorId"), start="StartTime", stop="StopTime",
         ),
-        pds3=LabelKeys(
-            identity={"INSTRUMENT_ID": "HRSC", "DETECTOR_ID": f"MEX_HRSC_{name}"}, start="START_TIME",
-            utc="START_TIME", stop="STOP_TIME", period="", product="PRODUCT_ID", target="TARGET_NAME",
-            serial=("SPACECRAFT_CLOCK_START_COUNT", "INSTRUMENT_ID", "DETECTOR_ID"),
+        pds3=pds3_keys(
+            {"INSTRUMENT_ID": "HRSC", "DETECTOR_ID": f"MEX_HRSC_{name}"},
+            ("SPACECRAFT_CLOCK_START_COUNT", "INSTRUMENT_ID", "DETECTOR_ID"), start="START_TIME", period="",
         ),
-        interior=_interior,
-        instrument_kernel=_by_instrument_kernel,
-        line_times=_line_times,
-        label_facts=_facts,
-        start_is_utc=True,
-        addendum="hrscAddendum004.ti",
-        source="ISIS HrscCamera",
+        interior=_interior, instrument_kernel=_by_instrument_kernel, line_times=_line_times, label_facts=_facts,
+        start_is_utc=True, addendum="hrscAddendum004.ti", source="ISIS HrscCamera", pixels=5184,
+        summing=_MACROPIXELS[-1],
     )
     for k, name in enumerate(DETECTORS)
 )  # fmt: skip

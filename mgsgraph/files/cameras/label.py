@@ -3,13 +3,16 @@
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.camera import Camera, LabelBlock, LabelKeys, LineScanLabel
-from mgsgraph.files.cameras.keywords import keywords_of
-from mgsgraph.files.cameras.table import CAMERAS
+from mgsgraph.files.cameras.camera import Camera, LabelBlock, LabelKeys, LineScanLabel, keywords_of
+from mgsgraph.files.cameras.hrsc import HRSC
+from mgsgraph.files.cameras.mars import CTX, HIRISE, MOC, THEMIS
+from mgsgraph.files.cameras.moon import MI, NAC, TC
 from mgsgraph.files.labels.image_label import read_label
 from mgsgraph.files.pvl import Block
 from mgsgraph.units import MILLISECOND
 
+CAMERAS: tuple[Camera, ...] = (*MOC, CTX, HIRISE, THEMIS, *HRSC, *NAC, *TC, *MI)
+"""In the order in which they are looked for and listed."""
 _PERIOD_UNITS = {
     "milliseconds": MILLISECOND, "ms": MILLISECOND, "msec": MILLISECOND, "seconds": 1.0, "s": 1.0, "": MILLISECOND,
 }  # fmt: skip

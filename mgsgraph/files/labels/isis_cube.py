@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.cameras.camera import LineScanLabel
-from mgsgraph.files.cameras.keywords import NaifKeywords, number
+from mgsgraph.files.cameras.camera import LineScanLabel, NaifKeywords, number
 from mgsgraph.files.cameras.label import is_map_projected, label_of
 from mgsgraph.files.cameras.line_times import LineTimes
-from mgsgraph.files.labels.aberration import Aberration, geometric
+from mgsgraph.files.labels.aberration import Aberration, aberration_of, geometric, remarks_on, spacecraft_of
 from mgsgraph.files.labels.cube_tables import CubeTable, attitude_table, position_table, tables_of_json, tables_of_label
 from mgsgraph.files.labels.image_label import read_label
-from mgsgraph.files.labels.stated_aberration import aberration_of, remarks_on, spacecraft_of
 from mgsgraph.files.opening import read_json
 from mgsgraph.files.pvl import Block
 from mgsgraph.geometry.body import Ellipsoid, require_possible
@@ -227,7 +225,7 @@ def _stated_aberration(keywords: NaifKeywords, label: LineScanLabel) -> tuple[Ab
     spacecraft = spacecraft_of(label.camera.spacecraft)
     if stated is not None:
         return stated, ""
-    assert spacecraft is not None, f"{label.camera.name} is of no spacecraft in stated_aberration"
+    assert spacecraft is not None, f"{label.camera.name} is of no spacecraft in `aberration`"
     return spacecraft.stated, spacecraft.source
 
 

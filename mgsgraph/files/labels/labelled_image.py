@@ -7,13 +7,13 @@ and the like, or MOON_ME where moon_assoc_me.tf is among them, as in ISIS.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import spiceypy
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.cameras.camera import Camera, LineScanLabel
-from mgsgraph.files.cameras.keywords import Keywords
+from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.cameras.line_times import LineTimes, LineTimesSource
 from mgsgraph.files.opening import understood
@@ -48,28 +48,44 @@ _STOP_SLACK = 0.1
 """
 
 
+@dataclass(frozen=True, slots=True)
+class _Sampling:
+    """How kernels are asked; the same for all images of a strip."""
+
+    focal_length: float | None = None
+    constants: Constants = "iak"
+    attitude_bias: float | None = None
+    position_bias: float = 0.0
+    interval: float = INTERVAL
+    aberration: Correction = "NONE"
+
+
 def read_labelled_image(
-    label: Path,
-    kernels: Sequence[Path],
-    name: str | None = None,
-    focal_length: float | None = None,
-    constants: Constants = "iak",
-    attitude_bias: float | None = None,
-    position_bias: float = 0.0,
-    interval: float = INTERVAL,
-    aberration: Correction = "NONE",
-    line_times: LineTimesSource = None,
+    label: Path, kernels: Sequence[Path], name: str | None = None, line_times: LineTimesSource = None, **how: Any
 ) -> PushbroomImage:
-    """Read an image's geometry.
+    """Read an image's geometry; parameters and errors as of `read_strip`."""
+    return read_strip([label], kernels, [name], [line_times], **how)[0]
+
+
+def read_strip(
+    labels: Sequence[Path],
+    kernels: Sequence[Path],
+    names: Sequence[str | None] = (),
+    line_times: Sequence[LineTimesSource] = (),
+    **how: Any,
+) -> tuple[PushbroomImage, ...]:
+    """Read the images that lines behind one lens took in one pass; they share one trajectory (the very record).
 
     Parameters
     ----------
-    label : Path
-        PDS3 image or its label, or an ISIS cube or its label, of a camera in `files.cameras.table`.
+    labels : sequence of Path
+        PDS3 image or its label, or an ISIS cube or its label, of a camera in `files.cameras.label.CAMERAS`.
     kernels : sequence of Path
         Leapseconds, SCLK, PCK, frames, IK and then addendum, SPK and CK, or meta-kernels.
-    name : str, optional
-        By which networks call the image; the product id when absent.
+    names : sequence of str or None
+        By which networks call the images; product ids when absent.
+    line_times : sequence of Path, "mean" or None
+        of HRSC (`hrsc_lines.read_line_times`), one for each label; other labels have their line rate in them.
     focal_length : float, optional
         m; that of the kernels when absent.
     constants : "iak" or "ik"
@@ -83,37 +99,14 @@ def read_labelled_image(
         s between nodes of the trajectory.
     aberration : "NONE", "LT" or "LT+S"
         of the positions.
-    line_times : Path, "mean" or None
-        of HRSC (`hrsc_lines.read_line_times`); other labels have their line rate in them.
 
     Raises
     ------
     InputError
-        As the readers of label, line times and kernels; another camera; camera constants that are not in the kernels;
+        As the readers of labels, line times and kernels; another camera; camera constants that are not in the kernels;
         line times for a camera that needs none.
     """
-    return read_strip(
-        [label], kernels, [name], focal_length, constants, attitude_bias, position_bias, interval, aberration,
-        [line_times],
-    )[0]  # fmt: skip
-
-
-def read_strip(
-    labels: Sequence[Path],
-    kernels: Sequence[Path],
-    names: Sequence[str | None] = (),
-    focal_length: float | None = None,
-    constants: Constants = "iak",
-    attitude_bias: float | None = None,
-    position_bias: float = 0.0,
-    interval: float = INTERVAL,
-    aberration: Correction = "NONE",
-    line_times: Sequence[LineTimesSource] = (),
-) -> tuple[PushbroomImage, ...]:
-    """Read the images that lines behind one lens took in one pass; they share one trajectory (the very record).
-
-    Parameters as in `read_labelled_image`, where `names` and `line_times` are one for each label, or none at all.
-    """
+    asked = _Sampling(**how)
     if not labels:
         raise InputError("strip", "no label", "at least one")
     if len(names or labels) != len(labels) or len(line_times or labels) != len(labels):
@@ -129,7 +122,7 @@ def read_strip(
 
     def by_kernels() -> tuple[PushbroomImage, ...]:
         with understood(", ".join(map(str, files)), "sound SPICE kernels", "fetch them again"), loaded(files, here):
-            return _sampled(said, names, focal_length, constants, attitude_bias, position_bias, interval, aberration)
+            return _sampled(said, names, asked)
 
     rotation.from_matrix(np.eye(3))  # loads what is compiled: once, not in every fork
     with errors_from(*(str(one.path) for one in said)):
@@ -137,20 +130,19 @@ def read_strip(
 
 
 def _sampled(
-    said: Sequence[LineScanLabel], names: Sequence[str | None], focal_length: float | None, constants: Constants,
-    attitude_bias: float | None, position_bias: float, interval: float, aberration: Correction,
-) -> tuple[PushbroomImage, ...]:  # fmt: skip
+    said: Sequence[LineScanLabel], names: Sequence[str | None], how: _Sampling
+) -> tuple[PushbroomImage, ...]:
     """Images of labels by the kernels that are loaded; parameters as in `read_strip`."""
     camera, target = said[0].camera, said[0].target
-    words = [_Constants.of(one, constants) for one in said]
+    words = [_Constants.of(one, how.constants) for one in said]
     times = [_line_times(one, said_by) for one, said_by in zip(said, words, strict=True)]
     start, stop = min(one.start for one in times), max(one.stop for one in times)
     structure = ck_frame(_frame(camera))
     mount = fixed_rotation(structure, _frame(camera), start)
-    bias = camera.attitude_bias if attitude_bias is None else attitude_bias
+    bias = camera.attitude_bias if how.attitude_bias is None else how.attitude_bias
     trajectory = sample_trajectory(
-        camera.spacecraft, target, structure, mount, start, stop, interval,
-        attitude_bias=bias, position_bias=position_bias, aberration=aberration,
+        camera.spacecraft, target, structure, mount, start, stop, how.interval,
+        attitude_bias=bias, position_bias=how.position_bias, aberration=how.aberration,
     )  # fmt: skip
     body = ellipsoid(target)
     return tuple(
@@ -158,7 +150,7 @@ def _sampled(
             name=name or one.product,
             lines=one.lines,
             samples=one.samples,
-            interior=with_focal_length(said_by.interior(one), focal_length),
+            interior=with_focal_length(said_by.interior(one), how.focal_length),
             timing=when.timing(trajectory.epoch),
             trajectory=trajectory,
             body=body,

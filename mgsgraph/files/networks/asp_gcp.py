@@ -16,10 +16,19 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_measures import RENAME, UNSTATED_SIGMA, PixelMeasures, candidate, measures_of
+from mgsgraph.files.networks.asp_measures import (
+    COMMENT,
+    RENAME,
+    SEPARATOR,
+    UNSTATED_SIGMA,
+    PixelMeasures,
+    candidate,
+    filled_lines,
+    measures_of,
+)
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, PointType, with_names
 from mgsgraph.files.networks.tie_points import tie_points
-from mgsgraph.files.opening import number_of, read_text
+from mgsgraph.files.opening import number_of
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, geodetic
 from mgsgraph.units import DEG
@@ -34,8 +43,6 @@ _TURN = 360.0
 """Degrees of a longitude at most, east or west."""
 _LARGEST = 1e100
 """Of sigmas, whose squares must be numbers."""
-_COMMENT = re.compile(r"(?:^|(?<=[\s,]))#.*")
-_SEPARATOR = re.compile(r"[\s,]+")
 _POINT_FIELDS, _MEASURE_FIELDS = 7, 5
 
 
@@ -65,18 +72,16 @@ def read_ground_control_network(path: Path, ellipsoid: Ellipsoid) -> ControlNetw
         With file, line and point: a wrong number of fields, a field that is no finite number, a sigma that is not
         positive, a latitude beyond a pole, an id twice, an image twice in a point, or no point at all.
     """
-    points, lines = list[ControlPoint](), dict[str, int]()
-    for number, line in enumerate(read_text(path).split("\n"), start=1):
-        fields = [part for part in _SEPARATOR.split(_COMMENT.sub("", line)) if part]
-        if not fields:
-            continue
-        where = f"{path}, line {number}, point {fields[0]}"
-        if lines.setdefault(fields[0], number) != number:
-            raise InputError(where, f"the id twice, first in line {lines[fields[0]]}", "each id once")
-        points.append(_point(fields, ellipsoid, where))
+    points = dict[str, tuple[str, ControlPoint]]()
+    for line, fields in filled_lines(path, ground_control=True):
+        where = f"{line}, point {fields[0]}"
+        if fields[0] in points:
+            found = f"the id twice, first in{points[fields[0]][0].removeprefix(f'{path},')}"
+            raise InputError(where, found, "each id once")
+        points[fields[0]] = line, _point(fields, ellipsoid, where)
     if not points:
         raise InputError(str(path), "no ground control point", "one per line: id latitude longitude height sigmas")
-    return with_names(ControlNetwork("", "", tuple(points), source=str(path)))
+    return with_names(ControlNetwork("", "", tuple(point for _, point in points.values()), source=str(path)))
 
 
 def _point(fields: list[str], ellipsoid: Ellipsoid, where: str) -> ControlPoint:
@@ -144,7 +149,7 @@ def ground_control_text(network: ControlNetwork, ellipsoid: Ellipsoid) -> str:
         found = "no constrained or fixed point that is not ignored"
         raise InputError(where, found, "at least one", "free points go into match files")
     for name in measures.images:
-        if len(_SEPARATOR.split(_COMMENT.sub("", name))) != 1 or not _COMMENT.sub("", name):
+        if len(SEPARATOR.split(COMMENT.sub("", name))) != 1 or not COMMENT.sub("", name):
             raise InputError(f"image {name!r}", "a name with blanks, commas or a # before it", "a name without", RENAME)
     sigmas = [_ground_sigmas(point, f"{where}, point {point.id}") for point in measures.points]
     places = geodetic(np.array([point.apriori for point in measures.points], dtype=np.float64), ellipsoid)

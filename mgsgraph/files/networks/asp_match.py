@@ -14,35 +14,42 @@ Matches of pairs are joined to points of many images as VisionWorkbench does it 
 ControlNetworkLoader.cc, build_control_network; CameraRelation.cc, write_controlnetwork): places of an image are one
 where column and row are equal to the last bit; what hangs together by matches is one point; a point that comes by an
 image twice, at two places, is dropped.
+
+Files are called PREFIX-IMAGE1__IMAGE2.match; images go by their files' names without folder and ending. Sources:
+StereoPipeline, docs, "Match file naming convention"; VisionWorkbench, src/vw/InterestPoint/MatcherIO.cc, strip_path and
+match_filename.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_match_names import match_path, require_distinct
-from mgsgraph.files.networks.asp_measures import UNSTATED_SIGMA, PixelMeasures, candidate, measures_of
-from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, PointType, with_names
-from mgsgraph.files.opening import number_of, read_bytes, read_text
+from mgsgraph.files.networks.asp_measures import (
+    FROM_ASP,
+    RENAME,
+    UNSTATED_SIGMA,
+    PixelMeasures,
+    filled_lines,
+    measures_of,
+)
+from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, with_names
+from mgsgraph.files.networks.tie_points import PointArrays
+from mgsgraph.files.opening import number_of, read_bytes
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.text import root_mean_square
+from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.text import root_mean_square, some
 
 _COUNTS = np.dtype("<u8")
 
 
-def _layout(descriptors: int = 0) -> np.dtype:
-    """A record with so many descriptors."""
-    return np.dtype([
-        ("x", "<f4"), ("y", "<f4"), ("column", "<i4"), ("row", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
-        ("interest", "<f4"), ("polarity", "u1"), ("octave", "<u4"), ("level", "<u4"), ("descriptors", "<u8"),
-        ("descriptor", "<f4", (descriptors,)),
-    ])  # fmt: skip
-
-
-_RECORD = _layout()
+_RECORD = np.dtype([
+    ("x", "<f4"), ("y", "<f4"), ("column", "<i4"), ("row", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
+    ("interest", "<f4"), ("polarity", "u1"), ("octave", "<u4"), ("level", "<u4"), ("descriptors", "<u8"),
+])  # fmt: skip
 _HEAD = 2 * _COUNTS.itemsize
 _DESCRIPTOR = 4
 """bytes."""
@@ -51,6 +58,12 @@ _LEAST_SIGMA = 1e-12
 """pixels; the square of much less is nothing."""
 _LARGEST = 2.0**31 - 1.0
 """Columns and rows must fit into int32."""
+_BETWEEN = "__"
+_CLEAN = "-clean"
+"""Ends the names of files from which bundle_adjust has taken the outliers."""
+_LONGEST = 255
+"""bytes of a file's name; the pipeline puts a hash into longer ones (since 2026), or cuts them (before)."""
+_FORM = "PREFIX-IMAGE1__IMAGE2"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +107,6 @@ def read_match(path: Path, images: tuple[str, str]) -> MatchFile:
 
 def _records(data: bytes, count: int, where: str) -> np.ndarray:
     """All records, without their descriptors."""
-    if (records := _even_records(data, count)) is not None:
-        return records
     starts, position, size = np.empty(count, dtype=np.int64), _HEAD, _RECORD.itemsize
     for k in range(count):
         starts[k] = position
@@ -109,35 +120,20 @@ def _records(data: bytes, count: int, where: str) -> np.ndarray:
     return np.asarray(rows.view(_RECORD)[:, 0])
 
 
-def _even_records(data: bytes, count: int) -> np.ndarray | None:
-    """The same where all have equally many descriptors, which is the rule; else None."""
-    each, left = divmod(len(data) - _HEAD, count)
-    number, odd = divmod(each - _RECORD.itemsize, _DESCRIPTOR)
-    if left or odd:
-        return None
-    records = np.frombuffer(data, _layout(number), count, _HEAD)
-    return records if np.all(records["descriptors"] == number) else None
-
-
 def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
     """Read a match file in text; the same errors, and for sigmas that are not positive, with the line."""
-    rows, lines = list[list[float]](), list[int]()
-    for number, line in enumerate(read_text(path).split("\n"), start=1):
-        if fields := line.split():
-            rows.append(_numbers(fields, f"{path}, line {number}"))
-            lines.append(number)
+    places, rows = list[str](), list[list[float]]()
+    for where, fields in filled_lines(path):
+        if len(fields) != 6:
+            raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
+        rows.append([number_of(text, where) for text in fields])
+        places.append(where)
     if not rows:
         raise InputError(str(path), "no match", "at least one")
     table = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).swapaxes(0, 1)
     for k in np.flatnonzero(np.any(table[..., 2] <= 0.0, axis=0))[:1]:
-        raise InputError(f"{path}, line {lines[k]}", f"uncertainty {table[:, k, 2].min():g} px", "a positive one")
+        raise InputError(places[k], f"uncertainty {table[:, k, 2].min():g} px", "a positive one")
     return _checked(str(path), images, table[..., 1::-1], table[..., 2])
-
-
-def _numbers(fields: list[str], where: str) -> list[float]:
-    if len(fields) != 6:
-        raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
-    return [number_of(text, where) for text in fields]
 
 
 def _checked(source: str, images: tuple[str, str], places: Array, sigmas: Array) -> MatchFile:
@@ -238,6 +234,9 @@ def joined(files: Sequence[MatchFile]) -> Tracks:
 
     The sigma of a measure is that of the first file it is in. Raises InputError where nothing is left.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     images = list(dict.fromkeys(name for file in files for name in file.images))
     source = ", ".join(file.source for file in files[:3]) + (", ..." if len(files) > 3 else "")
     of_file = [np.array([images.index(name) for name in file.images]) for file in files]
@@ -248,7 +247,8 @@ def joined(files: Sequence[MatchFile]) -> Tracks:
     one = np.concatenate([np.arange(size) for size in sizes])
     one += np.repeat(2 * np.cumsum([0, *sizes[:-1]]), sizes)  # where the file's places begin
     first, place = _distinct(image, places)
-    track = _components(len(first), place[one], place[one + np.repeat(sizes, sizes)])
+    other, n = place[one + np.repeat(sizes, sizes)], len(first)
+    _, track = connected_components(coo_array((np.ones(len(one)), (place[one], other)), shape=(n, n)), directed=False)
     return _network(images, image[first], places[first], sigmas[first], track, source)
 
 
@@ -262,18 +262,6 @@ def _distinct(image: Index, places: Array) -> tuple[Index, Index]:
     return first[order], rank[which.reshape(-1)]
 
 
-def _components(count: int, one: Index, other: Index) -> Index:
-    """(count,) the smallest number that hangs together with each by the links (one, other)."""
-    label = np.arange(count)
-    while True:
-        low, high = np.minimum(label[one], label[other]), np.maximum(label[one], label[other])
-        if np.array_equal(low, high):
-            return label
-        np.minimum.at(label, high, low)
-        while not np.array_equal(label, up := label[label]):
-            label = up
-
-
 def _network(
     images: list[str], image: Index, places: Array, sigmas: Array, track: Index, source: str
 ) -> Tracks:  # fmt: skip
@@ -284,15 +272,113 @@ def _network(
     fine = np.isin(track, wrong, invert=True)
     if not np.any(fine):
         raise InputError(source, f"only contradictory matches ({len(wrong)} points)", "one place of a point per image")
-    measures = [
-        candidate(images[j], row, column, sigma, sigma)
-        for j, (row, column), sigma in zip(
-            image[fine].tolist(), places[fine].tolist(), sigmas[fine].tolist(), strict=True
-        )
-    ]
-    starts = np.flatnonzero(np.diff(track[fine], prepend=-1)).tolist()
-    points = tuple(
-        ControlPoint(id=f"match{k}", type=PointType.FREE, measures=tuple(measures[start:stop]))
-        for k, (start, stop) in enumerate(zip(starts, [*starts[1:], len(measures)], strict=True), start=1)
-    )
-    return Tracks(with_names(ControlNetwork("", "", points, source=source)), len(wrong))
+    first = np.flatnonzero(np.diff(track[fine], prepend=-1, append=-1))
+    n, k = first.size - 1, int(first[-1])
+    places, sigmas = places[fine] + FROM_ASP, np.where(sigmas[fine] > 0.0, sigmas[fine], np.nan)
+    points = PointArrays(
+        ControlNetwork("", "", (), source=source), Names.of([f"match{k}" for k in range(1, n + 1)]),
+        np.full(n, PointType.FREE), np.zeros(n, dtype=bool), np.full((n, 3), np.nan), np.full((n, 6), np.nan), first,
+        RepeatedNames(tuple(images), image[fine]), np.column_stack([places, sigmas, sigmas]), np.zeros(k, dtype=bool),
+    )  # fmt: skip
+    return Tracks(with_names(points.network(np.full(k, MeasureType.CANDIDATE), np.full(n, -1))), len(wrong))
+
+
+# --- names of files
+
+
+def stem(image: str) -> str:
+    """An image's name without folder and ending."""
+    name = image.rsplit("/", 1)[-1]
+    return name.rpartition(".")[0] or name
+
+
+def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None) -> tuple[str, str]:
+    """The two images of a match file, by its name.
+
+    Parameters
+    ----------
+    path : Path
+        Match file, binary or text.
+    known : collection of str
+        All images there are; the name is then taken apart by theirs.
+    prefix : str, optional
+        What precedes the first image, without the hyphen; empty for nothing. A folder before it counts for nothing.
+
+    Raises
+    ------
+    InputError
+        If the name is not of this form, or can be taken apart in several ways: hyphens may be of the prefix or of the
+        first image, and there is no telling.
+    """
+    names = [path.stem.removesuffix(_CLEAN), path.stem]
+    if known:  # one of them may itself be called so
+        names.reverse()
+    found = _readings(names[0], known, prefix) or _readings(names[1], known, prefix)
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        if known:
+            remedy = f"they are {some(list(known), len(known))}"
+            raise InputError(str(path), "a file's name without two of the images", _FORM, remedy)
+        expected = _FORM if prefix is None else f"{prefix}-IMAGE1__IMAGE2"
+        raise InputError(str(path), "a file's name that doesn't tell the images", expected)
+    several = ", or ".join(" and ".join(pair) for pair in found[:3])
+    raise InputError(str(path), f"its images may be {several}", "one reading", "say --prefix, or give the --case")
+
+
+def _readings(name: str, known: Collection[str], prefix: str | None) -> list[tuple[str, str]]:
+    """All ways to take a name apart."""
+    of_stems: dict[str, list[str]] = {}
+    for image in known:
+        of_stems.setdefault(stem(image), []).append(image)
+    readings = []
+    for k in range(1, len(name) - len(_BETWEEN)):
+        if not name.startswith(_BETWEEN, k):
+            continue
+        second = name[k + len(_BETWEEN) :]
+        for first in _heads(name[:k], prefix, bool(known)):
+            if not known:
+                readings.append((first, second))
+            else:
+                readings += product(of_stems.get(first, ()), of_stems.get(second, ()))
+    return [pair for pair in readings if pair[0] != pair[1]]
+
+
+def _heads(head: str, prefix: str | None, known: bool) -> list[str]:
+    """What may be the first image: all that follows a hyphen, or the whole where there is none, or where images are
+    known, so that a wrong one does no harm.
+    """
+    if prefix is not None:
+        start = f"{prefix.rsplit('/', 1)[-1]}-" if prefix else ""
+        return [head[len(start) :]] if head.startswith(start) and len(head) > len(start) else []
+    heads = [head[k + 1 :] for k, mark in enumerate(head) if mark == "-" and head[k + 1 :]]
+    return [head, *heads] if known or not heads else heads
+
+
+def require_distinct(images: Collection[str]) -> None:
+    """Raise InputError where images can't be told apart by their names in match files."""
+    stems = dict[str, str]()
+    for image in images:
+        name = stem(image)
+        if not name or "\0" in name:
+            raise InputError(f"image {image!r}", "a name that no file can have", remedy=RENAME)
+        if stems.setdefault(name, image) != image:
+            found = f"the same name as {stems[name]} without folder and ending ({name})"
+            raise InputError(f"image {image}", found, "a name of its own in match files", RENAME)
+
+
+def match_path(prefix: Path, first: str, second: str, ending: str) -> Path:
+    """File of the matches of two images; InputError if its name is too long."""
+    name = f"{prefix.name}-{stem(first)}{_BETWEEN}{stem(second)}{ending}"
+    if len(name.encode()) > _LONGEST:
+        raise InputError(name, f"a name of {len(name.encode())} bytes", f"at most {_LONGEST}", RENAME)
+    return prefix.with_name(name)
+
+
+def prefix_of(output: Path, images: Collection[str]) -> Path:
+    """What match files written for `output` begin with: its name without its ending, and without a pair of images."""
+    name = output.stem
+    for first, second in combinations(images, 2):
+        if (pair := f"-{stem(first)}{_BETWEEN}{stem(second)}") and name.endswith(pair):
+            return output.with_name(name.removesuffix(pair))
+    return output.with_name(name)

@@ -1,21 +1,37 @@
 """Measures of a control network as columns of arrays, as the pipeline counts pixels; and back to ISIS's counts."""
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.files.opening import read_text
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.units import ASP_OFFSET, ISIS_OFFSET
 
-_FROM_ASP = ISIS_OFFSET - ASP_OFFSET
+FROM_ASP = ISIS_OFFSET - ASP_OFFSET
 """The first pixel's centre, (0, 0) in the pipeline, is (1, 1) in ISIS."""
 UNSTATED_SIGMA = 1.0
 """pixels, written where the network has no sigma, as bundle_adjust does."""
 RENAME = "give it another name (--rename OLD=NEW)"
 """What to do about an image's name that a format can't hold."""
+
+
+SEPARATOR = re.compile(r"[\s,]+")
+COMMENT = re.compile(r"(?:^|(?<=[\s,]))#.*")
+"""What stands between the fields of ground control points, and behind them."""
+
+
+def filled_lines(path: Path, ground_control: bool = False) -> Iterator[tuple[str, list[str]]]:
+    """File and line, and fields of every line that has any: between blanks, or those of ground control points."""
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
+        fields = list(filter(None, SEPARATOR.split(COMMENT.sub("", line)))) if ground_control else line.split()
+        if fields:
+            yield f"{path}, line {number}", fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +77,7 @@ def measures_of(network: ControlNetwork, types: Collection[PointType], least: in
         points.append(point)
     return PixelMeasures(
         tuple(points), tuple(images), np.array(index, dtype=np.int64), np.array(image, dtype=np.int64),
-        np.array(places, dtype=np.float64).reshape(-1, 2) - _FROM_ASP,
+        np.array(places, dtype=np.float64).reshape(-1, 2) - FROM_ASP,
         np.array(sigmas, dtype=np.float64).reshape(-1, 2),
     )  # fmt: skip
 
@@ -87,8 +103,8 @@ def candidate(image: str, row: float, column: float, row_sigma: float, column_si
     return ControlMeasure(
         serial_number=image,
         type=MeasureType.CANDIDATE,
-        sample=column + _FROM_ASP,
-        line=row + _FROM_ASP,
+        sample=column + FROM_ASP,
+        line=row + FROM_ASP,
         sample_sigma=column_sigma if column_sigma > 0.0 else None,
         line_sigma=row_sigma if row_sigma > 0.0 else None,
     )

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_measures import RENAME, PixelMeasures, candidate, measures_of
+from mgsgraph.files.networks.asp_measures import RENAME, PixelMeasures, candidate, filled_lines, measures_of
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, PointType, with_names
-from mgsgraph.files.opening import number_of, read_text
+from mgsgraph.files.opening import number_of
 
 Centres = Mapping[str, tuple[float, float]]
 """Optical centre of each image by its name: row, column, first pixel's centre at (0, 0)."""
@@ -43,10 +43,7 @@ def offsets_path(path: Path) -> Path:
 def read_offsets(path: Path) -> dict[str, tuple[float, float]]:
     """Read the optical centres; InputError with the line for what is malformed or stands twice."""
     centres: dict[str, tuple[float, float]] = {}
-    for number, line in enumerate(read_text(path).split("\n"), start=1):
-        if not (fields := line.split()):
-            continue
-        where = f"{path}, line {number}"
+    for where, fields in filled_lines(path):
         if len(fields) != 3:
             raise InputError(where, f"{len(fields)} fields", "image, column, row")
         if fields[0] in centres:
@@ -77,16 +74,31 @@ def read_nvm(path: Path, centres: Centres | None = None, shifted: bool = True) -
     InputError
         With file and line: no NVM_V3, malformed or cut short, no optical centre of an image, an image twice in a point.
     """
-    lines = _Lines(path)
-    number, head = lines.next("the first line")
-    if not head.startswith(_FIRST):
-        raise InputError(f"{path}, line {number}", f"{head[:40]!r}", _FIRST)
-    cameras = [_camera(lines) for _ in range(lines.count("cameras"))]
+    lines = filled_lines(path)
+
+    def following(what: str) -> tuple[str, list[str]]:
+        if found := next(lines, None):
+            return found
+        raise InputError(str(path), f"it ends before {what}", "a whole NVM file", "it is cut short")
+
+    def counted(what: str) -> range:
+        where, fields = following(f"the number of {what}")
+        if len(fields) > 1 or (count := _whole(fields[0])) < 1:
+            raise InputError(where, f"{' '.join(fields)[:40]!r}", f"the number of {what}, above 0")
+        return range(1, count + 1)
+
+    where, head = following("the first line")
+    if not head[0].startswith(_FIRST):
+        raise InputError(where, f"{head[0][:40]!r}", _FIRST)
+    cameras = [_camera(*following("the last camera")) for _ in counted("cameras")]
     if len(set(cameras)) != len(cameras):
         raise InputError(str(path), "an image twice among its cameras", "each image once")
     centres = _centres(path, cameras, centres) if shifted else dict.fromkeys(cameras, (0.0, 0.0))
-    points = tuple(_point(lines, k, cameras, centres) for k in range(1, lines.count("points") + 1))
-    lines.require_end()
+    points = tuple(_point(*following(f"point {k}"), k, cameras, centres) for k in counted("points"))
+    for where, fields in lines:  # VisualSFM ends the list of models with 0, the pipeline with the file
+        if fields != ["0"]:
+            raise InputError(where, "more after the last point", "one model")
+        break
     return with_names(ControlNetwork("", "", points, source=str(path)))
 
 
@@ -105,52 +117,19 @@ def _centres(path: Path, cameras: list[str], centres: Centres | None) -> Centres
     return centres
 
 
-class _Lines:
-    """Lines of the file that are not blank, one after the other."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._lines = ((k, line) for k, line in enumerate(read_text(path).split("\n"), start=1) if line.strip())
-
-    def next(self, what: str) -> tuple[int, str]:
-        """Number and text of the next one."""
-        for number, line in self._lines:
-            return number, line
-        raise InputError(str(self.path), f"it ends before {what}", "a whole NVM file", "it is cut short")
-
-    def count(self, what: str) -> int:
-        """The next line as a number above zero; nothing is made by it before so many lines are read."""
-        number, line = self.next(f"the number of {what}")
-        if (count := _whole(line)) < 1:
-            raise InputError(f"{self.path}, line {number}", f"{line.strip()[:40]!r}", f"the number of {what}, above 0")
-        return count
-
-    def require_end(self) -> None:
-        """InputError for a second model; VisualSFM ends the list of models with 0, the pipeline with the file."""
-        for number, line in self._lines:
-            if line.strip() == "0":
-                return
-            raise InputError(f"{self.path}, line {number}", "more after the last point", "one model")
-
-
 def _whole(text: str) -> int:
     """A whole number of at most nine digits, or -1: no file has so many lines, nor cameras."""
-    text = text.strip()
     return int(text) if len(text) <= 9 and text.isascii() and text.isdigit() else -1
 
 
-def _camera(lines: _Lines) -> str:
-    number, line = lines.next("the last camera")
-    fields = line.split()
+def _camera(where: str, fields: list[str]) -> str:
     if len(fields) != _CAMERA_FIELDS:
-        expected = f"{_CAMERA_FIELDS}, of a camera whose name has no blank"
-        raise InputError(f"{lines.path}, line {number}", f"{len(fields)} fields", expected)
+        raise InputError(where, f"{len(fields)} fields", f"{_CAMERA_FIELDS}, of a camera whose name has no blank")
     return fields[0]
 
 
-def _point(lines: _Lines, k: int, cameras: list[str], centres: Centres) -> ControlPoint:
-    number, line = lines.next(f"point {k}")
-    where, fields = f"{lines.path}, line {number}, point {k}", line.split()
+def _point(where: str, fields: list[str], k: int, cameras: list[str], centres: Centres) -> ControlPoint:
+    where += f", point {k}"
     count = _whole(fields[6]) if len(fields) >= _POINT_FIELDS else -1
     if count < 0 or len(fields) != _POINT_FIELDS + _MEASURE_FIELDS * count:
         expected = "X Y Z, three colours, the number of measures, and four for each of them"

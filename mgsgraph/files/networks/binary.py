@@ -14,6 +14,7 @@ import re
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,14 +22,25 @@ import numpy as np
 from msgspec.structs import replace
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.networks.first_version import second_versions
-from mgsgraph.files.networks.messages import messages
-from mgsgraph.files.networks.point_messages import Texts, encoded, finite, point_message, read_point
+from mgsgraph.files.networks.messages import (
+    Texts,
+    encoded,
+    finite,
+    message_class,
+    point_message,
+    read_point,
+    second_versions,
+)
 from mgsgraph.files.networks.pvl_writing import Value, keyword_lines, text_value
-from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, of_mars
+from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, MeasureType, PointType, of_mars, with_names
+from mgsgraph.files.networks.tie_points import FARTHEST, PointArrays, require_usable
+from mgsgraph.files.opening import name_of
 from mgsgraph.files.pvl import Block, Document, whole_label
+from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.files.writing import write_file
-from mgsgraph.geometry.records import Index
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.records import LONGEST_NAME, Index, Mask
+from mgsgraph.names import Names, RepeatedNames
 
 LABEL_BYTES = 65536
 """Of a label, or a multiple of them."""
@@ -38,12 +50,11 @@ _BEGINNING = re.compile(
 )
 _LOOKED_AT = 4096
 """Bytes from the file's start in which a binary network says that it is one."""
-ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
-_HEAD = (
-    ("network_id", "networkId"), ("target_name", "targetName"), ("created", "created"),
-    ("last_modified", "lastModified"), ("description", "description"), ("user_name", "userName"),
-)  # fmt: skip
-"""The head's texts: in the record and in ISIS's message."""
+_ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
+_OF_OLD = np.array([PointType.FREE, PointType.FIXED, *PointType])
+"""Types of points by their numbers in the file: 0 and 1 are Tie and Ground of old."""
+_TEXTS = ("network_id", "target_name", "created", "last_modified", "description", "user_name")
+"""The head's texts."""
 
 
 def is_binary(data: bytes) -> bool:
@@ -92,7 +103,7 @@ class BinaryContent(NamedTuple):
     def point(self, number: int, texts: Texts) -> ControlPoint:
         """One of the points; InputError with what is wrong with it."""
         message, where = self.data[self.begin[number] : self.end[number]], self.where(number)
-        return read_point(_parsed(messages().point(), message, where), where, texts)
+        return read_point(_parsed("Point", message, where), where, texts)
 
 
 def binary_content(data: bytes, source: str) -> BinaryContent:
@@ -106,7 +117,7 @@ def binary_content(data: bytes, source: str) -> BinaryContent:
         data, begin = b"".join(parts), np.concatenate([[0], end[:-1]]).astype(np.int64)
     else:
         head, start, size = _header(data, version, buffer, source)
-        sizes = head.pointMessageSizes if version == "2" else None
+        sizes = head.sizes if version == "2" else None
         begin, end = (
             _behind_sizes(data, start, size, source) if sizes is None else _by_sizes(data, start, sizes, source)
         )
@@ -126,21 +137,21 @@ def _head_of(head: Any, version: str, source: str) -> ControlNetwork:
     """Of a header's message a network without points."""
     texts = Texts()
     with errors_from(f"{source}, header"):
-        values = {attribute: texts[getattr(head, name)] for attribute, name in _HEAD}
+        values = {name: texts[getattr(head, name)] for name in _TEXTS}
         values["target_name"] = of_mars(values["target_name"])
-        radii = _radii(head.targetRadii) if version == "5" else ()
+        radii = _radii(head.target_radii) if version == "5" else ()
     return ControlNetwork(points=(), source=source, target_radii=radii, **values)
 
 
 def _first(data: bytes, buffer: Block, source: str) -> tuple[Any, list[bytes]]:
     """Head of a network of version 1, and messages of its points as of version 2."""
-    kinds, parts = messages(), []
-    for name, kind in (("Core", kinds.first_network), ("LogData", kinds.first_log)):
+    parts = []
+    for name, kind in (("Core", "FirstNetwork"), ("LogData", "FirstNetworkLog")):
         with _anew():
             start, size = (_bytes(buffer.inner(name), key) for key in ("StartByte", "Bytes"))
         if start + size > len(data):
             raise _cut_short(f"{source}, {name}", f"{len(data)} bytes", f"its end at byte {start + size}")
-        parts.append(_parsed(kind(), data[start : start + size], f"{source}, {name}"))
+        parts.append(_parsed(kind, data[start : start + size], f"{source}, {name}"))
     return parts[0], [message.SerializeToString() for message in second_versions(parts[0], parts[1], source)]
 
 
@@ -150,8 +161,8 @@ def _header(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any,
     end = start + header_size
     if end > len(data):
         raise _cut_short(source, f"{len(data)} bytes", f"a header up to byte {end}")
-    kind = messages().header if version == "5" else messages().old_header
-    return _parsed(kind(), data[start:end], f"{source}, header"), end, points_size
+    kind = "Header" if version == "5" else "OldHeader"
+    return _parsed(kind, data[start:end], f"{source}, header"), end, points_size
 
 
 def _radii(values: Sequence[float]) -> tuple[float, ...]:
@@ -190,7 +201,7 @@ def _anew() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(error.where, error.found, error.expected, f"binary network: {ANEW}") from None
+        raise InputError(error.where, error.found, error.expected, f"binary network: {_ANEW}") from None
 
 
 def _bytes(core: Block, key: str) -> int:
@@ -229,14 +240,135 @@ def _cut_short(where: str, found: str, expected: str) -> InputError:
     return InputError(where, found, expected, "the file is cut short or damaged: write it anew")
 
 
-def _parsed(message: Any, data: bytes, where: str) -> Any:
+def _parsed(kind: str, data: bytes, where: str) -> Any:
+    """The message of a kind that bytes hold."""
     from google.protobuf.message import DecodeError
 
+    message = message_class(kind)()
     try:
         message.ParseFromString(data)
     except DecodeError:
-        raise InputError(where, f"{len(data)} bytes that are no such message", "ISIS's", ANEW) from None
+        raise InputError(where, f"{len(data)} bytes that are no such message", "ISIS's", _ANEW) from None
     return message
+
+
+# --- tie points, without an object for each point and measure
+
+
+def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -> TiePoints:
+    """What an adjustment takes from the content of a binary network; fields that it doesn't take are not judged.
+
+    Parameters
+    ----------
+    data : bytes
+        All of the file.
+    source : str
+        File, for messages.
+    body : Ellipsoid, optional
+        That of the images.
+
+    Raises
+    ------
+    InputError
+        With file, byte, and number and id of the point: what `parse_binary_network` and `tie_points` refuse.
+    """
+    content = binary_content(data, source)
+    with_names(content.head)
+    arrays = _decoded(content)
+    try:
+        return arrays.tie_points(body)
+    except InputError:  # of an image twice it knows the point's id, not its byte
+        point = np.repeat(np.arange(arrays.ignored.size), np.diff(arrays.first))
+        code = point * len(arrays.image.distinct) + arrays.image.numbers
+        unused = arrays.left_out | arrays.ignored[point]
+        order = np.argsort(np.where(unused, -1 - np.arange(code.size), code), kind="stable")
+        for measure in np.sort(order[1:][(np.diff(code[order]) == 0) & ~unused[order[1:]]])[:1].tolist():
+            raise _refusal(content, int(point[measure])) from None
+        raise
+
+
+def _decoded(content: BinaryContent) -> PointArrays:
+    from mgsgraph.files.networks import wire
+
+    begin, end, data = content.begin, content.end, np.frombuffer(content.data, dtype=np.uint8)
+    count = wire.count_measures(data, begin, end)
+    _require(count >= 0, content)
+    first = np.concatenate([[0], np.cumsum(count)])
+    n, k = begin.size, int(first[-1])
+    types, kinds, ignored, out = np.full(n, -1), np.full(k, -1), np.zeros(n, dtype=bool), np.zeros(k, dtype=bool)
+    ids, images = np.zeros((n, 2), dtype=np.int64), np.zeros((k, 2), dtype=np.int64)
+    both, covariances, measures = np.full((n, 6), np.nan), np.full((n, 6), np.nan), np.full((k, 4), np.nan)
+    done = wire.read_points(data, begin, end, first, types, ids, ignored, both, covariances, measures, out, kinds,
+                            images)  # fmt: skip
+    _require(np.arange(n) != done, content)
+    names, coded = _names_at(data, ids), _names_at(data, images).arrow.dictionary_encode()
+    image, distinct = np.asarray(coded.indices).astype(np.int64), Names.of(coded.dictionary)
+    _require(_shown(names) & (types >= 0) & (types < _OF_OLD.size), content)
+    if names.first_repeated is not None:
+        number = names.first_repeated
+        earlier = names.tolist().index(names[number])
+        where = f"{content.where(number)} ({names[number]})"
+        raise InputError(where, f"the id twice, first at point {earlier + 1}", "each id once")
+    point, types = np.repeat(np.arange(n), count), _OF_OLD[types]
+    sound = _shown(distinct)[image] & (kinds >= 0) & (kinds < len(MeasureType)) & ~np.any(np.isinf(measures), axis=1)
+    unmeasured = np.any(np.isnan(measures[:, :2]), axis=1) | np.any(measures[:, 2:] <= 0.0, axis=1)
+    _require(np.bincount(point[~sound | (unmeasured & ~out & ~ignored[point])], minlength=n) == 0, content)
+    free, missing = types == PointType.FREE, np.isnan(both).reshape(n, 2, 3)
+    in_part = np.any(missing.any(axis=2) != missing.all(axis=2), axis=1)
+    _require(~(in_part | np.any(np.isinf(both) | np.isinf(covariances), axis=1)), content)
+    places = np.where((free & missing[:, 0, 0])[:, None], both[:, 3:], both[:, :3])
+    unknown = ~free & np.isnan(places[:, 0]) | np.any(np.abs(places) > FARTHEST, axis=1)
+    unknown |= (types == PointType.CONSTRAINED) & ~np.all(covariances[:, [0, 3, 5]] > 0.0, axis=1)
+    _require(~unknown | ignored, content)
+    return PointArrays(content.head, names, types, ignored, places, covariances, first,
+                       RepeatedNames(tuple(distinct), image), measures, out)  # fmt: skip
+
+
+def _names_at(content: np.ndarray, spans: Index) -> Names:
+    """Texts that lie at spans (m, 2) of a file's content (b,) uint8."""
+    from mgsgraph.files.networks import wire
+
+    offsets = np.concatenate([[0], np.cumsum(spans[:, 1] - spans[:, 0])]).astype(np.int64)
+    return Names(wire.gathered(content, spans, int(offsets[-1])), offsets)
+
+
+def _shown(names: Names) -> Mask:
+    """Which names (n,) can be shown (`record.require_shown`)."""
+    sizes = np.diff(names.offsets)
+    found = (sizes >= 1) & (sizes <= LONGEST_NAME)
+    if not names.data.tobytes().isascii() or not names.text.isprintable():
+        texts = [names.data[a:b].tobytes().decode(errors="replace") for a, b in pairwise(names.offsets.tolist())]
+        found = np.array([text.isprintable() and "\ufffd" not in text and 1 <= len(text) <= LONGEST_NAME
+                          for text in texts])  # fmt: skip
+    return found
+
+
+def _require(sound: Mask, content: BinaryContent) -> None:
+    """Raise the InputError for the first point (n,) that is not sound."""
+    for number in np.flatnonzero(~sound)[:1].tolist():
+        raise _refusal(content, number)
+
+
+def _refusal(content: BinaryContent, number: int) -> InputError:
+    """What is wrong with a point, by its number from 0."""
+    try:
+        point = content.point(number, Texts())
+        where = f"{content.where(number)} ({point.id[:60]})"
+        name_of(point.id, where, "an id")
+        for measure in point.measures:
+            name_of(measure.serial_number, where, "an image's name")
+        if not point.ignore:
+            require_usable(point, 0, lambda _, k, key: ", ".join(filter(None, (where, _image(point, k), key))))
+    except InputError as error:
+        return error
+    return InputError(where, "a message with fields of other kinds", "those of ISIS's networks", _ANEW)
+
+
+def _image(point: ControlPoint, measure: int | None) -> str:
+    return "" if measure is None else f"image {point.measures[measure].serial_number}"
+
+
+# --- writing
 
 
 def write_binary_network(network: ControlNetwork, path: Path) -> None:
@@ -276,9 +408,8 @@ def binary_network(network: ControlNetwork) -> bytes:
 
 def network_header(network: ControlNetwork) -> bytes:
     """The header's message, of a network with or without its points."""
-    head = messages().header(targetRadii=_radii(network.target_radii))
-    for attribute, name in _HEAD:
-        setattr(head, name, encoded(getattr(network, attribute)) or b"")  # all of them, as in ISIS
+    texts = {name: encoded(getattr(network, name)) or b"" for name in _TEXTS}  # all of them, as in ISIS
+    head = message_class("Header")(target_radii=_radii(network.target_radii), **texts)
     return head.SerializeToString()  # type: ignore[no-any-return]
 
 

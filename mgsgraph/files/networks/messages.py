@@ -1,183 +1,308 @@
-"""The messages of ISIS's binary control networks, made known to protobuf when first needed, without protoc.
+"""The messages of ISIS's binary control networks: their fields, and records made of them and they of records.
 
-Names and numbers of the fields: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/, from which these are
-ControlPointFileEntryV0002.proto (points of version 2 and of version 5 alike), ControlNetFileHeaderV0005.proto and
-ControlNetFileHeaderV0002.proto; the same in DOI-USGS/plio, plio/io/ControlPointFileEntryV0005.proto,
-ControlNetFileHeaderV0005.proto and ControlNetFileV0002.proto. Version 1, whose network is one message and whose figures
-of merit are another: ControlNetFileProtoV0001.proto and ControlNetLogDataProtoV0001.proto beside the former.
+They are made known to protobuf when first needed, without protoc. Numbers of the fields: DOI-USGS/ISIS3,
+isis/src/control/objs/ControlNetVersioner/, from which these are ControlPointFileEntryV0002.proto (points of version 2
+and of version 5 alike), ControlNetFileHeaderV0005.proto and ControlNetFileHeaderV0002.proto; the same in
+DOI-USGS/plio, plio/io/ControlPointFileEntryV0005.proto, ControlNetFileHeaderV0005.proto and ControlNetFileV0002.proto.
+Version 1, whose network is one message and whose figures of merit are another, of the same points and measures in the
+same order: ControlNetFileProtoV0001.proto and ControlNetLogDataProtoV0001.proto beside the former. What becomes of
+them: ControlNetVersioner.cpp (createPoint, createMeasure, writeFirstPoint, readProtobufV0001), ControlPointV0003.cpp.
 
-On the wire nothing differs from ISIS's own; to protobuf all fields are optional here, enumerations are whole numbers
-and texts are bytes, so that what is wrong with them is found, and said, by `networks.point_messages`; what is not there
-reads as UNSET or NULL. Fields that version 1 has elsewhere are called as in version 2. Left out: log entries of points
-and the truth values of log entries, which ISIS neither writes nor reads, and the header's numPoints, which it doesn't
-write.
+Fields are called as in the records (`networks.record`): names don't come into the files. To protobuf all of them are
+optional here, enumerations are whole numbers and texts are bytes, so that what is wrong with them is found, and said
+with the keyword of ISIS's PVL; what is not there reads as UNSET or NULL. Left out: log entries of points and the truth
+values of log entries, which ISIS neither writes nor reads, and the header's numPoints, which it doesn't write.
 """
 
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
-_TEXT, _WHOLE, _FLAG, _NUMBER, _MESSAGE = "TYPE_BYTES", "TYPE_INT32", "TYPE_BOOL", "TYPE_DOUBLE", "TYPE_MESSAGE"
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.record import AprioriSource, ControlMeasure, ControlPoint, MeasureType, PointType
 
-
-class Field(NamedTuple):
-    """A field of a message."""
-
-    name: str
-    number: int
-    kind: str
-    many: bool = False
-    packed: bool = False
-    of: str = ""
-    """Message that it holds."""
-
-
-_POINT = (
-    Field("id", 1, _TEXT),
-    Field("type", 2, _WHOLE),
-    Field("chooserName", 3, _TEXT),
-    Field("datetime", 4, _TEXT),
-    Field("editLock", 5, _FLAG),
-    Field("ignore", 6, _FLAG),
-    Field("jigsawRejected", 7, _FLAG),
-    Field("referenceIndex", 8, _WHOLE),
-    Field("aprioriSurfPointSource", 9, _WHOLE),
-    Field("aprioriSurfPointSourceFile", 10, _TEXT),
-    Field("aprioriRadiusSource", 11, _WHOLE),
-    Field("aprioriRadiusSourceFile", 12, _TEXT),
-    Field("latitudeConstrained", 13, _FLAG),
-    Field("longitudeConstrained", 14, _FLAG),
-    Field("radiusConstrained", 15, _FLAG),
-    Field("aprioriX", 16, _NUMBER),
-    Field("aprioriY", 17, _NUMBER),
-    Field("aprioriZ", 18, _NUMBER),
-    Field("aprioriCovar", 19, _NUMBER, many=True, packed=True),
-    Field("adjustedX", 20, _NUMBER),
-    Field("adjustedY", 21, _NUMBER),
-    Field("adjustedZ", 22, _NUMBER),
-    Field("adjustedCovar", 23, _NUMBER, many=True, packed=True),
-    Field("measures", 25, _MESSAGE, many=True, of="Measure"),
-)
-_MEASURE = (
-    Field("serialnumber", 1, _TEXT),
-    Field("type", 2, _WHOLE),
-    Field("sample", 3, _NUMBER),
-    Field("line", 4, _NUMBER),
-    Field("sampleResidual", 5, _NUMBER),
-    Field("lineResidual", 6, _NUMBER),
-    Field("choosername", 7, _TEXT),
-    Field("datetime", 8, _TEXT),
-    Field("editLock", 9, _FLAG),
-    Field("ignore", 10, _FLAG),
-    Field("jigsawRejected", 11, _FLAG),
-    Field("diameter", 12, _NUMBER),
-    Field("apriorisample", 13, _NUMBER),
-    Field("aprioriline", 14, _NUMBER),
-    Field("samplesigma", 15, _NUMBER),
-    Field("linesigma", 16, _NUMBER),
-    Field("log", 17, _MESSAGE, many=True, of="Log"),
-)
-_LOG = (Field("doubleDataType", 1, _WHOLE), Field("doubleDataValue", 2, _NUMBER))
 _HEADER = (
-    Field("networkId", 1, _TEXT),
-    Field("targetName", 2, _TEXT),
-    Field("created", 3, _TEXT),
-    Field("lastModified", 4, _TEXT),
-    Field("description", 5, _TEXT),
-    Field("userName", 6, _TEXT),
-    Field("targetRadii", 10, _NUMBER, many=True),
+    "1 text network_id, 2 text target_name, 3 text created, 4 text last_modified, 5 text description, 6 text user_name"
 )
-_OLD_HEADER = (*_HEADER[:-1], Field("pointMessageSizes", 7, _WHOLE, many=True, packed=True))
-_FIRST_NUMBERS = {
-    "Point": {
-        "id": 1, "type": 2, "chooserName": 3, "datetime": 4, "editLock": 5, "ignore": 6, "jigsawRejected": 7,
-        "aprioriSurfPointSource": 8, "aprioriSurfPointSourceFile": 9, "aprioriRadiusSource": 10,
-        "aprioriRadiusSourceFile": 11, "aprioriX": 12, "aprioriY": 13, "aprioriZ": 14, "aprioriCovar": 15,
-        "adjustedX": 16, "adjustedY": 17, "adjustedZ": 18, "adjustedCovar": 19, "measures": 20, "referenceIndex": 21,
-        "latitudeConstrained": 22, "longitudeConstrained": 23, "radiusConstrained": 24,
-    },
-    "Measure": {
-        "serialnumber": 1, "type": 2, "choosername": 3, "datetime": 4, "editLock": 5, "ignore": 6, "jigsawRejected": 7,
-        "diameter": 9, "apriorisample": 10, "aprioriline": 11, "samplesigma": 12, "linesigma": 13,
-    },
-    "Place": {"sample": 1, "line": 2, "sampleResidual": 3, "lineResidual": 4},
-}  # fmt: skip
-"""Of fields in version 1; a measure's place is a message in it."""
-
-
-def _of_version_one(message: str, fields: tuple[Field, ...]) -> tuple[Field, ...]:
-    """Those of these fields that a message of version 1 has, by their numbers there."""
-    numbers = _FIRST_NUMBERS[message]
-    return tuple(
-        field._replace(number=numbers[field.name], of=f"First{field.of}" if field.of else "")
-        for field in fields
-        if field.name in numbers
-    )
-
-
-_FIRST = {
-    "FirstPlace": _of_version_one("Place", _MEASURE),
+_FIELDS = {
+    "Log": "1 whole kind, 2 number value",
+    "Measure": (
+        "1 text serial_number, 2 whole type, 3 number sample, 4 number line, 5 number sample_residual, "
+        "6 number line_residual, 7 text chooser_name, 8 text date_time, 9 flag edit_lock, 10 flag ignore, "
+        "11 flag jigsaw_rejected, 12 number diameter, 13 number apriori_sample, 14 number apriori_line, "
+        "15 number sample_sigma, 16 number line_sigma, 17 Log* log"
+    ),
+    "Point": (
+        "1 text id, 2 whole type, 3 text chooser_name, 4 text date_time, 5 flag edit_lock, 6 flag ignore, "
+        "7 flag jigsaw_rejected, 8 whole reference, 9 whole apriori_source, 10 text apriori_source_file, "
+        "11 whole apriori_radius_source, 12 text apriori_radius_source_file, 13 flag latitude_constrained, "
+        "14 flag longitude_constrained, 15 flag radius_constrained, 16 number apriori_x, 17 number apriori_y, "
+        "18 number apriori_z, 19 number+ apriori_covariance, 20 number adjusted_x, 21 number adjusted_y, "
+        "22 number adjusted_z, 23 number+ adjusted_covariance, 25 Measure* measures"
+    ),
+    "Header": f"{_HEADER}, 10 number* target_radii",
+    "OldHeader": f"{_HEADER}, 7 whole+ sizes",
+    "FirstPlace": "1 number sample, 2 number line, 3 number sample_residual, 4 number line_residual",
     "FirstMeasure": (
-        *_of_version_one("Measure", _MEASURE), Field("measurement", 8, _MESSAGE, of="FirstPlace"),
+        "1 text serial_number, 2 whole type, 3 text chooser_name, 4 text date_time, 5 flag edit_lock, 6 flag ignore, "
+        "7 flag jigsaw_rejected, 8 FirstPlace place, 9 number diameter, 10 number apriori_sample, "
+        "11 number apriori_line, 12 number sample_sigma, 13 number line_sigma"
     ),
-    "FirstPoint": _of_version_one("Point", _POINT),
+    "FirstPoint": (
+        "1 text id, 2 whole type, 3 text chooser_name, 4 text date_time, 5 flag edit_lock, 6 flag ignore, "
+        "7 flag jigsaw_rejected, 8 whole apriori_source, 9 text apriori_source_file, 10 whole apriori_radius_source, "
+        "11 text apriori_radius_source_file, 12 number apriori_x, 13 number apriori_y, 14 number apriori_z, "
+        "15 number+ apriori_covariance, 16 number adjusted_x, 17 number adjusted_y, 18 number adjusted_z, "
+        "19 number+ adjusted_covariance, 20 FirstMeasure* measures, 21 whole reference, 22 flag latitude_constrained, "
+        "23 flag longitude_constrained, 24 flag radius_constrained"
+    ),
     "FirstNetwork": (
-        *(field._replace(number=field.number + 1) for field in _HEADER[:-1]),
-        Field("points", 8, _MESSAGE, many=True, of="FirstPoint"),
+        "2 text network_id, 3 text target_name, 4 text created, 5 text last_modified, 6 text description, "
+        "7 text user_name, 8 FirstPoint* points"
     ),
-    "FirstLog": (Field("doubleDataType", 2, _WHOLE), Field("doubleDataValue", 3, _NUMBER)),
-    "FirstMeasureLog": (Field("log", 2, _MESSAGE, many=True, of="FirstLog"),),
-    "FirstPointLog": (Field("measures", 2, _MESSAGE, many=True, of="FirstMeasureLog"),),
-    "FirstNetworkLog": (Field("points", 1, _MESSAGE, many=True, of="FirstPointLog"),),
-}  # fmt: skip
-_MESSAGES = {"Log": _LOG, "Measure": _MEASURE, "Point": _POINT, "Header": _HEADER, "OldHeader": _OLD_HEADER} | _FIRST
-
+    "FirstLog": "2 whole kind, 3 number value",
+    "FirstMeasureLog": "2 FirstLog* log",
+    "FirstPointLog": "2 FirstMeasureLog* measures",
+    "FirstNetworkLog": "1 FirstPointLog* points",
+}
+"""Number, kind and name of each message's fields; * is repeated, + packed."""
+_KINDS = {"text": "TYPE_BYTES", "whole": "TYPE_INT32", "flag": "TYPE_BOOL", "number": "TYPE_DOUBLE"}
 UNSET = -1
 """What a whole number reads as that is not there."""
 NULL = -1.7976931348623157e308
 """What a number reads as that is not there; ISIS's own Null, and its other special values, are within 1e294 of it."""
-_DEFAULTS = {_WHOLE: UNSET, _NUMBER: NULL}
-
-
-class Messages(NamedTuple):
-    """Classes of messages."""
-
-    point: Any
-    measure: Any
-    log: Any
-    header: Any
-    """Of version 5."""
-    old_header: Any
-    """Of version 2."""
-    first_network: Any
-    """All of a network of version 1 but its figures of merit."""
-    first_log: Any
-    """These."""
+LARGEST = 1e300
+"""Larger numbers are none, here as in PVL: ISIS's special values begin there."""
 
 
 @cache
-def messages() -> Messages:
-    """The classes of the messages, made once."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+def message_class(name: str) -> Any:
+    """Protobuf's class of a message."""
+    from google.protobuf import message_factory
+
+    return message_factory.GetMessageClass(_pool().FindMessageTypeByName(f"Isis.{name}"))
+
+
+@cache
+def _pool() -> Any:
+    from google.protobuf import descriptor_pb2, descriptor_pool
 
     file = descriptor_pb2.FileDescriptorProto(name="control_network.proto", package="Isis", syntax="proto2")
-    for name, fields in _MESSAGES.items():
+    for name, fields in _FIELDS.items():
         message = file.message_type.add(name=name)
-        for field in fields:
+        for number, kind, field in map(str.split, fields.split(", ")):
+            plain, many = kind.rstrip("*+"), kind[-1] in "*+"
             entry = message.field.add(
-                name=field.name,
-                number=field.number,
-                type=field.kind,
-                label="LABEL_REPEATED" if field.many else "LABEL_OPTIONAL",
-                type_name=f".Isis.{field.of}" if field.of else None,
-            )
-            if field.packed:
+                name=field, number=int(number), type=_KINDS.get(plain, "TYPE_MESSAGE"),
+                label="LABEL_REPEATED" if many else "LABEL_OPTIONAL",
+                type_name=None if plain in _KINDS else f".Isis.{plain}",
+            )  # fmt: skip
+            if kind.endswith("+"):
                 entry.options.packed = True
-            if field.kind in _DEFAULTS and not field.many:
-                entry.default_value = repr(_DEFAULTS[field.kind])
+            if plain in ("whole", "number") and not many:
+                entry.default_value = repr(UNSET if plain == "whole" else NULL)
     pool = descriptor_pool.DescriptorPool()
     pool.AddSerializedFile(file.SerializeToString())
-    made = {
-        name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"Isis.{name}")) for name in _MESSAGES
+    return pool
+
+
+# --- values
+
+
+class Texts(dict[bytes, str]):
+    """Texts by their bytes; equal ones are one object, for there are few names and dates in many measures."""
+
+    def __missing__(self, data: bytes) -> str:
+        try:
+            text = self[data] = data.decode("utf-8")
+        except UnicodeDecodeError:
+            raise InputError("text", f"{data[:60]!r}", "UTF-8") from None
+        return text
+
+
+def encoded(text: str) -> bytes | None:
+    """A text's bytes; None for an empty one."""
+    try:
+        return text.encode("utf-8") if text else None
+    except UnicodeEncodeError:
+        raise InputError("text", f"{text[:60]!r}", "what UTF-8 can hold") from None
+
+
+def finite(value: float, key: str) -> float:
+    """The number, if it is one."""
+    if not -LARGEST < value < LARGEST:
+        raise InputError(key, f"{value}", "a finite number")
+    return value
+
+
+def _optional(value: float, key: str) -> float | None:
+    """A number; None for the special values by which ISIS says that it was never set."""
+    return None if NULL <= value <= -LARGEST else finite(value, key)
+
+
+def _covariance(values: Sequence[float], key: str) -> tuple[float, ...]:
+    if len(values) not in (0, 6):
+        raise InputError(key, f"{len(values)} numbers", "xx, xy, xz, yy, yz, zz")
+    return tuple(finite(value, key) for value in values)
+
+
+def _named(text: str, key: str) -> str:
+    if not text:
+        raise InputError(key, "none", "a name")
+    return text
+
+
+def _choice(kinds: dict[int, Any]) -> Callable[[int, str], Any]:
+    def chosen(number: int, key: str) -> Any:
+        if number not in kinds:
+            raise InputError(key, "none" if number == UNSET else f"{number}", f"one of {', '.join(map(str, kinds))}")
+        return kinds[number]
+
+    return chosen
+
+
+_source = _choice({int(source): source for source in AprioriSource} | {UNSET: AprioriSource.NONE})
+_POINT_TYPES = {0: PointType.FREE, 1: PointType.FIXED} | {int(one): one for one in PointType}
+"""By number in the file; 0 and 1 are Tie and Ground of old."""
+_KEYS: dict[tuple[str, str], tuple[str, Callable[[Any, str], Any]]] = {
+    ("Point", "id"): ("PointId", _named), ("Measure", "serial_number"): ("SerialNumber", _named),
+    ("Point", "type"): ("PointType", _choice(_POINT_TYPES)),
+    ("Measure", "type"): ("MeasureType", _choice({int(one): one for one in MeasureType})),
+    ("Point", "apriori_source"): ("AprioriXYZSource", _source),
+    ("Point", "apriori_radius_source"): ("AprioriRadiusSource", _source),
+    ("Point", "apriori_covariance"): ("AprioriCovarianceMatrix", _covariance),
+    ("Point", "adjusted_covariance"): ("AdjustedCovarianceMatrix", _covariance),
+}  # fmt: skip
+"""ISIS's keyword of a field and what checks its value, where these don't follow from its name and kind."""
+
+
+def _plan(message: str) -> list[tuple[str, str, str, Callable[[Any, str], Any] | None]]:
+    """Name, kind and keyword of a message's fields, and what checks their values."""
+    plan = []
+    for _, kind, name in map(str.split, _FIELDS[message].split(", ")):
+        plain = "".join(map(str.capitalize, name.split("_")))
+        key, check = _KEYS.get((message, name), (plain, _optional if kind == "number" else None))
+        plan.append((name, kind.rstrip("*+"), key, check))
+    return [one for one in plan if one[1] in _KINDS]
+
+
+_PLANS = {message: _plan(message) for message in ("Point", "Measure")}
+
+
+def _values(message: Any, kind: str, texts: Texts) -> dict[str, Any]:
+    """Values of a message's fields, which are checked, by their names."""
+    found = {}
+    for name, field, key, check in _PLANS[kind]:
+        value = getattr(message, name)
+        if field == "text":
+            value = texts[value]
+        found[name] = value if check is None else check(value, key)
+    return found
+
+
+# --- records of messages
+
+
+def read_point(message: Any, where: str, texts: Texts) -> ControlPoint:
+    """The point of a message; `where` begins its errors, `texts` are those met before."""
+    if message.id:
+        name = message.id[:60].decode("utf-8", "replace").replace("\n", " ")
+        where += f" ({name})"
+    count = len(message.measures)
+    try:
+        values = _values(message, "Point", texts)
+        if not UNSET <= values["reference"] < count:
+            found = f"measure {values['reference']} (counted from 0) as reference"
+            raise InputError("Reference", found, f"one of its {count} measures")
+        values["reference"] = None if values["reference"] == UNSET else values["reference"]
+        for stage in ("apriori", "adjusted"):
+            values[stage] = _place([values.pop(f"{stage}_{axis}") for axis in "xyz"], stage.capitalize())
+        measures = [_read_measure(measure, k, texts) for k, measure in enumerate(message.measures, start=1)]
+    except InputError as error:
+        raise error.within(where) from None
+    return ControlPoint(measures=tuple(measures), **values)
+
+
+def _read_measure(message: Any, number: int, texts: Texts) -> ControlMeasure:
+    try:
+        log = [(one.kind, _optional(one.value, "log data")) for one in message.log]
+        figures = tuple((kind, value) for kind, value in log if kind > 0 and value is not None)  # as IsValid has it
+        return ControlMeasure(log=figures, **_values(message, "Measure", texts))
+    except InputError as error:
+        raise error.within(f"measure {number}") from None
+
+
+def _place(values: list[float | None], stage: str) -> tuple[float, float, float] | None:
+    x, y, z = values
+    if x is None and y is None and z is None:
+        return None
+    if x is None or y is None or z is None:
+        raise InputError(stage, "a place in part", f"{stage}X, {stage}Y and {stage}Z")
+    return x, y, z
+
+
+# --- messages of records
+
+
+def point_message(point: ControlPoint) -> Any:
+    """The message of a point; None is left out, the sources are not, as in ISIS."""
+    log = message_class("Log")
+    measures = [
+        _message(one, "Measure", log=[log(kind=kind, value=finite(value, "log")) for kind, value in one.log])
+        for one in point.measures
+    ]
+    places = {
+        f"{stage}_{axis}": value
+        for stage, place in (("apriori", point.apriori), ("adjusted", point.adjusted))
+        for axis, value in zip("xyz", place or (None,) * 3, strict=True)
     }
-    names = ("Point", "Measure", "Log", "Header", "OldHeader", "FirstNetwork", "FirstNetworkLog")
-    return Messages(*(made[name] for name in names))
+    return _message(point, "Point", places, measures=measures)
+
+
+def _message(record: Any, kind: str, others: dict[str, Any] | None = None, **inner: Any) -> Any:
+    """The message of a record, of whose fields `others` stand in place of attributes, and `inner` are messages."""
+    fields: dict[str, Any] = {}
+    for name, field, key, check in _PLANS[kind]:
+        value = others[name] if others and name in others else getattr(record, name)
+        if field == "text":
+            fields[name] = encoded(value)
+        elif field == "flag":
+            fields[name] = value or None
+        elif field == "whole":
+            fields[name] = value if value is None else int(value)
+        elif value is not None:
+            fields[name] = finite(value, key) if check is _optional else _covariance(value, key)
+    return message_class(kind)(**fields, **inner)
+
+
+# --- version 1
+
+
+def second_versions(network: Any, log: Any, where: str) -> Iterator[Any]:
+    """Points of a network of version 1 and its figures of merit as messages of version 2, as ISIS takes them.
+
+    There types of measures are counted from 1, a measure's place is a message of its own, and every point with an
+    a-priori covariance is constrained. Raises InputError for figures of merit of other points or measures.
+    """
+    _require_same(len(log.points), len(network.points), f"{where}, LogData, points")
+    for number, (point, figures) in enumerate(zip(network.points, log.points, strict=True), start=1):
+        _require_same(len(figures.measures), len(point.measures), f"{where}, LogData, point {number}, measures")
+        made = message_class("Point")(**_set(point))
+        for measure, merit in zip(point.measures, figures.measures, strict=True):
+            added = made.measures.add(**_set(measure), **_set(measure.place))
+            added.type = measure.type - 1 if measure.type != UNSET else UNSET
+            for one in merit.log:
+                added.log.add(**_set(one))
+        if made.apriori_covariance:
+            made.type = int(PointType.CONSTRAINED)
+        yield made
+
+
+def _set(message: Any) -> dict[str, Any]:
+    """Fields that are set, but for messages in them."""
+    return {field.name: value for field, value in message.ListFields() if field.message_type is None}
+
+
+def _require_same(found: int, expected: int, where: str) -> None:
+    if found != expected:
+        raise InputError(where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it anew")

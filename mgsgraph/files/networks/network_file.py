@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import is_binary, parse_binary_network
+from mgsgraph.files.networks.binary import binary_tie_points, is_binary, parse_binary_network
 from mgsgraph.files.networks.pvl import parse_pvl_network, where_in
 from mgsgraph.files.networks.record import ControlNetwork, Where, with_names
 from mgsgraph.files.networks.tie_points import tie_points
@@ -59,8 +59,6 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
     """
     data = _content(path)
     if is_binary(data):
-        from mgsgraph.files.networks.binary_columns import binary_tie_points
-
         return binary_tie_points(data, str(path), body)
     network, where = _with_places(path, data)
     return tie_points(network, where, body)

@@ -1,10 +1,12 @@
 """ISIS control networks as PVL text: versions 1 to 5 read, version 5 written.
 
 ISIS takes the points of versions 3, 4 and 5 with one and the same code: only the names of point types changed, Ground
-to Fixed and Tie to Free; what 1 and 2 have of their own is in `networks.pvl_old`. Keywords, their order and names:
-DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVersioner.cpp (toPvl) and ControlPointV0003.cpp, and
-what ISIS wrote, ControlNetVersioner.truth beside them; figures of merit:
-ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
+to Fixed and Tie to Free. Version 1 (the one without Version) has its own keywords: X, Y, Z or Latitude, Longitude,
+Radius for the adjusted place, ApostCovarianceMatrix, AprioriLatLonSource, Held, ErrorLine and ErrorSample, other words
+for types of measures, and sigmas in place of covariances. In 1 and 2 every point with an a-priori covariance is
+constrained. Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/, of which ControlNetVersioner.cpp
+(toPvl), ControlPointV0001.cpp and ControlPointV0003.cpp, and what ISIS wrote, ControlNetVersioner.truth beside them;
+figures of merit: ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,9 +16,9 @@ from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
+from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.pvl_old import renew_keywords, renewed_point
 from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
@@ -27,8 +29,8 @@ from mgsgraph.files.networks.record import (
     Where,
     of_mars,
 )
-from mgsgraph.files.pvl import LENGTHS, Block, Document, inner_blocks
-from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.files.pvl import LENGTHS, Block, Document, Entry, inner_blocks
+from mgsgraph.geometry.body import east_north_up, from_planetocentric
 from mgsgraph.units import DEG
 
 _TURN = 360.5 * DEG
@@ -266,3 +268,89 @@ _MEASURE_KEYS = {
     **_known(LOCKS | REJECTED, Block.flag), **_known(PLACES | PIXELS, partial(Block.number, units=PIXEL_UNITS)),
 }  # fmt: skip
 """How keywords are read, by keyword in lower case."""
+
+
+# --- versions 1 and 2 in the words of version 5
+
+
+_POINT = {
+    "x": "adjustedx", "y": "adjustedy", "z": "adjustedz", "latitude": "adjustedlatitude",
+    "longitude": "adjustedlongitude", "radius": "adjustedradius", "apostcovariancematrix": "adjustedcovariancematrix",
+    "apriorilatlonsource": "apriorixyzsource", "apriorilatlonsourcefile": "apriorixyzsourcefile",
+}  # fmt: skip
+_MEASURE = {"errorline": "lineresidual", "errorsample": "sampleresidual"}
+_NEEDLESS = ("errormagnitude", "zscore")
+"""Of a measure: they follow from others."""
+_MEASURE_TYPES = {
+    "estimated": "candidate", "unmeasured": "candidate", "automatic": "registeredpixel",
+    "validatedmanual": "registeredpixel", "automaticpixel": "registeredpixel",
+    "validatedautomatic": "registeredsubpixel", "automaticsubpixel": "registeredsubpixel",
+}  # fmt: skip
+_UNKNOWN_SIGMA = 10_000.0
+"""m, what ISIS takes where one of three sigmas is not there, not positive, or larger."""
+_AXES = ("Longitude", "Latitude", "Radius")
+
+
+def renew_keywords(point: Block) -> None:
+    """Give keywords of a point of version 1, and of its measures, their names of version 5."""
+    _rename(point, _POINT)
+    if point.flag("Held"):
+        point.entries["pointtype"] = point.entries["held"]._replace(value="Ground")
+    for measure in point.blocks:
+        _rename(measure, _MEASURE)
+        for key in _NEEDLESS:
+            measure.entries.pop(key, None)
+        kind = measure.entries.get("measuretype")
+        if kind is not None and isinstance(kind.value, str):
+            word = _MEASURE_TYPES.get(kind.value.lower(), kind.value)
+            measure.entries["measuretype"] = kind._replace(value=word)
+        if "Line" not in measure or "Sample" not in measure:  # it was never measured
+            measure.entries["ignore"] = Entry("True", "", measure.position)
+
+
+def _rename(block: Block, names: dict[str, str]) -> None:
+    """Other names for keywords, and none for those that say nothing."""
+    entries = {key: entry for key, entry in block.entries.items() if entry.value != ""}
+    for old, new in names.items():
+        if old in entries:
+            entry = entries.pop(old)
+            entries.setdefault(new, entry)
+    block.entries = entries
+
+
+def renewed_point(point: ControlPoint, block: Block, version: str) -> ControlPoint:
+    """A point of version 1 or 2 as ISIS takes it: constrained where there is an a-priori covariance; in version 1 with
+    the covariances of sigmas (m, on the ground and upward), and with the adjusted place where it has no a-priori one.
+    """
+    changed: dict[str, Any] = {}
+    if version == "1":
+        changed["apriori"] = point.apriori or point.adjusted
+        changed |= _covariances(point, block)
+    if changed.get("apriori_covariance", point.apriori_covariance):
+        changed["type"] = PointType.CONSTRAINED
+    return structs.replace(point, **changed)
+
+
+def _covariances(point: ControlPoint, block: Block) -> dict[str, Any]:
+    """Covariances of version 1, and whether coordinates are constrained, by their names in the record."""
+    found: dict[str, Any] = {}
+    adjusted, known = point.adjusted_covariance, point.apriori_covariance
+    if place := point.apriori or point.adjusted:
+        known = known or _of_sigmas(block, "AprioriSigma", place)
+    if point.adjusted:
+        adjusted = adjusted or _of_sigmas(block, "AdjustedSigma", point.adjusted)
+    for axis in _AXES:
+        whole = bool(point.apriori_covariance or point.adjusted_covariance)
+        found[f"{axis.lower()}_constrained"] = whole or f"AprioriSigma{axis}" in block
+    return found | {"apriori_covariance": known, "adjusted_covariance": adjusted}
+
+
+def _of_sigmas(block: Block, key: str, place: tuple[float, float, float]) -> tuple[float, ...]:
+    """xx, xy, xz, yy, yz, zz in m^2 of sigmas along longitude, latitude and radius; empty without any."""
+    names = [f"{key}{axis}" for axis in _AXES]
+    if not any(name in block for name in names):
+        return ()
+    stated = [block.number(name, LENGTHS) if name in block else 0.0 for name in names]
+    sigmas = np.array([one if 0.0 < one < _UNKNOWN_SIGMA else _UNKNOWN_SIGMA for one in stated])
+    (axes,) = east_north_up(np.array([place]))
+    return tuple(((axes.T * sigmas**2) @ axes)[np.triu_indices(3)].tolist())

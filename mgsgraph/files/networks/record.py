@@ -9,9 +9,12 @@ from collections.abc import Callable
 from enum import IntEnum, StrEnum
 
 import msgspec
+import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import name_of
+from mgsgraph.geometry.records import LONGEST_NAME
+from mgsgraph.names import Names
 
 Where = Callable[[int, int | None, str], str]
 """Where something is in a file, in words: by index of the point, index of the measure or None, and keyword."""
@@ -164,12 +167,21 @@ class ControlNetwork(msgspec.Struct, frozen=True):
 
 def with_names(network: ControlNetwork) -> ControlNetwork:
     """A network that was read, whose body, points and images have names that can be shown; InputError for others."""
-    images = set[str]()
     if network.target_name:
         name_of(network.target_name, ", ".join(filter(None, (network.source, "TargetName"))))
+    require_shown(Names.of([point.id for point in network.points]), network.where, "an id")
+    images = dict[str, tuple[int, int]]()
     for index, point in enumerate(network.points):
-        name_of(point.id, network.where(index), "an id")
         for k, measure in enumerate(point.measures):
-            if measure.serial_number not in images:
-                images.add(name_of(measure.serial_number, network.where(index, k), "an image's name"))
+            images.setdefault(measure.serial_number, (index, k))
+    places = list(images.values())
+    require_shown(Names.of(list(images)), lambda j: network.where(*places[j]))
     return network
+
+
+def require_shown(names: Names, where: Callable[[int], str], what: str = "an image's name") -> None:
+    """Raise InputError for a name (n) that is empty, overlong or can't be printed; `where` is the k-th."""
+    sizes = np.diff(names.offsets)
+    if not names.text.isprintable() or sizes.min(initial=1) < 1 or sizes.max(initial=0) > LONGEST_NAME:
+        for k, name in enumerate(names):
+            name_of(name, where(k), what)

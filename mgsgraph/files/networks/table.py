@@ -2,117 +2,67 @@
 
 The first line names the columns (`networks.table_columns`): id, image, and isis_line, isis_sample (the first pixel's
 centre is (1, 1)) or line, sample (it is (0.5, 0.5)); all others may be left out. Blank lines and lines that begin with
-# count for nothing. A point without measures has one row without image. A Parquet file has the same columns
-(`networks.table_parquet`).
+# count for nothing. A point without measures has one row without image. A Parquet file has the same columns: numbers as
+float64 or whole ones, flags as truth values or words, null for nothing.
+
+A table is read by columns, without an object for each point and measure; what is wrong is said with its line (or row),
+its point and its column.
 """
 
 import csv
-import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.csv_columns import Columns, csv_columns, measured
 from mgsgraph.files.networks.network_file import read_control_network, read_network
 from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
-from mgsgraph.files.networks.record import (
-    ControlMeasure,
-    ControlNetwork,
-    ControlPoint,
-    PointType,
-    with_names,
-)
+from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, MeasureType, PointType, require_shown
 from mgsgraph.files.networks.table_columns import (
-    AXES,
     CARTESIAN,
     FLAGS,
-    GEODETIC,
     ISIS,
     LARGEST_SIGMA,
     MATRIX,
     MEASURE_TYPES,
+    NORMAL,
     OF_MEASURE,
     OF_POINT,
     OURS,
     PLACES,
-    PLANETOCENTRIC,
     POINT_TYPES,
-    TURN,
+    TEXTS,
+    TRUTHS,
     UNCERTAINTIES,
     header_of,
+    on_body,
+    upper_triangles,
     whole,
 )
-from mgsgraph.files.networks.table_parquet import PARQUET, parquet_columns, parquet_rows
-from mgsgraph.files.networks.table_ties import csv_ties, tie_points_of
-from mgsgraph.files.networks.tie_points import tie_points
-from mgsgraph.files.opening import LARGEST_TEXT, finite_number, read_bytes, read_text
+from mgsgraph.files.networks.tie_points import PointArrays
+from mgsgraph.files.opening import ANY_SIZE, opened, read_bytes, understood
 from mgsgraph.files.tie_points import TiePoints
-from mgsgraph.geometry.body import (
-    Ellipsoid,
-    distances,
-    from_geodetic,
-    from_planetocentric,
-    planetocentric,
-    require_near,
-)
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET
 
+PARQUET, MAGIC = ".parquet", b"PAR1"
+"""Ending of a Parquet file's name, and how its content begins."""
 TABLES = (".csv", PARQUET)
 """Endings of tables."""
 _OF_OTHERS = (".gcp", ".match", ".nvm")
 """Files of tie points that must be converted first."""
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
-
-
-@dataclass(slots=True, eq=False)
-class Row:
-    """A row of a table."""
-
-    where: str
-    """File, line or row, and point."""
-    place: str
-    """Line or row."""
-    values: dict[str, str]
-    """By column, those that are not empty."""
-
-    def number(self, column: str) -> float:
-        """A finite number; InputError for anything else, or nothing."""
-        text = self.values.get(column, "")
-        try:
-            return finite_number(text)
-        except ValueError:
-            where, found = f"{self.where}, {column}", repr(text[:60]) if text else "nothing"
-            remedy = "write a decimal point, not a comma" if _DECIMAL_COMMA.fullmatch(text) else ""
-            raise InputError(where, found, "a finite number", remedy) from None
-
-    def positive(self, column: str) -> float:
-        """A number above zero."""
-        value = self.number(column)
-        if not 0.0 < value < LARGEST_SIGMA:
-            raise InputError(f"{self.where}, {column}", f"{value:g}", "a positive number below 1e100")
-        return value
-
-    def flag(self, column: str) -> bool:
-        """A truth value, False where there is none."""
-        text = self.values.get(column, "false")
-        if text.lower() not in FLAGS:
-            raise InputError(f"{self.where}, {column}", repr(text[:60]), "true or false")
-        return FLAGS[text.lower()]
-
-
-@dataclass(slots=True, eq=False)
-class _Point:
-    """A point while its rows are read."""
-
-    row: Row
-    """Where each of its columns is first filled in, as one row."""
-    measures: list[ControlMeasure] = field(default_factory=list)
-    places: dict[str, str] = field(default_factory=dict)
-    """Line or row of the measure in each image."""
-    reference: int | None = None
+_WHAT = "an Apache Parquet file"
+_MOST_PACKED, _LEAST_LIMIT = 100, 1 << 25
+"""By how much a table may be packed, and bytes and rows that it may always have."""
 
 
 def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork:
@@ -138,20 +88,8 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
         fixed point without place, a constrained one without sigmas or covariance; a place half the body's radius from
         its centre, or twice it.
     """
-    rows = parquet_rows(path) if path.suffix.lower() == PARQUET else _csv_places(path)
-    place, fields = next(rows, ("line 1", []))
-    if not fields:
-        raise InputError(str(path), "an empty table", "a header: id,image,isis_line,isis_sample,...")
-    names = header_of(fields, f"{path}, {place}")
-    points: dict[str, _Point] = {}
-    for place, fields in rows:
-        if any(text.strip() for text in fields):
-            _add_row(points, _row(path, place, fields, names), names)
-    if not points:
-        raise InputError(str(path), "no point", "one measure in every row below the header")
-    apriori, uncertainty = whole(names, PLACES), whole(names, UNCERTAINTIES)
-    made = tuple(_point(name, point, apriori, uncertainty, ellipsoid) for name, point in points.items())
-    return with_names(ControlNetwork("", "", made, source=str(path)))
+    points, types, references = _read(path, ellipsoid)
+    return points.network(types, references)
 
 
 def read_whole(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork:
@@ -170,156 +108,325 @@ def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints
     """
     ending = path.suffix.lower()
     if ending in TABLES:
-        if ending == PARQUET:
-            found = tie_points_of(parquet_columns(path), str(path), ellipsoid)
-        else:
-            found = csv_ties(read_bytes(path, LARGEST_TEXT), str(path), ellipsoid)
-        return tie_points(read_table(path, ellipsoid), body=ellipsoid) if found is None else found
+        return _read(path, ellipsoid)[0].tie_points(ellipsoid)
     if ending in _OF_OTHERS:
         expected = "a control network (.pvl, .net) or a table (.csv, .parquet)"
         raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {path.name} network.net")
     return read_control_network(path, ellipsoid)
 
 
-def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number and fields of every line but blank ones and comments; a quoted field ends in its line."""
-    for number, line in enumerate(read_text(path).split("\n"), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            yield number, next(csv.reader((line,), strict=True))
-        except (csv.Error, StopIteration) as error:
-            raise InputError(f"{path}, line {number}", f"no row of a CSV file ({error})", "RFC 4180") from None
+# --- Parquet
 
 
-def _csv_places(path: Path) -> Iterator[tuple[str, list[str]]]:
-    return ((f"line {number}", fields) for number, fields in csv_rows(path))
+def parquet_names(path: Path) -> list[str]:
+    """Names of the columns, in small letters; InputError for a file that is none."""
+    from pyarrow import parquet
+
+    with opened(path, ANY_SIZE) as file, understood(str(path), _WHAT), _damage():
+        return [name.strip().lower() for name in parquet.read_schema(file).names]
 
 
-def _row(path: Path, place: str, fields: list[str], names: Sequence[str]) -> Row:
-    where = f"{path}, {place}"
-    if len(fields) != len(names):
-        remedy = "write decimal points, not commas" if len(fields) > len(names) else ""
-        if len(fields) == 1 and ";" in fields[0]:
-            remedy = "write commas between the fields, not semicolons"
-        raise InputError(where, f"{len(fields)} fields", f"{len(names)}, as in the header", remedy)
-    values = {name: text for name, raw in zip(names, fields, strict=True) if (text := raw.strip())}
-    if "id" not in values:
-        raise InputError(where, "no id", "one in every row")
-    return Row(f"{where}, point {values['id'][:60]}", place, values)
+def _parquet_columns(path: Path) -> Columns:
+    """All columns; InputError for a file that is none, and for a column of another kind."""
+    from pyarrow import parquet
+
+    content, source = read_bytes(path), str(path)
+    with understood(source, _WHAT), _damage():
+        file = parquet.ParquetFile(pa.BufferReader(content))
+        head, limit = file.metadata, max(_LEAST_LIMIT, _MOST_PACKED * len(content))
+        size = sum(head.row_group(k).total_byte_size for k in range(head.num_row_groups))
+        if head.num_rows > limit or size > limit:
+            found = f"{head.num_rows} rows, {size} bytes unpacked"
+            raise InputError(source, found, f"up to {limit} of either, the file being so small", "write it anew")
+        table = file.read(use_threads=False)
+        names = header_of(table.column_names, f"{source}, columns")
+        columns = {name: _parquet_column(name, table.column(k), source) for k, name in enumerate(names)}
+    return Columns(path, "columns", "row", np.arange(1, head.num_rows + 1), columns)
 
 
-def _add_row(points: dict[str, _Point], row: Row, names: Sequence[str]) -> None:
-    point = points.setdefault(row.values["id"], _Point(Row(row.where, row.place, {})))
-    for name in OF_POINT:
-        if name in row.values and point.row.values.setdefault(name, row.values[name]) != row.values[name]:
-            found = f"{row.values[name][:60]!r}, and {point.row.values[name][:60]!r} in an earlier row"
-            raise InputError(f"{row.where}, {name}", found, "the same in all of a point's rows")
-    if "image" in row.values:
-        _add_measure(point, row, ISIS if ISIS[0] in names else OURS)
-        return
-    for name in OF_MEASURE:
-        if name in row.values:
-            raise InputError(f"{row.where}, {name}", "a measure without image", "the image it was measured in")
+@contextmanager
+def _damage() -> Iterator[None]:
+    """What Arrow raises of a damaged file, as a ValueError."""
+    try:
+        yield
+    except OSError as error:
+        raise ValueError(error) from None
 
 
-def _add_measure(point: _Point, row: Row, place: tuple[str, str]) -> None:
-    image = row.values["image"]
-    if image in point.places:
-        found = f"a second measure in image {image}, the first in {point.places[image]}"
-        raise InputError(row.where, found, "one per point", "remove the worse one")
-    point.places[image] = row.place
-    shift = 0.0 if place == ISIS else ISIS_OFFSET
-    if row.flag("reference"):
-        if point.reference is not None:
-            raise InputError(f"{row.where}, reference", "a second reference measure", "one of a point")
-        point.reference = len(point.measures)
-    kind = row.values.get("measure_type", "Manual").lower().replace("_", "")
-    if kind not in MEASURE_TYPES:
-        found = repr(row.values["measure_type"][:60])
-        raise InputError(f"{row.where}, measure_type", found, ", ".join(ISIS_MEASURE_TYPES.values()))
-    point.measures.append(
-        ControlMeasure(
-            serial_number=image,
-            type=MEASURE_TYPES[kind],
-            line=row.number(place[0]) + shift,
-            sample=row.number(place[1]) + shift,
-            line_sigma=row.positive("sigma_line_px") if "sigma_line_px" in row.values else None,
-            sample_sigma=row.positive("sigma_sample_px") if "sigma_sample_px" in row.values else None,
-            ignore=row.flag("ignore"),
-        )
-    )
+def _parquet_column(name: str, chunks: pa.ChunkedArray, source: str) -> pa.Array:
+    column = pa.chunked_array(chunks).combine_chunks() if chunks.num_chunks != 1 else chunks.chunk(0)
+    if pa.types.is_dictionary(column.type):
+        column = column.cast(column.type.value_type)
+    column.validate(full=True)  # texts that are none
+    kind, in_words = column.type, name in (*TEXTS, *TRUTHS)
+    if pa.types.is_null(kind) or pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return pc.utf8_trim_whitespace(column.cast(pa.large_string()).fill_null(""))
+    if (pa.types.is_integer(kind) and in_words) or (pa.types.is_boolean(kind) and name in TRUTHS):
+        return column.cast(pa.large_string()).fill_null("")
+    if (pa.types.is_integer(kind) or pa.types.is_floating(kind)) and not in_words:
+        values = column.cast(pa.float64())
+        return pc.if_else(pc.is_nan(values), None, values)
+    expected = "texts" if name in TEXTS else "truth values" if name in TRUTHS else "numbers"
+    raise InputError(f"{source}, column {name}", f"values of the kind {kind}", expected)
 
 
-def _point(
-    name: str, point: _Point, place: Sequence[str], uncertainty: Sequence[str], ellipsoid: Ellipsoid | None
-) -> ControlPoint:  # fmt: skip
-    row = point.row
-    kind = POINT_TYPES.get(row.values.get("type", "free").lower())
-    if kind is None:
-        raise InputError(f"{row.where}, type", repr(row.values["type"][:60]), "free, constrained or fixed")
-    apriori = _place(row, place, ellipsoid) if any(column in row.values for column in place) else None
-    ignored = row.flag("point_ignore")
-    if apriori is None and kind != PointType.FREE and not ignored:
-        expected = "x_m, y_m, z_m, or longitude_deg, latitude_deg, radius_m"
-        remedy = "fill them in, or make the point free"
-        raise InputError(row.where, f"{kind.name.lower()} without an a-priori place", expected, remedy)
-    stated = any(column in row.values for column in uncertainty)
-    if kind == PointType.CONSTRAINED and not stated and not ignored:
-        raise InputError(row.where, "constrained without sigmas", "sigma_x_m, sigma_y_m, sigma_z_m, or others")
-    used = kind == PointType.CONSTRAINED and not ignored
-    if stated and apriori is None:
-        raise InputError(row.where, "sigmas without an a-priori place", "both")
-    return ControlPoint(
-        id=name,
-        type=kind,
-        measures=tuple(point.measures),
-        ignore=ignored,
-        reference=point.reference,
-        apriori=None if apriori is None else (float(apriori[0]), float(apriori[1]), float(apriori[2])),
-        apriori_covariance=_covariance(row, uncertainty, apriori, used) if stated and apriori is not None else (),
-    )
+# --- rows, measures and points
 
 
-def _place(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
-    """(3,) m, body-fixed; near the ellipsoid, where there is one."""
-    place = _cartesian(row, columns, ellipsoid)
-    if ellipsoid is not None:
-        require_near(distances(place[None]), ellipsoid, lambda _: f"{row.where}, {columns[-1]}")
-    return place
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Rows of a table, and which point each is of."""
 
+    table: Columns
+    point: Index
+    """(m,) number of each row's point, in the order in which they come."""
+    first: Index
+    """(n,) first row of each point."""
 
-def _cartesian(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
-    """(3,) m, body-fixed."""
-    values = np.array([row.number(column) for column in columns])
-    if tuple(columns) == CARTESIAN:
+    def where(self, row: int, name: str = "") -> str:
+        """File, line or row, point and column."""
+        point = self.table.values["id"][row].as_py()[:60]
+        return ", ".join(filter(None, (self.table.where(row), point and f"point {point}", name)))
+
+    def refuse(
+        self, bad: Mask, name: str, found: str | Callable[[int], str], expected: str, rows: Index, remedy: str = ""
+    ) -> None:
+        """Raise InputError for the first bad one (k,) of some `rows` (k,); `found` may be made of its number."""
+        for k in np.flatnonzero(bad)[:1].tolist():
+            said = found if isinstance(found, str) else found(k)
+            raise InputError(self.where(int(rows[k]), name), said, expected, remedy)
+
+    def numbers(self, name: str, rows: Index) -> Array:
+        """(k,) finite numbers of a column in some rows, NaN where it is empty."""
+        return measured(self.table.values[name].take(pa.array(rows)), lambda k: self.where(int(rows[k]), name))
+
+    def require_positive(self, name: str, values: Array, rows: Index) -> None:
+        """Raise InputError for a number (k,) that is not above zero; NaN passes."""
+        bad = (values <= 0.0) | (values >= LARGEST_SIGMA)
+        self.refuse(bad, name, lambda k: f"{values[k]:g}", "a positive number below 1e100", rows)
+
+    def words(self, name: str, rows: Index, known: Mapping[str, int], empty: int, expected: str) -> Index:
+        """(k,) what the words of a column mean in some rows; `empty` where there is none."""
+        if name not in self.table.values:
+            return np.full(rows.size, empty)
+        found = RepeatedNames.of(self.table.values[name].take(pa.array(rows)))
+        meant = [known.get(word.lower().replace("_", ""), -1) if word else empty for word in found.distinct]
+        values = np.array([*meant, empty], dtype=np.int64)[found.numbers]
+        self.refuse(values < 0, name, lambda k: repr(found[k][:60]), expected, rows)
         return values
-    if abs(values[1]) > 90.0:
-        raise InputError(f"{row.where}, {columns[1]}", f"{values[1]:g}", "-90 .. 90 degrees")
-    if abs(values[0]) > TURN:
-        raise InputError(f"{row.where}, {columns[0]}", f"{values[0]:g}", f"-{TURN:g} .. {TURN:g} degrees")
-    turned = values * [DEG, DEG, 1.0]
-    if tuple(columns) == PLANETOCENTRIC:
-        row.positive("radius_m")
-        return from_planetocentric(turned)
-    if ellipsoid is None:
-        remedy = "say it (--radii, or --case), or write longitude_deg, latitude_deg and radius_m"
-        raise InputError(f"{row.where}, height_m", "a height above an unknown ellipsoid", "its radii", remedy)
-    return from_geodetic(turned, ellipsoid)
+
+    def flags(self, name: str, rows: Index) -> Mask:
+        """(k,) truth values, False where there is none."""
+        return self.words(name, rows, FLAGS, 0, "true or false").astype(bool)
+
+    def said(self, name: str) -> Index:
+        """(n,) the row that says a column of each point first, any where none does; all others must say the same."""
+        if name not in self.table.values:
+            return self.first
+        filled = np.flatnonzero(self.table.filled(name))
+        texts, of_point, rows = self.table.values[name].take(pa.array(filled)), self.point[filled], self.first.copy()
+        rows[of_point[::-1]] = filled[::-1]
+        codes = np.zeros(self.point.size, dtype=np.int64)
+        codes[filled] = np.asarray(texts.dictionary_encode().indices)
+        earlier = rows[of_point]
+
+        def found(k: int) -> str:
+            first = str(self.table.values[name][earlier[k]])
+            return f"{str(texts[k])[:60]!r}, and {first[:60]!r} in an earlier row"
+
+        self.refuse(codes[filled] != codes[earlier], name, found, "the same in all of a point's rows", filled)
+        return rows
+
+    def group(self, names: Sequence[str]) -> tuple[Array, Mask]:
+        """(n, c) numbers of columns that are of the point and go together, and which points (n,) have them."""
+        rows = [self.said(name) for name in names]
+        columns = [self.numbers(name, of) for name, of in zip(names, rows, strict=True)]
+        values = np.column_stack([np.zeros((self.first.size, 0)), *columns])
+        stated = np.any(~np.isnan(values), axis=1)
+        for name, of, column in zip(names, rows, columns, strict=True):
+            self.refuse(stated & np.isnan(column), name, "nothing", "a finite number", of)
+        return values, stated
 
 
-def _covariance(row: Row, columns: Sequence[str], place: Array, used: bool) -> tuple[float, ...]:
-    """(6,) m^2, body-fixed: xx, xy, xz, yy, yz, zz; variances may be zero, as ISIS has them, where none is `used`."""
-    if tuple(columns) == MATRIX:
-        return tuple((row.positive if used and axes in ("xx", "yy", "zz") else row.number)(f"covariance_{axes}_m2")
-                     for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))  # fmt: skip
-    sigmas = np.array([row.positive(column) for column in columns])
-    if tuple(columns) == AXES:
-        x, y, z = (sigmas**2).tolist()
-        return x, 0.0, 0.0, y, 0.0, z
-    longitude, latitude, _ = planetocentric(place)
-    if GEODETIC[1] in row.values and columns[2] == "sigma_height_m":
-        latitude = row.number(GEODETIC[1]) * DEG
-    (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
-    axes = np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
-    return tuple(((axes.T * sigmas**2) @ axes)[np.triu_indices(3)].tolist())
+def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index]:
+    """Points and measures, types of the measures (k,) and the reference of each point (n,), -1 for none."""
+    table = _parquet_columns(path) if path.suffix.lower() == PARQUET else csv_columns(path)
+    names = header_of(tuple(table.values), f"{path}, {table.header}")
+    table = replace(table, values=dict(zip(names, table.values.values(), strict=True)))
+    table = table.chosen(np.flatnonzero(np.any([table.filled(name) for name in names], axis=0)))
+    if not table.numbers.size:
+        raise InputError(str(path), "no point", "one measure in every row below the header")
+    coded = table.values["id"].dictionary_encode()
+    point = np.asarray(coded.indices).astype(np.int64)
+    rows = _Rows(table, point, np.unique(point, return_index=True)[1])
+    every, measured_there = np.arange(point.size), table.filled("image")
+    rows.refuse(~table.filled("id"), "", "no id", "one in every row", every)
+    for name in [name for name in OF_MEASURE if name in names]:
+        bad = table.filled(name) & ~measured_there
+        rows.refuse(bad, name, "a measure without image", "the image it was measured in", every)
+    of_measures = np.flatnonzero(measured_there)
+    of_measures = of_measures[np.argsort(point[of_measures], kind="stable")]
+    first = np.searchsorted(point[of_measures], np.arange(rows.first.size + 1))
+    ids, image = Names.of(coded.dictionary), RepeatedNames.of(table.values["image"].take(pa.array(of_measures)))
+    require_shown(ids, lambda k: rows.where(int(rows.first[k])), "an id")
+    require_shown(Names.of(image.distinct), lambda k: rows.where(int(of_measures[np.argmax(image.numbers == k)])))
+    _require_once(rows, image, of_measures)
+    kinds = rows.words(
+        "measure_type", of_measures, MEASURE_TYPES, int(MeasureType.MANUAL), ", ".join(ISIS_MEASURE_TYPES.values())
+    )
+    measures, left_out = _measures(rows, of_measures), rows.flags("ignore", of_measures)
+    reference = np.flatnonzero(rows.flags("reference", of_measures))
+    of_point = point[of_measures[reference]]
+    twice = np.diff(of_point, prepend=-1) == 0
+    rows.refuse(twice, "reference", "a second reference measure", "one of a point", of_measures[reference])
+    references = np.full(rows.first.size, -1)
+    references[of_point] = reference - first[of_point]
+    head = ControlNetwork("", "", (), source=str(path))
+    return PointArrays(head, ids, *_points(rows, body), first, image, measures, left_out), kinds, references
+
+
+def _require_once(rows: _Rows, image: RepeatedNames, of_measures: Index) -> None:
+    """Raise InputError for an image (k) twice in a point."""
+    code = rows.point[of_measures] * len(image.distinct) + image.numbers
+    order = np.argsort(code, kind="stable")
+    for k in np.flatnonzero(np.diff(code[order]) == 0)[:1].tolist():
+        earlier, late = of_measures[order[k]], of_measures[order[k + 1]]
+        there = f"{rows.table.row} {rows.table.numbers[earlier]}"
+        found = f"a second measure in image {image[order[k]]}, the first in {there}"
+        raise InputError(rows.where(int(late)), found, "one per point", "remove the worse one")
+
+
+def _measures(rows: _Rows, of_measures: Index) -> Array:
+    """(k, 4) line and sample as ISIS counts them, and their sigmas, NaN where none are said."""
+    columns = rows.table.values
+    measures = np.full((of_measures.size, 4), np.nan)
+    for c, name in enumerate((*(ISIS if ISIS[0] in columns else OURS), "sigma_line_px", "sigma_sample_px")):
+        if name in columns:
+            measures[:, c] = rows.numbers(name, of_measures)
+        if c < len(ISIS):
+            rows.refuse(np.isnan(measures[:, c]), name, "nothing", "a finite number", of_measures)
+            measures[:, c] += 0.0 if name in ISIS else ISIS_OFFSET
+        else:
+            rows.require_positive(name, measures[:, c], of_measures)
+    return measures
+
+
+def _points(rows: _Rows, body: Ellipsoid | None) -> tuple[Index, Mask, Array, Array]:
+    """Types (n,) by ISIS's numbers, which are ignored, places (n, 3) in m and covariances (n, 6) in m^2, NaN where none
+    are said.
+    """
+    names, n = tuple(rows.table.values), rows.first.size
+    types = rows.words("type", rows.said("type"), POINT_TYPES, int(PointType.FREE), "free, constrained or fixed")
+    ignored = rows.flags("point_ignore", rows.said("point_ignore"))
+    place, uncertainty = whole(names, PLACES), whole(names, UNCERTAINTIES)
+    (given, placed), (sigmas, stated) = rows.group(place), rows.group(uncertainty)
+    constrained = (types == PointType.CONSTRAINED) & ~ignored
+    expected = "x_m, y_m, z_m, or longitude_deg, latitude_deg, radius_m"
+    bad, remedy = ~placed & (types != PointType.FREE) & ~ignored, "fill them in, or make the point free"
+
+    def without(k: int) -> str:
+        return f"{PointType(types[k]).name.lower()} without an a-priori place"
+
+    rows.refuse(bad, "", without, expected, rows.first, remedy)
+    places, covariances, chosen = np.full((n, 3), np.nan), np.full((n, 6), np.nan), rows.first[placed]
+    if place:
+        places[placed] = on_body(place, given[placed], body, lambda k, name: rows.where(int(chosen[k]), name))
+    expected = "sigma_x_m, sigma_y_m, sigma_z_m, or others"
+    rows.refuse(constrained & ~stated, "", "constrained without sigmas", expected, rows.first)
+    rows.refuse(stated & ~placed, "", "sigmas without an a-priori place", "both", rows.first)
+    for c, name in enumerate(uncertainty):
+        if uncertainty != MATRIX:
+            rows.require_positive(name, sigmas[:, c], rows.first)
+        elif name[-5] == name[-4]:  # of what no adjustment uses they may be zero, as ISIS has them
+            rows.require_positive(name, np.where(constrained, sigmas[:, c], np.nan), rows.first)
+    upward = places[stated]
+    if uncertainty == NORMAL:
+        upward = from_planetocentric(given[stated] * [DEG, DEG, 0.0] + [0.0, 0.0, 1.0])
+    if uncertainty:
+        covariances[stated] = (
+            sigmas[stated] if uncertainty == MATRIX else upper_triangles(uncertainty, sigmas[stated], upward)
+        )
+    return types, ignored, places, covariances
+
+
+# --- writing
+
+
+def table_text(network: ControlNetwork) -> str:
+    """A network as a table, counted as in ISIS; numbers are written so that they come back bit for bit.
+
+    Columns that no point fills are left out. Raises InputError for a name that no table can hold, with line breaks or
+    blanks around it.
+    """
+    names, rows = _rows(network)
+    text = io.StringIO()
+    plain = csv.writer(text, lineterminator="\n")
+    careful = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL)
+    plain.writerow(names)
+    for row in rows:
+        (careful if row["id"].startswith("#") else plain).writerow([row.get(name, "") for name in names])
+    return text.getvalue()
+
+
+def table_parquet(network: ControlNetwork) -> bytes:
+    """The same columns as an Apache Parquet file: numbers as float64, flags as truths, null for nothing."""
+    from pyarrow import parquet
+
+    names, rows = _rows(network)
+    out = io.BytesIO()
+    parquet.write_table(pa.table({name: _column(name, rows) for name in names}), out, compression="zstd")
+    return out.getvalue()
+
+
+def _column(name: str, rows: Sequence[Mapping[str, str]]) -> pa.Array:
+    texts = [row.get(name) for row in rows]
+    if name in TEXTS:
+        return pa.array(texts, pa.string())
+    if name in TRUTHS:
+        return pa.array([None if text is None else text == "true" for text in texts], pa.bool_())
+    return pa.array([None if text is None else float(text) for text in texts], pa.float64())
+
+
+def _rows(network: ControlNetwork) -> tuple[list[str], list[dict[str, str]]]:
+    """Names of the columns that are filled, and rows: a measure in each, or a point without any."""
+    rows = list[dict[str, str]]()
+    for point in network.points:
+        of_point = _point_fields(point, network.source or "network")
+        placed = [k for k, one in enumerate(point.measures) if one.line is not None and one.sample is not None]
+        rows += [of_point | _measure_fields(point, k, network.source or "network") for k in placed] or [of_point]
+    names = [*("id", "image", "type"), *ISIS]
+    filled = {name for row in rows for name in row}
+    return [*names, *(name for name in (*OF_MEASURE, *OF_POINT) if name in filled and name not in names)], rows
+
+
+def _point_fields(point: ControlPoint, where: str) -> dict[str, str]:
+    fields = {"id": _name(point.id, where), "type": point.type.name.lower()}
+    if point.ignore:
+        fields["point_ignore"] = "true"
+    if point.apriori is not None:
+        fields |= zip(CARTESIAN, map(repr, point.apriori), strict=True)
+        if len(point.apriori_covariance) == len(MATRIX):
+            fields |= zip(MATRIX, map(repr, point.apriori_covariance), strict=True)
+    return fields
+
+
+def _measure_fields(point: ControlPoint, k: int, where: str) -> dict[str, str]:
+    measure = point.measures[k]
+    fields = {
+        "image": _name(measure.serial_number, where), "isis_line": repr(measure.line),
+        "isis_sample": repr(measure.sample), "measure_type": ISIS_MEASURE_TYPES[measure.type],
+    }  # fmt: skip
+    for name, value in (("sigma_line_px", measure.line_sigma), ("sigma_sample_px", measure.sample_sigma)):
+        if value is not None and value > 0.0:
+            fields[name] = repr(value)
+    if measure.ignore:
+        fields["ignore"] = "true"
+    if point.reference == k:
+        fields["reference"] = "true"
+    return fields
+
+
+def _name(text: str, where: str) -> str:
+    if not text or text != text.strip() or len(text.splitlines()) != 1:
+        raise InputError(where, f"the name {text[:60]!r}", "one line without blanks around it", "rename it (--rename)")
+    return text

@@ -1,10 +1,25 @@
-"""Columns of a table of tie points and control points, and what is said of a header that isn't one."""
+"""Columns of a table of tie points and control points: what is said of a header that isn't one, and what columns of
+a-priori places and of their uncertainties mean.
+"""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
+
+import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import MeasureType, PointType
+from mgsgraph.files.networks.tie_points import FARTHEST
+from mgsgraph.geometry.body import (
+    Ellipsoid,
+    distances,
+    east_north_up,
+    from_geodetic,
+    from_planetocentric,
+    require_near,
+)
+from mgsgraph.geometry.records import Array
+from mgsgraph.units import DEG
 
 ISIS, OURS = ("isis_line", "isis_sample"), ("line", "sample")
 """Places counted from 1 as in ISIS (first pixel's centre at 1, 1), or from its corner (its centre at 0.5, 0.5)."""
@@ -41,9 +56,9 @@ MEASURE_TYPES = {kind.name.lower().replace("_", ""): kind for kind in MeasureTyp
     "regpixel": MeasureType.REGISTERED_PIXEL, "regsubpixel": MeasureType.REGISTERED_SUBPIXEL,
 }  # fmt: skip
 """By their names in ISIS, and as plio shortens them."""
-FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-TURN = 360.0
-"""Degrees of a longitude at most, east or west."""
+FLAGS = {"true": 1, "yes": 1, "1": 1, "false": 0, "no": 0, "0": 0}
+_MOST = 360.0, 90.0
+"""Degrees of a longitude and a latitude."""
 LARGEST_SIGMA = 1e100
 """Of sigmas, whose squares must be numbers."""
 _ALIKE = 0.7
@@ -89,6 +104,63 @@ def whole(names: Sequence[str], groups: Sequence[Sequence[str]], where: str = ""
         return ()
     ways = ", or ".join(" and ".join(group) for group in groups if mine & set(group))
     raise InputError(where, f"columns {', '.join(name for name in names if name in mine)}", ways)
+
+
+def on_body(columns: Sequence[str], values: Array, body: Ellipsoid | None, where: Callable[[int, str], str]) -> Array:
+    """Points (m, 3) in m, body-fixed, of one group of `PLACES`.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        The group.
+    values : (m, 3) array
+        What its columns say; NaN passes.
+    body : Ellipsoid, optional
+        To which geodetic latitudes and heights refer, and near which the points must lie.
+    where : callable
+        Place of the k-th point and a column of it, for messages.
+
+    Raises
+    ------
+    InputError
+        A longitude beyond a whole turn, a latitude beyond a pole, a radius that is not positive, a point far from the
+        body, heights above an unknown one.
+    """
+    columns = tuple(columns)
+    if columns != CARTESIAN:
+        require_degrees(columns, values, where)
+    if columns == PLANETOCENTRIC:
+        for k in np.flatnonzero(values[:, 2] <= 0.0)[:1].tolist():
+            raise InputError(where(k, columns[2]), f"{values[k, 2]:g}", "a positive number below 1e100")
+        values = from_planetocentric(values * [DEG, DEG, 1.0])
+    elif columns == GEODETIC and len(values):
+        if body is None:
+            remedy = "say it (--radii, or --case), or write longitude_deg, latitude_deg and radius_m"
+            raise InputError(where(0, columns[2]), "a height above an unknown ellipsoid", "its radii", remedy)
+        values = from_geodetic(values * [DEG, DEG, 1.0], body)
+    if body is not None:
+        require_near(distances(values), body, lambda k: where(k, columns[2]))
+    for k in np.flatnonzero(np.any(np.abs(values) > FARTHEST, axis=1))[:1].tolist():
+        raise InputError(where(k, ""), f"a place at {tuple(values[k].tolist())} m", "one on the body")
+    return values
+
+
+def require_degrees(columns: Sequence[str], values: Array, where: Callable[[int, str], str]) -> None:
+    """Raise InputError for a longitude beyond a whole turn, or a latitude (m, 2 or more) beyond a pole."""
+    for column, most in enumerate(_MOST):
+        for k in np.flatnonzero(np.abs(values[:, column]) > most + 1e-9)[:1].tolist():
+            expected = f"-{most:g} .. {most:g} degrees"
+            raise InputError(where(k, columns[column]), f"{values[k, column]:g}", expected)
+
+
+def upper_triangles(columns: Sequence[str], values: Array, directions: Array) -> Array:
+    """Covariances (m, 6) in m^2, body-fixed, xx, xy, xz, yy, yz, zz, of one group of `UNCERTAINTIES` but `MATRIX`.
+
+    Its columns say `values` (m, 3) in m; `directions` (m, 3) point upward, along the radius or the normal.
+    """
+    axes = np.eye(3)[None] if tuple(columns) == AXES else east_north_up(directions)
+    full = (np.swapaxes(axes, 1, 2) * values[:, None, :] ** 2) @ axes
+    return np.asarray(full[:, *np.triu_indices(3)])
 
 
 def _unknown(name: str, names: Sequence[str], where: str) -> InputError:

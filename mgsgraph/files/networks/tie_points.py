@@ -4,26 +4,109 @@ Pixels counted from 1 end and begin here.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType, Where
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import require_lengths
 from mgsgraph.geometry.body import Ellipsoid, distances, is_another, nearness, require_near, surface_radii, target_name
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index, Mask, repeated
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import ISIS_OFFSET
 
-KINDS = {
-    PointType.FREE: PointKind.FREE, PointType.CONSTRAINED: PointKind.CONSTRAINED, PointType.FIXED: PointKind.FIXED,
-}  # fmt: skip
-"""PointKind of each type of a network's points."""
+_KIND_OF_TYPE = np.array([PointKind.FREE] * 3 + [PointKind.CONSTRAINED, PointKind.FIXED])
+"""PointKind by a type's number in ISIS."""
+_TYPE_OF_KIND = np.array([PointType.FREE, PointType.CONSTRAINED, PointType.FIXED])
+_FULL = [0, 1, 2, 1, 3, 4, 2, 4, 5]
+"""Elements of a symmetric matrix, of those in its upper triangle."""
 FARTHEST = 1e12
 """m from a body's centre: no point on it."""
-_TYPES = {kind: point_type for point_type, kind in KINDS.items()}
 _UNKNOWN = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointArrays:
+    """Points and measures of a network as its file has them, in columns; ignored ones, too."""
+
+    head: ControlNetwork
+    """The network without its points; its source is the file."""
+    ids: Names
+    """(n)"""
+    types: Index
+    """(n,) PointType."""
+    ignored: Mask
+    """(n,)"""
+    places: Array
+    """(n, 3) m, body-fixed, NaN where none is said."""
+    covariances: Array
+    """(n, 6) m^2 of the places: xx, xy, xz, yy, yz, zz; NaN where none are said."""
+    first: Index
+    """(n + 1,) number of each point's first measure, and of all measures."""
+    image: RepeatedNames
+    """(k) image of each measure, point by point."""
+    measures: Array
+    """(k, 4) line and sample, first pixel's centre at (1, 1), and their sigmas, pixels; NaN where none are said."""
+    left_out: Mask
+    """(k,) measures that are ignored."""
+
+    def tie_points(self, body: Ellipsoid | None = None) -> TiePoints:
+        """What an adjustment takes from them; see `tie_points`."""
+        source, used, taken = self.head.source or "network", ~self.ignored, ~self.left_out
+        if not np.any(used):
+            found = "no control point, or only ignored ones"
+            raise InputError(source, found, "an ISIS control network (Object = ControlNetwork)")
+        point = np.repeat(np.arange(used.size), np.diff(self.first))
+        names, types, places, covariances = self.ids, self.types, self.places, self.covariances
+        if not np.all(used):
+            taken, point = taken & used[point], (np.cumsum(used) - 1)[point]
+            names, types, places, covariances = names[used], types[used], places[used], covariances[used]
+        image, measures = self.image, self.measures
+        if not np.all(taken):
+            point, image, measures = point[taken], image[taken], measures[taken]
+        measures, sigmas = measures[:, :2] - ISIS_OFFSET, measures[:, 2:].copy()
+        full = repeated(0.0, (types.size, 3, 3))
+        if np.any(constrained := types == PointType.CONSTRAINED):
+            full = np.where(constrained[:, None], covariances, 0.0)[:, _FULL].reshape(-1, 3, 3)
+        kinds = _KIND_OF_TYPE[types]
+        for array in (kinds, places, point, measures, sigmas, full):
+            array.flags.writeable = False
+        ties = TiePoints(
+            source=source, ids=names, kinds=kinds, places=places, covariances=full, measure_point=point,
+            measure_image=image, measures=measures, measure_sigmas=sigmas,
+        )  # fmt: skip
+        if body is not None:
+            require_body(self.head, ties, body)
+        return ties
+
+    def network(self, measure_types: Index, references: Index) -> ControlNetwork:
+        """The network: types of its measures (k,), and number of each point's reference (n,) among its measures, -1 for
+        none.
+        """
+        rows = zip(self.image, measure_types.tolist(), self.measures.tolist(), self.left_out.tolist(), strict=True)
+        measures = [
+            ControlMeasure(
+                serial_number=image, type=MeasureType(kind), line=line, sample=sample,
+                line_sigma=None if math.isnan(line_sigma) else line_sigma,
+                sample_sigma=None if math.isnan(sample_sigma) else sample_sigma, ignore=left_out,
+            )
+            for image, kind, (line, sample, line_sigma, sample_sigma), left_out in rows
+        ]  # fmt: skip
+        columns = (self.types, self.ignored, references, self.places, self.covariances, self.first[:-1], self.first[1:])
+        points = tuple(
+            ControlPoint(
+                id=name, type=PointType(kind), measures=tuple(measures[begin:end]), ignore=ignored,
+                reference=None if reference < 0 else reference, apriori=None if math.isnan(x) else (x, y, z),
+                apriori_covariance=() if math.isnan(upper[0]) else tuple(upper),
+            )
+            for name, kind, ignored, reference, (x, y, z), upper, begin, end in zip(
+                self.ids, *(column.tolist() for column in columns), strict=True
+            )
+        )  # fmt: skip
+        return structs.replace(self.head, points=points)
 
 
 def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellipsoid | None = None) -> TiePoints:
@@ -57,35 +140,22 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
         twice in a point; no point that is not ignored; a network of another body, by its name, its radii or where its
         points lie.
     """
-    where = where or network.where
-    used = [index for index, point in enumerate(network.points) if not point.ignore]
-    points = [network.points[index] for index in used]
-    if not points:
-        raise InputError(
-            network.source or "network", "no control point, or only ignored ones",
-            "an ISIS control network (Object = ControlNetwork)",
-        )
-    for index in used:
-        require_usable(network.points[index], index, where)
-    measures = [measure for point in points for measure in point.measures if not measure.ignore]
-    counts = [sum(not measure.ignore for measure in point.measures) for point in points]
-    nan = math.nan
-    ties = TiePoints(
-        source=network.source or "network",
-        ids=Names.of(point.id for point in points),
-        kinds=np.array([KINDS[point.type] for point in points], dtype=np.int64),
-        places=np.array([_place(point) for point in points]),
-        covariances=np.array([_covariance(point) for point in points]),
-        measure_point=np.repeat(np.arange(len(points), dtype=np.int64), counts),
-        measure_image=RepeatedNames.of([measure.serial_number for measure in measures]),
-        measures=np.array([(m.line, m.sample) for m in measures], dtype=np.float64).reshape(-1, 2) - ISIS_OFFSET,
-        measure_sigmas=np.array(
-            [(m.line_sigma or nan, m.sample_sigma or nan) for m in measures], dtype=np.float64
-        ).reshape(-1, 2),
-    )
-    if body is not None:
-        require_body(network, ties, body)
-    return ties
+    points = [(k, point) for k, point in enumerate(network.points) if not point.ignore]
+    for index, point in points:
+        require_usable(point, index, where or network.where)
+    counts = [len(point.measures) for _, point in points]
+    measures = [one for _, point in points for one in point.measures]
+    rows = [(m.line, m.sample, m.line_sigma, m.sample_sigma) for m in measures]
+    return PointArrays(
+        head=structs.replace(network, points=()), ids=Names.of([point.id for _, point in points]),
+        types=np.array([point.type for _, point in points], dtype=np.int64),
+        ignored=np.zeros(len(points), dtype=bool),
+        places=np.array([_place(point) for _, point in points]).reshape(-1, 3),
+        covariances=np.array([point.apriori_covariance or _UNKNOWN * 2 for _, point in points]).reshape(-1, 6),
+        first=np.cumsum([0, *counts]), image=RepeatedNames.of([one.serial_number for one in measures]),
+        measures=np.array(rows, dtype=np.float64).reshape(-1, 4),
+        left_out=np.array([one.ignore for one in measures], dtype=bool),
+    ).tie_points(body)  # fmt: skip
 
 
 def require_body(network: ControlNetwork, ties: TiePoints, body: Ellipsoid) -> None:
@@ -136,39 +206,19 @@ def control_network(
         Of all measures.
     """
     order = np.argsort(ties.measure_point, kind="stable")
-    bounds = np.searchsorted(ties.measure_point[order], np.arange(len(ties.ids) + 1)).tolist()
-    places = (ties.measures[order] + ISIS_OFFSET).tolist()
-    measures = [
-        ControlMeasure(
-            serial_number=ties.measure_image[k],
-            type=measure_type,
-            line=line,
-            sample=sample,
-            line_sigma=None if math.isnan(line_sigma) else line_sigma,
-            sample_sigma=None if math.isnan(sample_sigma) else sample_sigma,
-        )
-        for k, (line, sample), (line_sigma, sample_sigma) in zip(
-            order.tolist(), places, ties.measure_sigmas[order].tolist(), strict=True
-        )
-    ]
-    upper = ties.covariances[:, *np.triu_indices(3)].tolist()
-    points = tuple(
-        ControlPoint(
-            id=name,
-            type=_TYPES[PointKind(kind)],
-            measures=tuple(measures[bounds[i] : bounds[i + 1]]),
-            reference=0 if bounds[i] < bounds[i + 1] else None,
-            apriori=None if math.isnan(x) else (x, y, z),
-            apriori_covariance=tuple(upper[i]) if kind == PointKind.CONSTRAINED else (),
-        )
-        for i, (name, kind, (x, y, z)) in enumerate(
-            zip(ties.ids, ties.kinds.tolist(), ties.places.tolist(), strict=True)
-        )
-    )
-    return ControlNetwork(
-        network_id=network_id, target_name=target_name, points=points, user_name=user_name, created=created,
+    first = np.searchsorted(ties.measure_point[order], np.arange(len(ties.ids) + 1))
+    places = ties.measures[order] + ISIS_OFFSET
+    head = ControlNetwork(
+        network_id=network_id, target_name=target_name, points=(), user_name=user_name, created=created,
         last_modified=created, description=description, source=ties.source,
-    )
+    )  # fmt: skip
+    constrained = ties.kinds == PointKind.CONSTRAINED
+    arrays = PointArrays(
+        head, ties.ids, _TYPE_OF_KIND[ties.kinds], np.zeros(first.size - 1, dtype=bool), ties.places,
+        np.where(constrained[:, None], ties.covariances[:, *np.triu_indices(3)], np.nan), first,
+        ties.measure_image[order], np.hstack([places, ties.measure_sigmas[order]]), np.zeros(order.size, dtype=bool),
+    )  # fmt: skip
+    return arrays.network(np.full(order.size, measure_type), np.where(np.diff(first) > 0, 0, -1))
 
 
 def require_usable(point: ControlPoint, index: int, where: Where) -> None:
@@ -217,11 +267,3 @@ def _place(point: ControlPoint) -> tuple[float, float, float]:
     if point.apriori is not None or point.type != PointType.FREE:
         return point.apriori or _UNKNOWN
     return point.adjusted or _UNKNOWN
-
-
-def _covariance(point: ControlPoint) -> Array:
-    """(3, 3) m^2, body-fixed; zero for points that are not constrained."""
-    if point.type != PointType.CONSTRAINED:
-        return np.zeros((3, 3))
-    xx, xy, xz, yy, yz, zz = point.apriori_covariance
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

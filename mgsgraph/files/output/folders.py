@@ -61,9 +61,11 @@ FIGURES = (
     "residuals", "orientation", "passes", "pass", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "unexplained", "vibrations", "spacings",
     "spectrum", "course", "matches", "dem", "costs", "profiles", "shifts", "story", "minima",
-    "overview_residuals", "overview_orientation", "overview_map", "comparison",
+    "comparison", "overview_residuals", "overview_orientation", "overview_map",
 )  # fmt: skip
-"""Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
+"""Kinds of figures, .png, numbered where there are several (registration_1); earlier versions wrote .svg, and
+overviews, too.
+"""
 _INPUTS = "inputs"
 """Folder that a demonstration keeps its case in."""
 _OURS = re.compile(

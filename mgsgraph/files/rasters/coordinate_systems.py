@@ -16,7 +16,6 @@ from mgsgraph.geometry.body import Ellipsoid, naif_id, target_name
 _AUTHORITY = "IAU_2015"
 _SAME = 1e-3
 """m, by which a radius may differ from the IAU's."""
-_SCHEMA = "https://proj.org/schemas/v0.7/projjson.schema.json"
 
 
 def authority_code(body: Ellipsoid) -> str | None:
@@ -35,31 +34,15 @@ def geographic_crs(body: Ellipsoid) -> dict[str, Any]:
 def equal_area_crs(body: Ellipsoid, longitude: float, latitude: float) -> dict[str, Any]:
     """Lambert's equal-area plane about a place in degrees on that sphere, in m, as PROJJSON.
 
-    PROJ's `+proj=laea` (Snyder 1987, Map Projections, p. 182; EPSG method 9820); its name says the body and the place.
+    PROJ's `+proj=laea` (Snyder 1987, Map Projections, p. 182; EPSG method 1027); its name says the body and the place.
     """
     base = geographic_crs(body)
-    kept = {key: base[key] for key in ("name", "datum", "coordinate_system", "id") if key in base}
     where = f"{abs(latitude):g}{'S' if latitude < 0.0 else 'N'} {longitude % 360.0:g}E"
-    given = (
-        ("Latitude of natural origin", latitude, "degree", 8801),
-        ("Longitude of natural origin", longitude, "degree", 8802),
-        ("False easting", 0, "metre", 8806), ("False northing", 0, "metre", 8807),
-    )  # fmt: skip
-    return {
-        "$schema": _SCHEMA,
-        "type": "ProjectedCRS",
-        "name": f"{base['name']} / Lambert Azimuthal Equal Area {where}",
-        "base_crs": kept,
-        "conversion": {
-            "name": f"Lambert Azimuthal Equal Area {where}",
-            "method": {"name": "Lambert Azimuthal Equal Area", "id": {"authority": "EPSG", "code": 9820}},
-            "parameters": [
-                {"name": name, "value": value, "unit": unit, "id": {"authority": "EPSG", "code": code}}
-                for name, value, unit, code in given
-            ],
-        },
-        "coordinate_system": _axes("Cartesian", "metre", ("Easting", "E", "east"), ("Northing", "N", "north")),
-    }
+    plane = _of_terms(f"+proj=laea +lat_0={latitude!r} +lon_0={longitude!r} +R={body.equatorial!r} +units=m")
+    plane["base_crs"] = {key: base[key] for key in ("name", "datum", "coordinate_system", "id") if key in base}
+    plane["name"] = f"{base['name']} / Lambert Azimuthal Equal Area {where}"
+    plane["conversion"]["name"] = f"Lambert Azimuthal Equal Area {where}"
+    return plane
 
 
 def wkt2(system: Mapping[str, Any]) -> str:
@@ -95,21 +78,14 @@ def _geographic(radius: float) -> dict[str, Any]:
         return dict(CRS.from_authority(_AUTHORITY, str(code)).to_dict(projjson=True))
     name = target_name(Ellipsoid(radius, radius)).title()
     sphere = f"{'Body' if name == 'Unknown' else name}, sphere of {radius:.3f} m"
-    return {
-        "$schema": _SCHEMA,
-        "type": "GeographicCRS",
-        "name": f"{sphere} / Ocentric",
-        "datum": {
-            "type": "GeodeticReferenceFrame", "name": sphere, "ellipsoid": {"name": sphere, "radius": radius},
-            "prime_meridian": {"name": "Reference meridian", "longitude": 0},
-        },
-        "coordinate_system": _axes(
-            "ellipsoidal", "degree", ("Planetocentric longitude", "Lon", "east"),
-            ("Planetocentric latitude", "Lat", "north"),
-        ),
-    }  # fmt: skip
+    system = _of_terms(f"+proj=longlat +R={radius!r}")
+    system["name"], system["datum"]["name"] = f"{sphere} / Ocentric", sphere
+    system["datum"]["ellipsoid"]["name"] = sphere
+    return system
 
 
-def _axes(kind: str, unit: str, *axes: tuple[str, str, str]) -> dict[str, Any]:
-    said = [{"name": name, "abbreviation": short, "direction": way, "unit": unit} for name, short, way in axes]
-    return {"subtype": kind, "axis": said}
+def _of_terms(terms: str) -> dict[str, Any]:
+    """A system by PROJ's own words, as PROJJSON; its names are unknown."""
+    from rasterio.crs import CRS
+
+    return dict(CRS.from_proj4(f"{terms} +no_defs").to_dict(projjson=True))

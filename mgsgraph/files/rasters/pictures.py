@@ -134,19 +134,17 @@ def read_moc_pixels(path: Path) -> Pixels:
     Parameters
     ----------
     path : Path
-        ``.img``, ``.imq``, a detached ``.lbl`` of these, or an ISIS ``.cub`` (or its ``.lbl``, the cube beside it).
+        ``.img``, ``.imq``, or a detached ``.lbl`` of these.
 
     Raises
     ------
     InputError
-        No such image, a file shorter than its label says, a compressed one where pdr is not installed, or a cube that
-        does not hold the eight bits that came down.
+        No such image, a file shorter than its label says, a compressed one where pdr is not installed, or a cube.
     """
     root = read_label(path)
-    cube, label = cube_of(root), label_of(path, root)
-    if cube is not None:
-        return _from_cube(label)
-    area = pixel_area(path, root)
+    if cube_of(root) is not None:
+        raise InputError(str(path), "the label of a cube", "the cube, or a PDS3 image or its label")
+    label, area = label_of(path, root), pixel_area(path, root)
     _require_size(label, area)
     return _decompressed(label, area) if area.encoding else _plain(label, area)
 
@@ -187,18 +185,6 @@ def _decompressed(label: LineScanLabel, area: PixelArea) -> Pixels:
         except UserWarning as error:  # of parts that are missing, in place of which it puts zeros
             raise ValueError(str(error)) from None
     return _checked(label, area.file, pixels)
-
-
-def _from_cube(label: LineScanLabel) -> Pixels:
-    path = label.path
-    if path.suffix.lower() != ".cub":
-        beside = [path.with_suffix(suffix) for suffix in (".cub", ".CUB") if path.with_suffix(suffix).is_file()]
-        if not beside:
-            raise InputError(str(path), "the label of a cube, without the cube", f"{path.stem}.cub beside it")
-        path = beside[0]
-    with open_raster(path, "a whole ISIS cube") as cube:
-        pixels = read_band(cube, path)
-    return _checked(label, path, pixels)
 
 
 def _checked(label: LineScanLabel, file: Path, pixels: Any) -> Pixels:

@@ -1,5 +1,7 @@
 """What SPICE kernels hold: files that a meta-kernel names, covered intervals, records of a CK; and what SPICE says."""
 
+import os
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,12 +12,13 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.opening import LARGEST_TEXT, read_bytes
-from mgsgraph.files.spice.daf import require_sound
+from mgsgraph.files.opening import ANY_SIZE, LARGEST_TEXT, opened, read_bytes
 from mgsgraph.geometry.records import Array
 
 _CK_CLASS, _DEEPEST = 3, 5
 """SPICE's class of frames that a CK orients, and how many of them one on another are followed."""
+_RECORD, _WORD = 1024, 8
+"""bytes of a binary kernel."""
 _SHOWN = 4
 """Covered intervals that a message lists."""
 
@@ -62,6 +65,20 @@ def members(path: Path, home: Path = Path()) -> list[Path]:
     return files
 
 
+def require_whole(path: Path) -> None:
+    """Raise InputError for what is no file, and for a double precision array file (SPK, CK, binary PCK) that ends
+    before the last word that its file record counts (NAIF, DAF required reading): SPICE trusts it.
+    """
+    with opened(path, ANY_SIZE) as file:
+        record, size = file.read(_RECORD), os.fstat(file.fileno()).st_size
+    if record.startswith((b"DAF/", b"NAIF/DAF")):
+        order = ">" if record[88:96] == b"BIG-IEEE" else "<"
+        needed = max(_RECORD, _WORD * (struct.unpack_from(f"{order}i", record.ljust(_RECORD), 84)[0] - 1))
+        if size < needed:
+            remedy = "it is cut short or damaged: fetch it again"
+            raise InputError(str(path), f"{size} bytes", f"{needed} at least by its own header", remedy)
+
+
 def _strings(variable: str) -> list[str]:
     """Texts of a pool variable, those joined that '+' carries over; empty when there is no such variable."""
     texts: list[str] = []
@@ -76,7 +93,7 @@ def _text_of(path: Path) -> bytes:
     """What a text kernel says; nothing of a binary one. InputError unless it is one of both: SPICE takes any file for a
     text kernel.
     """
-    require_sound(path)
+    require_whole(path)
     with spice_words(str(path)):
         kind, _ = spiceypy.getfat(str(path))
     if kind == "XFR":
@@ -139,8 +156,6 @@ def covered_interval(cover: Cover, start: float, stop: float) -> tuple[float, fl
         if first <= start and stop <= last:
             return first, last
     asked = f"nothing for all of {_span(start, stop)}"
-    if gap := _first_gap(cover.intervals, start, stop):
-        asked += f": missing is {_span(*gap)}"
     if cover.intervals:
         nearest = sorted(cover.intervals, key=lambda one: max(one[0] - start, stop - one[1]))[:_SHOWN]
         more = f" and {len(cover.intervals) - _SHOWN} more" if len(cover.intervals) > _SHOWN else ""
@@ -150,18 +165,6 @@ def covered_interval(cover: Cover, start: float, stop: float) -> tuple[float, fl
     else:
         expected = f"at least one {cover.kind}"
     raise InputError(cover.what, asked, expected, f"load the {cover.kind} of this time")
-
-
-def _first_gap(intervals: list[tuple[float, float]], start: float, stop: float) -> tuple[float, float] | None:
-    """The first stretch between two times that is not covered; None where that is all of it, or none."""
-    last = start
-    for begin, end in intervals:
-        if begin > last:
-            break
-        last = max(last, end)
-    following = min((begin for begin, _ in intervals if begin > last), default=stop)
-    gap = last, min(following, stop)
-    return gap if start < stop and gap != (start, stop) else None
 
 
 def _span(start: float, stop: float) -> str:

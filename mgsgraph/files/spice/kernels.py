@@ -7,7 +7,7 @@ line of the call.
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import spiceypy
@@ -39,8 +39,6 @@ _FIXED = 4
 """SPICE's class of frames that are fixed to another."""
 _LARGEST = 1e100
 """Larger ones measure nothing."""
-_PAGE = 1000
-"""Pool variables asked for at once."""
 _NEAR = 1e-4
 """s: a record of the CK this near to a node is that node."""
 
@@ -48,17 +46,9 @@ _NEAR = 1e-4
 # --- the pool
 
 
-class _Pool(NamedTuple):
-    """What was loaded: files in their order, and all variables."""
-
-    files: tuple[tuple[str, str, str], ...]
-    """Name, kind, and the meta-kernel that loaded it (empty when furnished itself)."""
-    variables: dict[str, tuple[str | float, ...]]
-
-
 @contextmanager
 def loaded(kernels: Sequence[Path], home: Path = Path()) -> Iterator[None]:
-    """A kernel pool that holds these kernels and no others, and afterwards again what it held before.
+    """A kernel pool that holds these kernels and no others, and afterwards again the files that it held before.
 
     Parameters
     ----------
@@ -74,8 +64,9 @@ def loaded(kernels: Sequence[Path], home: Path = Path()) -> Iterator[None]:
         A file that is missing, no kernel, or a transfer file; a meta-kernel that names a missing file; or a kernel of
         the caller's own that could not be loaded again afterwards (nothing has been changed then).
     """
-    before = _pool()
-    for name, _, _ in before.files:
+    every = (spiceypy.kdata(k, "ALL", 1024, 32, 1024) for k in range(spiceypy.ktotal("ALL")))
+    before = [name for name, _, source, _ in every if not source]  # others come by their meta-kernel
+    for name in before:
         if not Path(name).is_file():
             raise InputError(
                 name, "a kernel that is loaded has gone from its place", "it there, to be loaded again afterwards",
@@ -90,48 +81,9 @@ def loaded(kernels: Sequence[Path], home: Path = Path()) -> Iterator[None]:
                         spiceypy.furnsh(str(file))
             yield
     finally:
-        _restore(before)
-
-
-def _pool() -> _Pool:
-    """What is loaded now."""
-    files = tuple(spiceypy.kdata(k, "ALL", 1024, 32, 1024)[:3] for k in range(spiceypy.ktotal("ALL")))
-    variables: dict[str, tuple[str | float, ...]] = {}
-    for name in _names():
-        count, kind = spiceypy.dtpool(name)
-        values = spiceypy.gcpool(name, 0, count, 256) if kind == "C" else spiceypy.gdpool(name, 0, count)
-        variables[name] = tuple(values)
-    return _Pool(files, variables)
-
-
-def _names() -> list[str]:
-    """Names of all pool variables, asked in pages: spiceypy is slow with large buffers."""
-    names: list[str] = []
-    while True:
-        try:
-            page = spiceypy.gnpool("*", len(names), _PAGE, 33)
-        except NotFoundError:
-            return names
-        names += page
-        if len(page) < _PAGE:
-            return names
-
-
-def _restore(before: _Pool) -> None:
-    spiceypy.kclear()
-    for name, _, source in before.files:
-        if not source:
+        spiceypy.kclear()
+        for name in before:
             spiceypy.furnsh(name)
-    kept = {name for name, _, _ in before.files}
-    for name, _, _ in _pool().files:  # the caller may have unloaded a member of a meta-kernel
-        if name not in kept:
-            spiceypy.unload(name)
-    now = _pool().variables
-    for name in now.keys() - before.variables.keys():
-        spiceypy.dvpool(name)
-    for name, values in before.variables.items():  # those that were put in without a file, or overwrote one
-        if now.get(name) != values:
-            (spiceypy.pcpool if isinstance(values[0], str) else spiceypy.pdpool)(name, list(values))
 
 
 # --- constants

@@ -6,9 +6,9 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.keywords import NaifKeywords
-from mgsgraph.files.cameras.lroc import CORRECTIONS, corrected
-from mgsgraph.files.cameras.moc import ATTITUDE_BIAS, PITCH
+from mgsgraph.files.cameras.camera import NaifKeywords
+from mgsgraph.files.cameras.mars import ATTITUDE_BIAS, PITCH
+from mgsgraph.files.cameras.moon import CORRECTIONS, corrected
 from mgsgraph.files.support_data.isd_layout import UNITS, SupportData
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import ISIS_OFFSET, KM

@@ -20,7 +20,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import WEAKEST, connectivity_statements, worth_tying
 from mgsgraph.results.figures.aggregate import MOST_ROWS, image_rows
-from mgsgraph.results.figures.ground_map import frame, map_axes
+from mgsgraph.results.figures.map import frame, map_axes
 from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, plain_style, short
 from mgsgraph.units import KM
 

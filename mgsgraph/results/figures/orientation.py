@@ -1,109 +1,79 @@
-"""Corrections of the exterior orientation along the image, with their 1-sigma bands."""
+"""Corrections of the exterior orientation along the images, with their 1-sigma bands, all images on one sheet."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.figures.aggregate import LARGE_BLOCK
-from mgsgraph.results.figures.overview import middle_corrections, orientation_overview, strangeness
 from mgsgraph.results.figures.passes import largest_correlation, pass_sheets
 from mgsgraph.results.figures.sheet import (
     AFTER,
     MOST_SHEETS,
     SOFT,
     Sheet,
-    in_sheets,
-    left_out,
     new_sheet,
     number,
     plain_style,
-    sheet_name,
     short,
 )
+from mgsgraph.text import many
 from mgsgraph.units import ARCSEC
 
-_PER_SHEET = 4
-_FARTHEST, _NEAREST = 6, 2
-"""Images of a large block that are drawn one by one, by their corrections in robust sigmas from the block's median."""
-_PLACES = 101
+_PLACES = 800
+"""Places along all images together; each has three at least."""
+_NAMED = 12
+"""Images up to which their names stand below the panels."""
 _ROWS = ("X (m)", "Y (m)", "Z (m)", "about x\n(arcsec)", "about y\n(arcsec)", "about z\n(arcsec)")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
-    """One column of a sheet: an image with an orientation of its own."""
-
-    title: str
-    """Name."""
-    places: Array
-    """(n,) lines."""
-    curves: list[tuple[Array, Array]]
-    """Correction and sigma (n,) of three positions in m and three rotations in arcsec."""
-    coupling: float
-    """Largest correlation between a position and a rotation."""
-    held: bool = False
-    """Not adjusted."""
-
-
 def orientation_sheets(solution: Solution, most_passes: int = MOST_SHEETS) -> Iterator[Sheet]:
-    """Sheets of passes (`figures.passes`), then sheets of up to four images on their own; of a large block all of
-    these on one sheet, and a choice of them on two.
-    """
+    """Sheets of passes (`figures.passes`), then one sheet of all images with an orientation of their own."""
     yield from pass_sheets(solution, most_passes)
     own = np.flatnonzero(solution.network.pass_of < 0).tolist()
-    chosen, which = own, ""
-    if len(own) > LARGE_BLOCK:
-        found = middle_corrections(solution, own)
-        yield orientation_overview(found)
-        order = np.argsort(-strangeness(found), kind="stable")
-        chosen = sorted(np.array(own)[[*order[:_FARTHEST], *order[-_NEAREST:]]].tolist())
-        which = f"{_FARTHEST} farthest from the block's median and {_NEAREST} nearest to it"
-    sheets, omitted = in_sheets(chosen, _PER_SHEET), left_out(len(own), len(chosen), which)
-    for n, some in enumerate(sheets):
-        columns = [drawn_image(solution, k) for k in some]
-        yield _sheet(columns, sheet_name("orientation", n + 1, len(sheets)), omitted)
+    if own:
+        yield orientation_sheet(solution, own)
 
 
 @plain_style()
-def _sheet(columns: Sequence[Drawn], name: str, omitted: str) -> Sheet:
-    caption = _caption(columns) + omitted + "."
-    width = max(7.2, 0.9 + 3.1 * len(columns))
-    sheet = new_sheet(name, width, 8.4, "Corrections of the exterior orientation", caption)
-    grid = sheet.panels(6, len(columns), sharex="col", sharey="row")
-    for c, column in enumerate(columns):
-        for n in range(6):
-            _draw(grid[n, c], column, n)
-        grid[0, c].set_title(short(column.title, 34))
-        grid[5, c].set_xlabel("line (px)")
-    for panel, what in zip(grid[:, 0], _ROWS, strict=True):
-        panel.set_ylabel(what)
-    handles: list[Artist] = [
+def orientation_sheet(solution: Solution, images: Sequence[int]) -> Sheet:
+    """Six panels; each image takes one unit of the horizontal axis, from its first line to its last."""
+    places = max(_PLACES // len(images), 3)
+    curves = np.array([components(orientation_profile(solution, j, places)) for j in images])  # (m, 6, 2, places)
+    at = (np.arange(len(images))[:, None] + np.linspace(0.02, 0.98, places)).ravel()
+    at[places - 1 :: places] = np.nan  # no line from one image to the next
+    sheet = new_sheet(
+        "orientation", 11.0 if len(images) > 4 else 7.2, 8.4, "Corrections of the exterior orientation",
+        _caption(solution, images, curves),
+    )  # fmt: skip
+    grid = sheet.panels(6, 1, sharex="col")[:, 0]
+    for n, panel in enumerate(grid):
+        value, sigma = curves[:, n, 0].ravel(), curves[:, n, 1].ravel()
+        panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
+        panel.fill_between(at, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
+        panel.plot(at, value, color=AFTER)
+        low, high = np.quantile(np.concatenate([value - sigma, value + sigma]), [0.01, 0.99]).tolist()
+        room = 0.12 * max(high - low, 1e-9)
+        panel.set(ylabel=_ROWS[n], ylim=(low - room, high + room), xlim=(0.0, len(images)))
+        panel.locator_params(axis="y", nbins=5)
+    if len(images) <= _NAMED:
+        names = [short(solution.network.images[j].name, 60 // len(images) + 6) for j in images]
+        grid[-1].set_xticks(np.arange(len(images)) + 0.5, names)
+        for panel in grid:
+            panel.set_xticks(np.arange(len(images) + 1), minor=True)
+            panel.grid(visible=False, axis="x", which="major")
+            panel.grid(visible=True, axis="x", which="minor")
+    grid[-1].set_xlabel("images in the order of the case, each from its first line to its last")
+    sheet.legend([
         Line2D([], [], color=AFTER, label="adjusted minus nominal"),
         Patch(color=AFTER, alpha=0.22, lw=0.0, label="± 1 sigma (sigma0 = 1)"),
-    ]
-    if any(column.held for column in columns):
-        handles[1:1] = [Line2D([], [], color=SOFT, ls="--", label="held at nominal")]
-    sheet.legend(handles)
+    ])  # fmt: skip
     return sheet
 
 
-def drawn_image(solution: Solution, image: int) -> Drawn:
-    """An image with an orientation of its own, over its lines."""
-    profile = orientation_profile(solution, image, _PLACES)
-    return Drawn(
-        solution.network.images[image].name, profile.lines, components(profile), coupling(solution, image),
-        bool(solution.network.held[image]),
-    )  # fmt: skip
-
-
-def components(profile: OrientationProfile) -> list[tuple[np.ndarray, np.ndarray]]:
+def components(profile: OrientationProfile) -> list[tuple[Array, Array]]:
     """Correction and sigma (n,) of X, Y, Z in m and of the rotations about the camera's x, y, z in arcsec."""
     shift = profile.position_after - profile.position_before
     position = [(shift[:, k], profile.position_sigma[:, k]) for k in range(3)]
@@ -116,31 +86,18 @@ def coupling(solution: Solution, image: int) -> float:
     return largest_correlation(solution.image_covariance(image)[:6, :6])
 
 
-def _draw(panel: Axes, column: Drawn, n: int) -> None:
-    value, sigma = column.curves[n]
-    panel.set_xlim(column.places[0], column.places[-1])
-    panel.locator_params(axis="both", nbins=5)
-    if column.held:
-        panel.plot(column.places, value, color=SOFT, ls="--")
-        return
-    panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
-    panel.fill_between(column.places, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
-    panel.plot(column.places, value, color=AFTER)
-
-
-def _caption(columns: Sequence[Drawn]) -> str:
-    """What one sees, with figures."""
-    free = [column.curves for column in columns if not column.held]
-    if not free:
-        return "All images drawn here are held, so that their orientation is the nominal one and has no sigma"
-    largest = [[max(float(np.abs(one[k][part]).max()) for one in free) for k in range(6)] for part in (0, 1)]
-    (shift, turn), (spread, twist) = [(max(part[:3]), max(part[3:])) for part in largest]
-    held = sum(column.held for column in columns)
-    kept = f"; held at nominal: {held}" if held else ""
-    most = max(column.coupling for column in columns)
+def _caption(solution: Solution, images: Sequence[int], curves: Array) -> str:
+    """What one sees, with figures; `curves` (m, 6, 2, n) are corrections and sigmas."""
+    held = int(np.count_nonzero(solution.network.held[list(images)]))
+    if held == len(images):
+        return "All images are held: their orientation is the nominal one and has no sigma."
+    size = np.abs(curves).max(axis=(0, 3))
+    (shift, spread), (turn, twist) = size[:3].max(axis=0), size[3:].max(axis=0)
+    most = max(coupling(solution, j) for j in images)
+    kept = f" Held at nominal: {held}." if held else ""
     return (
-        f"Positions (body-fixed X, Y, Z) moved by up to {number(shift)} m and the camera turned by up to "
-        f"{number(turn)} arcsec about its own axes, while their sigmas reach {number(spread)} m and {number(twist)} "
-        f"arcsec; position and rotation of an image are correlated by up to {most:.3f}, so that one may stand for the "
-        f"other{kept}"
+        f"{many(len(images), 'image')}: positions (body-fixed X, Y, Z) moved by up to {number(float(shift))} m, the "
+        f"cameras turned by up to {number(float(turn))} arcsec about their own axes; sigmas reach "
+        f"{number(float(spread))} m and {number(float(twist))} arcsec. Position and rotation correlate "
+        f"by up to {most:.3f}.{kept}"
     )

@@ -20,7 +20,7 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from mgsgraph.files.labels.image_label import cube_of, read_label
-from mgsgraph.files.rasters.pictures import Pixels, as_bytes, is_moc, read_moc_pixels, read_picture
+from mgsgraph.files.rasters.pictures import Pixels, as_bytes, is_moc, read_picture
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
@@ -67,12 +67,12 @@ def pixels_of(path: Path | None) -> Pixels | None:
     """An image's pixels; None where the case names no file of them, or the label of a cube which isn't at hand."""
     if path is None:
         return None
-    if not is_moc(path):
-        return as_bytes(read_picture(path))
-    cube = cube_of(read_label(path))
-    if cube is not None and not any(path.with_suffix(suffix).is_file() for suffix in (".cub", ".CUB")):
-        return None
-    return read_moc_pixels(path)
+    if path.suffix.lower() != ".cub" and is_moc(path) and cube_of(read_label(path)) is not None:
+        beside = [path.with_suffix(suffix) for suffix in (".cub", ".CUB") if path.with_suffix(suffix).is_file()]
+        if not beside:
+            return None
+        path = beside[0]
+    return as_bytes(read_picture(path))
 
 
 def ground_size(image: PushbroomImage) -> Array:

@@ -12,9 +12,8 @@ import numpy as np
 
 from mgsgraph.files.rasters.pictures import Pixels
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.registration.case import CaseRegistration
-from mgsgraph.registration.measured import thinned
 from mgsgraph.results.figures.overlay import (
     averaged,
     footprint_heights,

@@ -14,12 +14,11 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.map_plane import centre_of, east_north
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
-from mgsgraph.registration.measured import thinned
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.registration.search import CostSurface
-from mgsgraph.results.figures.ground_map import frame, map_axes
+from mgsgraph.results.figures.map import frame, map_axes
 from mgsgraph.results.figures.sheet import (
     AFTER,
     BEFORE,

@@ -101,7 +101,7 @@ class Sheet:
     figure: Figure
     """What is drawn."""
     vector: bool = True
-    """False for a picture of cells, of which no SVG is made."""
+    """False for a picture of cells, which a page takes as pixels."""
     above: float = 0.0
     """inch, height of the title."""
     below: float = 0.0
@@ -225,20 +225,15 @@ def _lay_out(figure: Figure) -> None:
         axes.set_position(np.round(axes.get_position(original=True).bounds, 6).tolist())
 
 
-def save(sheets: Iterable[Sheet], folder: Path, vector: bool = True) -> list[str]:
-    """Write each sheet as PNG and, if `vector`, as SVG, too, unless it is a picture of cells; returns the names of the
-    files. The folder is made where it does not exist.
-    """
+def save(sheets: Iterable[Sheet], folder: Path) -> list[str]:
+    """Write each sheet as PNG; returns the names of the files. The folder is made where it does not exist."""
     folder.mkdir(parents=True, exist_ok=True)
     names = []
     for sheet in sheets:
         about = {"Title": sheet.title, "Description": sheet.caption}
-        files = {"png": encoded(sheet, "png", metadata=about, pil_kwargs={"compress_level": 1})}
-        if vector and sheet.vector:
-            files["svg"] = encoded(sheet, "svg", metadata={"Date": None, "Creator": "mgsgraph", **about})
-        for suffix, data in files.items():
-            (folder / f"{sheet.name}.{suffix}").write_bytes(data)
-            names.append(f"{sheet.name}.{suffix}")
+        data = encoded(sheet, "png", metadata=about, pil_kwargs={"compress_level": 1})
+        (folder / f"{sheet.name}.png").write_bytes(data)
+        names.append(f"{sheet.name}.png")
     return names
 
 

@@ -14,7 +14,7 @@ from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration
-from mgsgraph.results.figures.ground_map import map_axes
+from mgsgraph.results.figures.map import map_axes
 from mgsgraph.results.figures.relief import along_track, vertical
 from mgsgraph.results.figures.sheet import (
     AFTER,

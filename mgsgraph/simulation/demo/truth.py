@@ -25,11 +25,10 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import Misregistration, misregistration, on_ground
 from mgsgraph.registration.case import CaseRegistration
-from mgsgraph.registration.measured import thinned
 from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.simulation.site import SimulatedSite

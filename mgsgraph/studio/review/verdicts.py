@@ -27,8 +27,7 @@ from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.pvl_writing import write_pvl_network
 from mgsgraph.files.networks.record import ControlNetwork
-from mgsgraph.files.networks.table import is_table, read_whole
-from mgsgraph.files.networks.table_writing import table_text
+from mgsgraph.files.networks.table import is_table, read_whole, table_text
 from mgsgraph.files.networks.tie_points import tie_points
 from mgsgraph.files.opening import read_text
 from mgsgraph.files.tie_points import TiePoints

@@ -8,10 +8,8 @@ import pytest
 from camera_page import table
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.camera import LabelKind, LineScanLabel
-from mgsgraph.files.cameras.keywords import NaifKeywords
-from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.cameras.table import CAMERAS
+from mgsgraph.files.cameras.camera import LabelKind, LineScanLabel, NaifKeywords
+from mgsgraph.files.cameras.label import CAMERAS, read_line_scan_label
 from mgsgraph.files.spice.kernels import ck_frame, clock_time, fixed_rotation, loaded
 from mgsgraph.geometry.distortion import KaguyaMiDistortion, NoDistortion
 

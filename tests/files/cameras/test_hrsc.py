@@ -331,7 +331,9 @@ def test_the_addendum_must_come_after_the_instrument_kernel(label: Path, shared_
 
 def test_settings_are_heard(label: Path, shared_data: Path, tmp_path: Path) -> None:
     times, given = times_file(tmp_path), kernels(shared_data)
-    image = read_labelled_image(label, given, "IR/5270", 0.1749, line_times=times, attitude_bias=0.1, position_bias=0.2)
+    image = read_labelled_image(
+        label, given, "IR/5270", times, focal_length=0.1749, attitude_bias=0.1, position_bias=0.2
+    )
     plain = read_labelled_image(label, given, line_times=times)
     assert (image.name, plain.name) == ("IR/5270", "H5270_0000_IR2.IMG")
     assert image.interior.focal_length == 0.1749

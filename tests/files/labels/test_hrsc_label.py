@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from mex import CHANGES, CUBE, FOLDER, LABEL, LINES, START, cube_bytes, image_bytes, times_file
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.camera import LineScanLabel
+from mgsgraph.files.cameras.camera import LineScanLabel, NaifKeywords
 from mgsgraph.files.cameras.hrsc import HRSC
-from mgsgraph.files.cameras.keywords import NaifKeywords
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.cameras.line_times import LineTimes, LineTimesLocation, LineTimesSource
 

@@ -203,7 +203,7 @@ def test_the_moon_turns_as_the_kernels_say_and_it_is_told(shared_data: Path) -> 
 
 def test_a_gap_within_an_image_is_named(shared_data: Path) -> None:
     """The cube has 4,656 lines, 30.264 s; SPK slices cover 20:09:48.637 .. 20:10:01.237."""
-    with pytest.raises(InputError, match=r"missing is 2009-04-05T20:10:01\.237 \.\. 2009-04-05T20:10:23"):
+    with pytest.raises(InputError, match=r"expected a time within .* \.\. 2009-04-05T20:10:01\.237 UTC"):
         image_of(shared_data, KAGUYA, "isis")
 
 

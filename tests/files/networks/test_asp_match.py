@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_match import MatchFile, joined, match_files, read_match, read_match_text
-from mgsgraph.files.networks.asp_match_names import images_of
+from mgsgraph.files.networks.asp_match import MatchFile, images_of, joined, match_files, read_match, read_match_text
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 
 PAIR = ("one", "two")

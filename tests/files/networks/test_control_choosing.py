@@ -13,7 +13,7 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import connected_parts
-from mgsgraph.files.networks.choosing import in_images, used_images, with_measures
+from mgsgraph.files.networks.editing import in_images, thinned, united, used_images, with_measures
 from mgsgraph.files.networks.network_file import read_network
 from mgsgraph.files.networks.record import (
     ControlMeasure,
@@ -23,8 +23,6 @@ from mgsgraph.files.networks.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.files.networks.thinning import thinned
-from mgsgraph.files.networks.uniting import united
 
 PLACES = st.floats(1.0, 5000.0)
 NETWORKS = free_networks(PLACES, least=1)

@@ -1,5 +1,6 @@
 """Tie points of a binary network: the same as of its whole record, which protobuf reads, and errors that say where."""
 
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -8,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from isis_networks import assert_same, grid, labelled, networks, wire
 from msgspec.structs import replace
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import binary_network, parse_binary_network
-from mgsgraph.files.networks.binary_columns import binary_tie_points
+from mgsgraph.files.networks.binary import binary_network, binary_tie_points, parse_binary_network
 from mgsgraph.files.networks.network_file import read_control_network
 from mgsgraph.files.networks.record import ControlNetwork, PointType, with_names
 from mgsgraph.files.networks.tie_points import tie_points
-from mgsgraph.files.networks.wire import is_utf8
 from mgsgraph.files.tie_points import TiePoints
 
 GRID = binary_network(grid(4, 3))
 LABEL = 65_536
+UNUSED = re.compile(r"Reference: measure|text: |Source: |Residual: |Diameter: |AprioriSample: |AprioriLine: |log data: "
+                    r"|Adjusted|no such message")  # fmt: skip
+"""What may be wrong with fields that an adjustment doesn't take."""
 
 
 def outcome(read: Callable[[], TiePoints]) -> TiePoints | InputError:
@@ -34,14 +35,18 @@ def outcome(read: Callable[[], TiePoints]) -> TiePoints | InputError:
 
 
 def as_the_record(data: bytes) -> bool:
-    """Whether tie points are read: as those of the whole record, and refused where these are."""
+    """Whether tie points are read: as those of the whole record, and refused where these are, but for fields
+    that no adjustment takes.
+    """
     found = outcome(lambda: binary_tie_points(data, "x.net"))
     expected = outcome(lambda: tie_points(with_names(parse_binary_network(data, "x.net"))))
     if isinstance(found, InputError):
         odd = "fields of other kinds" in str(found)  # which protobuf leaves out
         assert odd or isinstance(expected, InputError), found
         return False
-    assert isinstance(expected, TiePoints), expected
+    if isinstance(expected, InputError):
+        assert UNUSED.search(str(expected)), expected
+        return True
     assert_same(found, expected)
     return True
 
@@ -178,32 +183,3 @@ def test_mutated_networks_with_accents_are_as_their_records() -> None:
     rng, data = np.random.default_rng(26), binary_network(with_accents())
     decoded = sum(as_the_record(mutated(data, rng)) for _ in range(400))
     assert 0 < decoded < 400
-
-
-def is_text(data: bytes) -> bool:
-    """What Python's strict decoder says."""
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
-def is_text_compiled(data: bytes) -> bool:
-    """With other bytes around it, which must not matter."""
-    return bool(is_utf8(np.frombuffer(b"\x80" + data + b"\x80", dtype=np.uint8), 1, 1 + len(data)))
-
-
-@settings(deadline=None, max_examples=200)
-@given(st.lists(st.binary(max_size=3) | st.text(max_size=3).map(str.encode), max_size=4).map(b"".join))
-def test_utf8_is_what_python_decodes(data: bytes) -> None:
-    assert is_text_compiled(data) == is_text(data)
-
-
-def test_all_beginnings_of_a_character_are_as_python_decodes_them() -> None:
-    """All pairs of bytes, alone and with one or two bytes behind that can follow: bounds of every kind of character."""
-    for first in range(0x80, 0x100):
-        for second in range(0x100):
-            for rest in (b"", b"\x80", b"\xbf\xbf", b"\xc0\x80", b"\x80a"):
-                data = bytes([first, second]) + rest
-                assert is_text_compiled(data) == is_text(data), data

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from both_readers import by_columns_alone
 from isis_networks import assert_same, grid
 from msgspec.structs import replace
 from pyarrow import parquet
@@ -15,8 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import convert
 from mgsgraph.files.kinds import Kind, kind_of
 from mgsgraph.files.networks.record import ControlNetwork, PointType
-from mgsgraph.files.networks.table import read_table, read_tie_points
-from mgsgraph.files.networks.table_writing import table_parquet, table_text
+from mgsgraph.files.networks.table import read_table, read_tie_points, table_parquet, table_text
 
 COLUMNS: dict[str, Any] = {
     "id": ["a", "a", "b"], "image": ["A", "B", "A"], "line": [1.5, 2.5, 3.5], "sample": [10, 20, 30],
@@ -43,9 +41,8 @@ def network() -> ControlNetwork:
 def test_a_network_comes_back_from_parquet_as_from_csv(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(table_text(network()))
     (tmp_path / "a.parquet").write_bytes(table_parquet(network()))
-    with by_columns_alone():
-        found = read_tie_points(tmp_path / "a.parquet")
-        expected = read_tie_points(tmp_path / "a.csv")
+    found = read_tie_points(tmp_path / "a.parquet")
+    expected = read_tie_points(tmp_path / "a.csv")
     assert_same(found, expected)
     assert len(found.ids) == 4
     other = replace(read_table(tmp_path / "a.csv"), source="")
@@ -65,8 +62,7 @@ def test_convert_writes_and_reads_it(tmp_path: Path) -> None:
 def test_kinds_of_columns(tmp_path: Path) -> None:
     """Whole numbers, dictionaries and null are what they should be; NaN is as null."""
     path = put(tmp_path, id=[7, 7, 8], image=pa.array(["A", "B", "A"]).dictionary_encode())
-    with by_columns_alone():
-        found = read_tie_points(path)
+    found = read_tie_points(path)
     assert found.ids == ("7", "8")
     assert found.measure_image == ("A", "B", "A")
     np.testing.assert_array_equal(found.measures, [[1.5, 10], [2.5, 20], [3.5, 30]])

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.files.networks.table import read_table, read_tie_points
-from mgsgraph.files.networks.table_writing import table_text
+from mgsgraph.files.networks.table import read_table, read_tie_points, table_text
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.units import DEG
 

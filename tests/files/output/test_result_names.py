@@ -54,7 +54,7 @@ def test_a_file_that_could_not_be_replaced_is_told_of(tmp_path: Path) -> None:
         write(tmp_path / "out", ["jitter.png"])
     assert (tmp_path / "out" / "jitter.png").exists()
 
-    figures = [f"{kind}{number}.svg" for kind in FIGURES for number in ("", "_1", "_12")]
+    figures = [f"{kind}{number}.png" for kind in FIGURES for number in ("", "_1", "_12")]
     write(tmp_path / "fine", [*figures, *TABLES])
     require_replaceable(tmp_path / "fine")
 

@@ -169,17 +169,12 @@ def contents() -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_the_callers_pool_is_left_as_it_was(mgs_kernels: list[Path], tmp_path: Path, fails: bool) -> None:
+def test_the_callers_files_are_loaded_again(mgs_kernels: list[Path], tmp_path: Path, fails: bool) -> None:
     listed = ",\n".join(f"'{path}'" for path in mgs_kernels[:3])
     meta = tmp_path / "mine.tm"
     meta.write_text(f"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( {listed} )\nOWN = 'kept'\n\\begintext\n")
     spiceypy.furnsh(str(meta))
     spiceypy.furnsh(str(mgs_kernels[-1]))
-    spiceypy.unload(str(mgs_kernels[0]))
-    spiceypy.pdpool("PUT_IN", [1.5, 2.5])
-    spiceypy.pcpool("WORDS", ["one", "two three"])
-    spiceypy.pdpool("BODY499_RADII", [1.0, 2.0, 3.0])  # over the file's
-    spiceypy.dvpool("OWN")
     before = contents()
 
     try:

@@ -9,9 +9,8 @@ import pytest
 from support_data import ISD, edited, read
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.table import CAMERAS
-from mgsgraph.files.labels.aberration import Aberration, geometric
-from mgsgraph.files.labels.stated_aberration import SPACECRAFT, spacecraft_of
+from mgsgraph.files.cameras.label import CAMERAS
+from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, geometric, spacecraft_of
 
 SILENT = edited(("naif_keywords",), {})
 

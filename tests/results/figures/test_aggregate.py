@@ -1,6 +1,5 @@
 """What large blocks are drawn by: aggregates against plain loops, the choice of images, and that sheets stay few."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.network import PointClass
 from mgsgraph.results.figures.aggregate import Rows, cell_means, image_rows, limit, means
 from mgsgraph.results.figures.connectivity import adjacency, joints, links_sheet
-from mgsgraph.results.figures.overview import MiddleCorrections, residual_matrix, strangeness
-from mgsgraph.results.figures.overview_map import ground_cells, ground_frame, weak_points
+from mgsgraph.results.figures.map import LEAST, cell_medians, frame
+from mgsgraph.results.figures.residuals import residual_matrix
 from mgsgraph.results.figures.sheet import encoded
 
 FLOATS = st.one_of(st.floats(-1e6, 1e6, width=32), st.just(float("nan")))
@@ -76,49 +75,30 @@ def test_the_residual_matrix_has_the_medians_of_images_and_lines() -> None:
     assert compared > 5
 
 
-def test_the_image_unlike_the_others_is_found() -> None:
-    values = np.random.default_rng(2).normal(size=(50, 6))
-    values[31, 4] = 30.0
-    assert int(np.argmax(strangeness(MiddleCorrections(np.arange(50), values, np.ones_like(values))))) == 31
-
-
-def strip_of_places(count: int) -> np.ndarray:
-    """Places (n, 3) m on Mars, 1,200 km along a curve and 4 km across it."""
+def test_cells_of_the_map_are_those_of_a_loop() -> None:
     rng = np.random.default_rng(11)
-    along, across = rng.uniform(-0.18, 0.18, count), rng.uniform(-6e-4, 6e-4, count)
-    latitude, longitude = along, 1.0 + across + 0.3 * along**2
-    return 3.39e6 * np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude),
-                              np.sin(latitude)], axis=1)  # fmt: skip
+    box = np.array([-2e3, 1e3, 6e3, 3e3])
+    places, values = rng.uniform(box[:2], box[2:], (3000, 2)), rng.normal(size=3000)
+    middles, (found,) = cell_medians(box, places, values)
+    rows, columns = found.shape
+    assert (rows, columns) == (25, 100)
+    size = (box[2:] - box[:2]) / [columns, rows]
+    at = np.floor((places - box[:2]) / size).astype(int)
+    for row in range(rows):
+        for column in range(columns):
+            mine = values[(at[:, 0] == column) & (at[:, 1] == row)]
+            want = np.median(mine) if mine.size else np.nan
+            assert found[row, column] == pytest.approx(want, rel=1e-5, nan_ok=True)
+    assert middles[columns + 3] == pytest.approx(box[:2] + size * [3.5, 1.5])
 
 
-def test_a_bent_strip_fills_its_frame() -> None:
-    """Its middle line goes 33 km aside, eight times its width."""
-    places = strip_of_places(20_000)
-    sound = np.ones(20_000, dtype=bool)
-    sound[::7] = False
-    frame = ground_frame(places, sound)
-    assert frame.long
-    length, width = frame.high - frame.low
-    assert length == pytest.approx(0.36 * 3390.0, rel=0.01)
-    assert width == pytest.approx(0.0012 * 3390.0, rel=0.05)
-
-
-def test_cells_of_the_ground_are_those_of_a_loop() -> None:
-    solution = adjust_network(block().network, SolverSettings())
-    frame = replace(ground_frame(solution.places, solution.determined & ~weak_points(solution)), cells=(7, 3))
-    found = ground_cells(solution, frame)
-    size = (frame.high - frame.low) / frame.cells
-    at = np.clip(np.floor((frame.places - frame.low) / size), 0, [6, 2])
-    sigmas = np.linalg.norm(solution.sigmas, axis=1)
-    for a in range(7):
-        for b in range(3):
-            mine = frame.sound & (at[:, 0] == a) & (at[:, 1] == b)
-            if np.any(mine):
-                assert found.density[a, b] * size[0] * size[1] == pytest.approx(np.count_nonzero(mine))
-                assert found.sigma[a, b] == pytest.approx(np.median(sigmas[mine]), rel=1e-5)
-            else:
-                assert np.isnan(found.density[a, b])
-    assert np.nansum(found.density) * size[0] * size[1] == pytest.approx(np.count_nonzero(frame.sound))
+def test_a_long_block_has_two_scales() -> None:
+    low, high, (width, height) = frame(np.array([[0.0, 0.0], [1200.0, 4.0]]))
+    assert width > 7.0
+    assert height == LEAST
+    assert high[1] - low[1] == pytest.approx(4.0, rel=0.1)
+    low, high, (width, height) = frame(np.array([[0.0, 0.0], [30.0, 6.0]]))
+    assert (high[0] - low[0]) / width == pytest.approx((high[1] - low[1]) / height)
 
 
 @given(st.integers(1, 300), st.integers(1, 40))

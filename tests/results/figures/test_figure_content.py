@@ -1,4 +1,4 @@
-"""Small pure functions behind the figures: thinning, cutting, round figures, the map's projection."""
+"""Small pure functions behind the figures: thinning, round figures, the map's projection."""
 
 import numpy as np
 import pytest
@@ -7,21 +7,10 @@ from hypothesis import strategies as st
 
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.map_plane import east_north
-from mgsgraph.registration.measured import thinned
-from mgsgraph.results.figures.residuals import cut
+from mgsgraph.geometry.records import thinned
 from mgsgraph.results.figures.sheet import number, round_figure, short
 
 MARS = 3.39e6
-
-
-@given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=1, max_size=20), st.floats(1e-3, 1e3))
-def test_cut_arrows_keep_their_direction(arrows: list[tuple[float, float]], longest: float) -> None:
-    before = np.array(arrows)
-    after = cut(before, longest)
-    assert np.all(np.hypot(*after.T) <= longest * (1.0 + 1e-9))
-    short_ones = np.hypot(*before.T) <= longest
-    assert np.array_equal(after[short_ones], before[short_ones])
-    assert np.all(np.einsum("ni,ni->n", before, after) >= 0.0)
 
 
 def test_map_is_true_to_distance_and_direction() -> None:

@@ -267,8 +267,7 @@ def test_a_network_is_kept_but_for_the_marks_of_rejected_points() -> None:
 def test_kept_networks_are_written(tmp_path: Path, suffix: str) -> None:
     from mgsgraph.files.networks.network_file import read_network
     from mgsgraph.files.networks.pvl_writing import write_pvl_network
-    from mgsgraph.files.networks.table import read_table
-    from mgsgraph.files.networks.table_writing import table_text
+    from mgsgraph.files.networks.table import read_table, table_text
 
     given = tmp_path / f"given{'.csv' if suffix == '.csv' else '.pvl'}"
     if suffix == ".csv":

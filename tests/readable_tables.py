@@ -1,13 +1,11 @@
-"""Files that are read by columns, and their readers line by line: both must say the same."""
+"""Sound files of all kinds that are read by columns, and what their readers make of a file."""
 
 import io
 import json
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -19,11 +17,6 @@ from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.body import Ellipsoid
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
-_BY_COLUMNS = (
-    "mgsgraph.files.networks.table_ties.plain_text", "mgsgraph.files.networks.table.tie_points_of",
-    "mgsgraph.geometry.time_scales._in_columns",
-)  # fmt: skip
-"""What reads by columns, or prepares it; where it gives None, the reader line by line takes over."""
 ODE = "long_East,lat_North,topography, MOLArange,  planet_rad, c,A,  Ephermis Time,            UTC,          Orbit"
 _ODE_ROW = (
     "137.{:05d}, -4.09420,   -2659.75, 390043.53,  33930{:02d}.81,1,{}, -231629{:02d}.18358,"
@@ -159,7 +152,7 @@ def _lidar() -> str:
     return json.dumps({"points": [shot(k) for k in range(4)]}, indent=1)
 
 
-# --- both
+# --- what a reader makes of one
 
 
 def outcome(read: Callable[[Path], Any], path: Path) -> dict[str, Any] | str:
@@ -176,25 +169,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return str(value.dtype), value.shape, np.ascontiguousarray(value).tobytes()
     return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else repr(value)
-
-
-@contextmanager
-def by_lines() -> Iterator[None]:
-    """Within it nothing is read by columns."""
-    with ExitStack() as patches:
-        for name in _BY_COLUMNS:
-            patches.enter_context(patch(name, lambda *_: None))
-        yield
-
-
-@contextmanager
-def by_columns_alone() -> Iterator[None]:
-    """Within it what is not read by columns fails."""
-
-    def refuse(*_: Any) -> None:
-        raise AssertionError("read line by line")
-
-    with ExitStack() as patches:
-        for name in ("mgsgraph.files.networks.table.read_table", "mgsgraph.geometry.time_scales._one_by_one"):
-            patches.enter_context(patch(name, refuse))
-        yield

@@ -1,6 +1,10 @@
-"""The studio's map as a figure: outlines, points or cells, error ellipses, corrections and relief in a window."""
+"""The map: outlines of the images, ground points coloured by one quantity, error ellipses, corrections and relief.
 
-from collections.abc import Sequence
+Few points are drawn one by one, many as medians of cells; a block of any size and a window of the studio are one
+figure. A block that is far longer than wide has a scale of its own in each direction.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,15 +16,21 @@ from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.group_medians import medians, span
+from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.error_ellipse import error_ellipses
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
-from mgsgraph.registration.measured import thinned
-from mgsgraph.results.figures.ground_map import frame, map_axes
+from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.results.figures.aggregate import cell_numbers
 from mgsgraph.results.figures.sheet import (
     CLASS_MARKER,
     CLASS_NAME,
     INK,
+    MOST_MARKS,
     SOFT,
     Sheet,
     new_sheet,
@@ -30,12 +40,18 @@ from mgsgraph.results.figures.sheet import (
     short,
 )
 from mgsgraph.text import many
-from mgsgraph.units import KM
+from mgsgraph.units import DEG, KM
 
 _MOST = 150
 """Ellipses and corrections that are drawn, evenly chosen: more hide the points."""
 _FEW = 12
 """Images up to which outlines bear names."""
+CELLS = 100
+"""Cells along the longer side of a block of many points."""
+_LONG = 8.0
+"""Length over width from which on a map has two scales."""
+_WIDEST, _TALLEST, LEAST = 7.2, 7.4, 3.0
+"""inch: bounds of a map."""
 _ELLIPSE, _ARROW = 0.03, 0.06
 """Lengths of large ellipses and corrections, as shares of the map's longer side."""
 
@@ -73,6 +89,80 @@ class MapWindow:
     """(rows, columns) light on the ground in the box, 0 to 1, from the north; None for none."""
     factor: float
     """Enlargement of ellipses and corrections; 0 for round ones that suit."""
+
+
+def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
+    """The map of a solution; `connected` saves finding the footprints anew. None where no point has a place."""
+    if np.any(solution.determined):
+        yield window_sheet(block_window(solution, connected))
+
+
+def block_window(solution: Solution, connected: Connectivity | None = None) -> MapWindow:
+    """The whole block: 3-D sigmas of its points, or of cells, and their corrections."""
+    centre = centre_of(solution.places)
+    footprints = (connected or solution_connectivity(solution)).footprints
+    outlines = {
+        image.name: east_north(one.outline, centre)
+        for image, one in zip(solution.network.images, footprints, strict=True)
+    }
+    known = np.flatnonzero(solution.determined)
+    places, covariances = east_north(solution.places[known], centre), solution.covariances[known]
+    axes = east_north_up(solution.places[known])
+    sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[known])
+    corners = np.concatenate([places, *outlines.values()])
+    box = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)])
+    about = (solution.name, centre, box, outlines)
+    quantity, scale = ("3-D sigma", "m"), span(sigmas)
+    if known.size <= MOST_MARKS:
+        flat = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
+        classes = solution.network.points.classes[known]
+        return MapWindow(*about, places, sigmas, quantity, scale, known.size, classes, flat, moved, None, 0.0)
+    middles, (values, east, north) = cell_medians(box, places, sigmas, *moved.T)
+    arrows = np.column_stack([east.ravel(), north.ravel()])
+    return MapWindow(*about, middles, values, quantity, scale, known.size, None, None, arrows, None, 0.0)
+
+
+def cell_medians(box: Array, places: Array, *values: Array) -> tuple[Array, list[Array]]:
+    """Middles (rows * columns, 2) of the cells of a box (4,), x and y, low and high, row by row from the south-west,
+    and the medians (rows, columns) of values (n,) at places (n, 2) in each; NaN where there are none.
+    """
+    size = np.maximum(box[2:] - box[:2], 1e-6)
+    fewest = CELLS // 5 if size.max() > _LONG * size.min() else 1
+    columns, rows = np.maximum(np.ceil(CELLS * size / size.max()), fewest).astype(int).tolist()
+    cell = cell_numbers((places - box[:2])[:, ::-1], size[::-1], (rows, columns))
+    row, column = (one.ravel() + 0.5 for one in np.indices((rows, columns)))
+    middles = box[:2] + np.column_stack([column, row]) * size / [columns, rows]
+    return middles, [medians(one, cell, rows * columns).reshape(rows, columns) for one in values]
+
+
+def map_axes(panel: Axes, low: Array, high: Array, centre: Array) -> None:
+    """Corners (2,) in km, and where their zero, `centre` (3,) in m, lies on the body."""
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="auto" if _is_long(high - low) else "equal")
+    longitude, latitude, _ = planetocentric(centre) / DEG
+    panel.set_xlabel(f"km east of longitude {longitude % 360.0:.3f}° E")
+    panel.set_ylabel(f"km north of latitude {abs(latitude):.3f}° {'N' if latitude >= 0.0 else 'S'}")
+
+
+def _is_long(size: Array) -> bool:
+    return bool(size.max() > _LONG * size.min())
+
+
+def frame(corners: Array, least: tuple[float, float] = (LEAST, LEAST)) -> tuple[Array, Array, tuple[float, float]]:
+    """South-west and north-east corner (2,) of a map that holds places (n, 2), and its width and height in inches, no
+    less than `least`; of one scale unless the block is long.
+    """
+    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
+    margin = 0.03 * np.maximum(high - low, 1e-3 if _is_long(high - low) else max(float((high - low).max()), 1e-3))
+    low, high = low - margin, high + margin
+    scale = np.array([_WIDEST, _TALLEST]) / (high - low)
+    if not _is_long(high - low):
+        scale[:] = scale.min()
+        lack = np.maximum(np.array(least) / scale - (high - low), 0.0)
+        low, high = low - 0.5 * lack, high + 0.5 * lack
+    size = np.maximum((high - low) * scale.min(), least)
+    width, height = size.tolist()
+    return low, high, (width, height)
 
 
 @plain_style()

@@ -8,7 +8,7 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.quiver import Quiver
 
 from mgsgraph.network import PointClass
-from mgsgraph.results.figures.map_window import MapWindow, window_sheet
+from mgsgraph.results.figures.map import MapWindow, window_sheet
 
 NORTH_POLE = np.array([0.0, 0.0, 3.38e6])
 

@@ -1,11 +1,18 @@
-"""What all files of laser shots have: places in degrees and some unit of length, and crossings between pauses."""
+"""What all files of laser shots have: places in degrees and some unit of length, crossings between pauses; and what
+shots can't be, whatever file they come from.
+
+Medians find a unit that was exchanged; one damaged shot among thousands does not move them, and shows shot by shot.
+"""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.pvl import Block
+from mgsgraph.geometry.altimeters import Altimeter
+from mgsgraph.geometry.altimetry import AltimeterShots, exchanged_units, require_lengths
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, require_near
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.time_scales import require_years, utc_of_tdb
@@ -17,6 +24,27 @@ _LARGEST = 1e9
 """m, larger than any planet."""
 _TOLERANCE = 0.1
 """Part of the body's radius by which a file's median radius may differ from it."""
+
+_RELIEF = 0.03
+"""Part of a body's radius by which its ground lies at most above or below: 100 km on Mars, 50 km on the Moon."""
+_WAY = 0.02
+"""Part of the way from the spacecraft to the footprint by which a range may be another: archives compute one of the
+other, and LOLA's 52,363 points over Hadley agree to 2e-5."""
+_DAMAGED = "the file is damaged: fetch it anew, or take that shot out"
+
+
+def shots_with(
+    source: str, altimeter: Altimeter, times: Array, footprints: Array, **known: Array | Index | Mask
+) -> AltimeterShots:
+    """Shots of a file; of what it doesn't say they have NaN, the row and 1 for their name, 0, and are of the ground."""
+    n = times.size
+    nothing = np.full(n, np.nan)
+    unknown = dict.fromkeys(
+        ("areoid_radii", "ranges", "range_corrections", "off_nadir", "clocks", "pulses"), nothing
+    ) | {"spacecraft": np.full((n, 3), np.nan), "ground": np.ones(n, dtype=bool), "frames": np.arange(1, n + 1)}
+    numbers = {"orbits": np.zeros(n, np.int64), "shots": np.ones(n, np.int64), "channels": np.zeros(n, np.int64)}
+    every: dict[str, Any] = unknown | numbers | known
+    return AltimeterShots(source=source, altimeter=altimeter, times=times, footprints=footprints, **every)
 
 
 def unit_of_radii(radii: Array, body: Ellipsoid | None, where: str) -> float:
@@ -107,3 +135,29 @@ def require_radii(radii: Array, body: Ellipsoid | None, where: str) -> None:
             "give shots on this body, or check the unit of their radii",
         )
     require_near(radii, body, lambda k: f"{where}, shot {k + 1}")
+
+
+def require_possible_shots(shots: AltimeterShots) -> None:
+    """Raise InputError for a ground return, by its name, at a time at which its mission didn't fly, at a radius that
+    its body doesn't have, at a range that its altimeter doesn't reach or that isn't the way from its spacecraft.
+    """
+    ways = np.linalg.norm(shots.spacecraft - shots.footprints, axis=1)
+    known = np.isfinite(ways) & np.isfinite(shots.ranges)
+    if np.any(known):
+        require_lengths(shots.ranges[known], ways[known], "ranges", shots.source)
+    altimeter, body, where = shots.altimeter, shots.altimeter.body, f"{shots.source}, shot"
+    radii = np.linalg.norm(shots.footprints, axis=1)
+    ground = (0.0, np.inf) if body is None else (body.polar * (1.0 - _RELIEF), body.equatorial * (1.0 + _RELIEF))
+    for what, values, (least, largest), unit, name in (
+        ("time", shots.times, altimeter.mission, 1.0, "s past J2000"), ("radius", radii, ground, KM, "km"),
+        ("range", shots.ranges, altimeter.reach, KM, "km"),
+    ):
+        for k in np.flatnonzero(shots.ground & ((values < least) | (values > largest)))[:1].tolist():
+            ratio = next((factor for factor in (1000.0, 0.001) if least <= values[k] / factor <= largest), 1.0)
+            remedy = exchanged_units(ratio) if unit == KM else ""
+            found = f"a {what} of {values[k] / unit:.7g} {name}"
+            expected = f"{least / unit:.7g} .. {largest / unit:.7g}"
+            raise InputError(f"{where} {shots.ids[k]}", found, f"{expected} for {altimeter.name}", remedy or _DAMAGED)
+    for k in np.flatnonzero(shots.ground & (np.abs(shots.ranges - ways) > _WAY * ways))[:1].tolist():
+        found, expected = f"a range of {shots.ranges[k] / KM:.7g} km", f"about {ways[k] / KM:.7g} km"
+        raise InputError(f"{where} {shots.ids[k]}", found, f"{expected}, the way from the spacecraft", _DAMAGED)

@@ -1,0 +1,272 @@
+"""Line scanners about Mars but for HRSC: MOC (Mars Global Surveyor), CTX and HiRISE (Mars Reconnaissance Orbiter), the
+infrared camera of THEMIS (Mars Odyssey).
+
+* MOC, narrow angle, and the wide angles behind their red and blue filters. Formulas: ISIS MocNarrowAngleCamera,
+  MocWideAngleCamera, MocWideAngleDistortionMap, MocLabels. Constants: the addendum mocAddendum004.ti, which keeps the
+  nominal focal length of the narrow angle and widens the pitch instead (one pixel is then 3.750 microradians), or, for
+  the narrow angle, NAIF's instrument kernel moc20.ti (3.714). Those of the wide angles' place behind the lens stand in
+  ISIS's camera models (and in the addendum under BORESIGHT_SAMPLE and ALONGTRACK_OFFSET, which cubes don't hold).
+* CTX. Formulas: ISIS CTXCamera, CameraDistortionMap; an image summed 2 x 2 takes twice the label's line time per line
+  (mro_ctx_pds_sis.pdf: summing along track is done "by increasing the line time"; ISIS since 2012-12-27). Numbers of
+  masked pixels around those that see the ground: ISIS mroctx2isis. Constants: the addendum mroctxAddendum005.ti; NAIF's
+  instrument kernel mro_ctx_v11.ti has other names for them (`INS-74021_...`).
+* HiRISE, one channel of one of its CCDs. Formulas: ISIS HiriseCamera. The clock count is that of the first line of the
+  time delay integration, read by the clock of high precision (-74999); each CCD has an affine map of its own into the
+  focal plane (`INS-74605_ITRANSL`).
+* THEMIS. Formulas and figures (those of T. Duxbury, 2009, with R. Kirk's offsets of April 2009): ISIS ThemisIrCamera,
+  ThemisIrDistortionMap. Each of the ten bands is read from other lines of the detector, some seconds apart: a cube of
+  several bands must say which one its pixels were brought to (ReferenceBand).
+"""
+
+from dataclasses import replace
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.cameras.camera import (
+    Camera,
+    Interior,
+    Keywords,
+    LabelBlock,
+    LabelKeys,
+    LineScanLabel,
+    by_addendum,
+    interior_by_addendum,
+    number,
+    pds3_keys,
+    radial,
+    scaled_interior,
+)
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import MocWideAngleDistortion, NoDistortion, ThemisIrDistortion
+from mgsgraph.units import ISIS_OFFSET, MM
+
+# --- MOC
+
+Six = tuple[float, float, float, float, float, float]
+ATTITUDE_BIAS = -1.15
+"""s, by which ISIS looks attitude up earlier for MOC (addendum keyword INS-94031_CK_TIME_BIAS)."""
+_NARROW, _RED, _BLUE = -94031, -94032, -94033
+_VARIABLE_SUMMING = (13, 27)
+"""Summings of the wide angles that change along the detector (ISIS mocxtrack.h)."""
+_MARS = (3396.19, 3396.19, 3376.2)
+"""km, IAU 2000, as in the PCK that spiceinit takes."""
+_METRES_BELOW, _METRES_BELOW_WIDE = 100.0, 1.0
+"""INS-94031_FOCAL_LENGTH is 3.5 (m) in the instrument kernel and 3500 (mm) in the addendum, and the later one wins; of
+the wide angles not the unit alone is another."""
+PITCH = 0.0131240578522949
+"""mm, the narrow angle's."""
+
+
+def _whole_pixels(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
+    """A look at what only some of the label's numbers can be."""
+    down = "DowntrackSumming" if block.kind == "isis" else "DOWNTRACK_SUMMING"
+    first = "FirstLineSample" if block.kind == "isis" else "EDIT_MODE_ID"
+    summed, camera = block.number(down), label.camera
+    if not (1.0 <= summed <= camera.summing and summed % 1.0 == 0.0):
+        raise InputError(block.where(down), f"{summed:g}", f"1 .. {camera.summing} for {camera.name}")
+    if label.first_sample < 0.0 or label.first_sample % 1.0:
+        raise InputError(block.where(first), block.text(first), "a whole number of detector pixels")
+    return label
+
+
+def _narrow(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+    return interior_by_addendum(keywords, label, NoDistortion(), (0.0, 1024.5), _focal_length(keywords))
+
+
+def _narrow_by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+    """m, first pixel 0."""
+    per_metre = 1.0 / number(keywords, f"INS{_NARROW}_PIXEL_SIZE")
+    centre = float(keywords.numbers(f"INS{_NARROW}_CENTER", 2)[0]) + ISIS_OFFSET
+    return scaled_interior(label, _focal_length(keywords), per_metre, centre, NoDistortion())
+
+
+def _focal_length(keywords: Keywords) -> float:
+    stated = number(keywords, f"INS{_NARROW}_FOCAL_LENGTH")
+    return stated if stated < _METRES_BELOW else stated * MM
+
+
+def _wide(centre: float, offset: float, coefficients: Six, scale: float) -> Interior:
+    """Of a wide angle whose principal point is at a detector sample, `offset` lines ahead of the detector."""
+
+    def interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+        if label.sample_summing in _VARIABLE_SUMMING:
+            found = f"summing {label.sample_summing:g}, which changes along the detector"
+            raise InputError(str(label.path), found, "one that is the same for all samples: 1 to 127 but 13 and 27")
+        name = f"INS{label.camera.instrument}_FOCAL_LENGTH"
+        if (stated := number(keywords, name)) < _METRES_BELOW_WIDE:
+            found, remedy = f"{stated:g} m, the instrument kernel's", "name the addendum after the instrument kernel"
+            raise InputError(f"kernels, {name}", found, "the addendum's, such as 11.2 mm", remedy)
+        distortion = MocWideAngleDistortion(coefficients, scale, stated * MM)
+        return interior_by_addendum(keywords, label, distortion, (-offset, centre))
+
+    return interior
+
+
+def _moc(
+    name: str, instrument: int, identity: dict[str, str], interior: Interior, constants: dict[str, tuple[float, ...]]
+) -> Camera:
+    pds = {"InstrumentId": "INSTRUMENT_ID", "FilterName": "FILTER_NAME"}
+    narrow = instrument == _NARROW
+    return Camera(
+        name=f"MGS {name}", mission="MGS", spacecraft=-94, instrument=instrument,
+        isis=LabelKeys(
+            identity, ("SpacecraftClockCount", "InstrumentId", "FilterName"), stop="StopTime",
+            period="LineExposureDuration", line_summing="DowntrackSumming", sample_summing="CrosstrackSumming",
+            first_sample="FirstLineSample", first_pixel=1,
+        ),
+        pds3=pds3_keys(
+            {pds[key]: value for key, value in identity.items()},
+            ("SPACECRAFT_CLOCK_START_COUNT", "INSTRUMENT_ID", "FILTER_NAME"), line_summing="DOWNTRACK_SUMMING",
+            sample_summing="CROSSTRACK_SUMMING", first_sample="EDIT_MODE_ID",
+        ),
+        interior=interior, instrument_kernel=_narrow_by_instrument_kernel if narrow else None,
+        addendum="mocAddendum004.ti", source="ISIS MocNarrowAngleCamera, MocWideAngleCamera",
+        pixels=2048 if narrow else 3456, summing=8 if narrow else 127,
+        label_facts=_whole_pixels, attitude_bias=ATTITUDE_BIAS, constants_target="MARS",
+        constants={"BODY499_RADII": _MARS} | {f"INS{instrument}_{key}": value for key, value in constants.items()},
+    )  # fmt: skip
+
+
+MOC = (
+    _moc(
+        "MOC-NA", _NARROW, {"InstrumentId": "MOC-NA"}, _narrow,
+        {"FOCAL_LENGTH": (3500.0,), "ITRANSS": (0.0, 0.0, 1.0 / PITCH), "ITRANSL": (0.0, 1.0 / PITCH, 0.0)},
+    ),
+    _moc(
+        "MOC-WA red", _RED, {"InstrumentId": "MOC-WA", "FilterName": "RED"},
+        _wide(1674.65, 6.7785, (0.9993258, 0.4655529, -0.1548756, 1.827967, -3.057435, 2.226331), 1.0),
+        {"FOCAL_LENGTH": (11.20537656,), "ITRANSS": (0.0, 0.0, -142.8571429), "ITRANSL": (0.0, 142.8571429, 0.0)},
+    ),
+    _moc(
+        "MOC-WA blue", _BLUE, {"InstrumentId": "MOC-WA", "FilterName": "BLUE"},
+        _wide(1688.58, -0.8486, (1.000246, 0.4612695, 0.2352545, 0.3535922, -0.2853861, 0.5574971), 1.000452),
+        {"FOCAL_LENGTH": (11.22998086,), "ITRANSS": (0.0, 0.0, 142.857), "ITRANSL": (0.0, 142.857, 0.0)},
+    ),
+)  # fmt: skip
+
+# --- CTX
+
+_LINE, _MASKED, _MASKED_IN_PART = 5056, (38, 18), (16, 0)
+"""Pixels of a whole line in the archive's files; masked ones before and after those that see the ground, in a whole
+line and in a part of one. Files of summed images have half of each.
+"""
+
+
+def _without_masked(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
+    """Samples of the archive's files begin and end with masked pixels, which SAMPLE_FIRST_PIXEL doesn't count."""
+    if block.kind == "isis":
+        return label
+    summing = int(label.sample_summing)
+    if label.sample_summing not in (1.0, 2.0):
+        raise InputError(str(label.path), f"summing {label.sample_summing:g}", "1 or 2")
+    whole = label.first_sample == 0.0
+    if whole and label.samples != _LINE // summing:
+        found = f"{label.samples} samples from the first pixel on"
+        expected = f"{_LINE // summing}, masked ones included"
+        raise InputError(str(label.path), found, expected, "take the archive's file, or its cube (mroctx2isis)")
+    masked = sum(_MASKED if whole else _MASKED_IN_PART) // summing
+    if label.samples <= masked:
+        raise InputError(str(label.path), f"{label.samples} samples", f"more than the {masked} masked ones")
+    return replace(label, samples=label.samples - masked)
+
+
+CTX = Camera(
+    name="MRO CTX", mission="MRO", spacecraft=-74, instrument=-74021,
+    isis=LabelKeys(
+        {"InstrumentId": "CTX"}, ("InstrumentId", "SpacecraftClockCount"), stop="StopTime",
+        period="LineExposureDuration", line_summing="SpatialSumming", sample_summing="SpatialSumming",
+        first_sample="SampleFirstPixel",
+    ),
+    pds3=pds3_keys(
+        {"INSTRUMENT_ID": "CTX"}, ("INSTRUMENT_ID", "SPACECRAFT_CLOCK_START_COUNT"), line_summing="SAMPLING_FACTOR",
+        sample_summing="SAMPLING_FACTOR", first_sample="SAMPLE_FIRST_PIXEL",
+    ),
+    interior=by_addendum(radial), label_facts=_without_masked, addendum="mroctxAddendum005.ti",
+    source="ISIS CTXCamera", pixels=5000, summing=2,
+)  # fmt: skip
+
+# --- HiRISE
+
+_CCD_OF_CPMM = (0, 1, 2, 3, 12, 4, 10, 11, 5, 13, 6, 7, 8, 9)
+_RIGHT_CHANNEL = 1024.0
+"""Pixels before those that channel 0 reads."""
+_CLOCK, _TICK = 74e-6, 1e-6 / 16.0
+"""s: line period without any delay count, and what each of these adds."""
+_CENTRE_LINE = 64.0
+"""Detector lines from the edge of the CCD to its middle."""
+
+
+def _delayed(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
+    """Line period, effective time and place of the first line, by time delay integration and binning."""
+    delays, channel, cpmm, unit = (
+        block.number(key) for key in ("Tdi", "ChannelNumber", "CpmmNumber", "DeltaLineTimerCount")
+    )
+    if not (0.0 <= cpmm < len(_CCD_OF_CPMM) and cpmm % 1.0 == 0.0):
+        raise InputError(block.where("CpmmNumber"), f"{cpmm:g}", f"0 .. {len(_CCD_OF_CPMM) - 1}")
+    line = _CLOCK + unit * _TICK
+    return replace(
+        label, period=line * label.sample_summing, late=line * 0.5 * (label.sample_summing - delays),
+        line_offset=0.5 * delays - _CENTRE_LINE,
+        first_sample=label.first_sample + (_RIGHT_CHANNEL if channel == 0.0 else 0.0),
+        detector=-74600 - _CCD_OF_CPMM[int(cpmm)],
+    )  # fmt: skip
+
+
+HIRISE = Camera(
+    name="MRO HiRISE", mission="MRO", spacecraft=-74, clock=-74999, instrument=-74699,
+    frame=-74690,  # MRO_HIRISE_OPTICAL_AXIS
+    isis=LabelKeys(
+        {"InstrumentId": "HIRISE"}, ("InstrumentId", "ObservationStartCount", "CcdId", "ChannelNumber"),
+        start="SpacecraftClockStartCount", sample_summing="Summing",
+    ),
+    pds3=None, interior=by_addendum(radial, (0.0, 1024.5)), label_facts=_delayed, addendum="hiriseAddendum006.ti",
+    source="ISIS HiriseCamera", pixels=2048, summing=16,
+)  # fmt: skip
+
+# --- THEMIS
+
+_FOCAL_LENGTH, _CENTRE = 203.9213 * MM, 160.5
+_MIDDLE_LINE = 120.5
+_PERIOD = 33.2871e-3
+"""s per detector line."""
+_INTEGRATED = (8.5, 24.5, 50.5, 76.5, 102.5, 128.5, 154.5, 180.5, 205.5, 231.5)
+_SINGLE = (9.0, 24.0, 52.0, 77.0, 102.0, 129.0, 155.0, 181.0, 206.0, 232.0)
+"""Detector line of each band, with time delay integration and without."""
+_ALONG = (-0.076, -0.098, -0.089, -0.022, 0.0, -0.020, -0.005, -0.069, 0.025, 0.0)
+_ACROSS = (0.021, 0.027, 0.005, 0.005, 0.0, -0.007, -0.012, -0.039, -0.045, 0.0)
+"""Detector lines and samples by which each band lies off its place."""
+_K = (0.996005, 0.995358, 0.994260, 0.993290, 0.992389, 0.991474, 0.990505, 0.989611, 0.988653, 0.9877)
+_A1, _A2 = 0.00447623, 0.00107556 / MM
+"""Of the distortion."""
+
+
+def _of_band(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
+    """When and where the band's line sees what the label's start says."""
+    summing = block.number("SpatialSumming") if "SpatialSumming" in block else 1.0
+    key = "ReferenceBand" if "ReferenceBand" in block else "FilterNumber"
+    stated = block.words(key)
+    if len(stated) != 1 or stated[0] not in map(str, range(1, len(_K) + 1)):
+        remedy = "take one band out of it, or have all brought to one (ReferenceBand)"
+        raise InputError(block.where(key), f"the bands {', '.join(stated)}", "one of 1 .. 10", remedy)
+    band = int(stated[0])
+    integrated = block.text("TimeDelayIntegration").upper() == "ENABLED"
+    line = (_INTEGRATED if integrated else _SINGLE)[band - 1]
+    period = _PERIOD * summing
+    offset = block.number("SpacecraftClockOffset", {"seconds": 1.0, "s": 1.0, "ms": 1e-3, "": 1.0})
+    return replace(
+        label, band=band, period=period, sample_summing=summing, late=offset + (line - 0.5) * period / summing,
+        line_offset=_MIDDLE_LINE - line + _ALONG[band - 1],
+    )  # fmt: skip
+
+
+def _infrared(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+    centre = (0.0, _CENTRE - _ACROSS[label.band - 1])
+    distortion = ThemisIrDistortion(_K[label.band - 1], _A1, _A2)
+    return interior_by_addendum(keywords, label, distortion, centre, _FOCAL_LENGTH)
+
+
+THEMIS = Camera(
+    name="Odyssey THEMIS-IR", mission="Odyssey", spacecraft=-53, instrument=-53031,
+    isis=LabelKeys({"InstrumentId": "THEMIS_IR"}, ("InstrumentId", "SpacecraftClockCount")),
+    pds3=None, interior=_infrared, label_facts=_of_band, tables_of_bands=True, addendum="ISIS's addendum of THEMIS",
+    source="ISIS ThemisIrCamera", pixels=320, summing=320,
+)  # fmt: skip

@@ -1,0 +1,353 @@
+"""Control networks changed as a whole: parts of one in some images, one with fewer points, several united.
+
+Thinned: few points, well spread over every image, and no connection of images lost. Every image is divided into cells,
+and the best points are taken one after the other as long as they fall into a cell of an image of theirs that has none
+yet; then more, until all images that had points in common keep some. The best are those in many images, and among these
+those of small sigmas and a high GoodnessOfFit. Constrained, fixed and locked points always stay, beside these; ignored
+ones, and free ones in a single image, never do.
+
+United: points of one id become one with the measures of all. Where two files say different things of a point, or of its
+measure in an image, one of them counts, as ISIS's cnetmerge has it (DUPLICATEPOINTS=MERGE, with or without
+OVERWRITEPOINTS, OVERWRITEMEASURES and OVERWRITEREFERENCE). A point or measure that is locked (EditLock) in an earlier
+file stays as it is there. Source: DOI-USGS/ISIS3, isis/src/control/apps/cnetmerge/cnetmerge.xml.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec import structs
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
+from mgsgraph.text import many, some
+
+
+def images_of(network: ControlNetwork) -> list[str]:
+    """Names of all images, in the order in which they are met."""
+    return list(dict.fromkeys(one.serial_number for point in network.points for one in point.measures))
+
+
+def used_images(point: ControlPoint) -> tuple[str, ...]:
+    """Images in which a point has a measure that counts, each once; none of an ignored point."""
+    if point.ignore:
+        return ()
+    return tuple(dict.fromkeys(one.serial_number for one in point.measures if not one.ignore))
+
+
+def with_measures(point: ControlPoint, which: Sequence[int]) -> ControlPoint:
+    """The point with some of its measures, and its reference if that is among them."""
+    reference = which.index(point.reference) if point.reference in which else None
+    return structs.replace(point, measures=tuple(point.measures[k] for k in which), reference=reference)
+
+
+def in_images(network: ControlNetwork, patterns: Sequence[str]) -> tuple[ControlNetwork, list[str]]:
+    """Measures in some images, and sentences about what was left out.
+
+    Parameters
+    ----------
+    patterns : sequence of str
+        Names of images, or patterns as of files (MGS/*). Points go with the measures in other images where none is
+        left, or where a free one is left to a single image.
+
+    Raises
+    ------
+    InputError
+        A pattern that no image has, or no point left.
+    """
+    names = images_of(network)
+    chosen = set[str]()
+    for pattern in patterns:
+        alike = [name for name in names if name == pattern or fnmatchcase(name, pattern)]
+        if not alike:
+            raise InputError(network.source, f"no image {pattern!r}", some(names, len(names)))
+        chosen.update(alike)
+    points, left_out, single = list[ControlPoint](), 0, 0
+    for point in network.points:
+        which = [k for k, one in enumerate(point.measures) if one.serial_number in chosen]
+        left_out += len(point.measures) - len(which)
+        if len(which) < len(point.measures):
+            images = {point.measures[k].serial_number for k in which}
+            if len(images) < (2 if point.type == PointType.FREE else 1):
+                single += 1
+                continue
+            point = with_measures(point, which)
+        points.append(point)
+    if not points:
+        found = "no point in the images that were chosen" if len(chosen) == 1 else "no point in two of them"
+        raise InputError(network.source, found, "images that have points in common", "choose others")
+    said = [f"Left out: {many(left_out, 'measure')} in {many(len(names) - len(chosen), 'other image')}, and "
+            f"{many(single, 'point')} that too few others see"]  # fmt: skip
+    return structs.replace(network, points=tuple(points)), said if left_out else []
+
+
+def common_points(points: Sequence[tuple[str, ...]]) -> Mapping[tuple[str, str], int]:
+    """How many points pairs of images have in common, of the images of each point."""
+    counts: dict[tuple[str, str], int] = {}
+    for images in points:
+        for pair in combinations(sorted(images), 2):
+            counts[pair] = counts.get(pair, 0) + 1
+    return counts
+
+
+# --- fewer points
+
+
+_LINK = 4
+"""Points that two images keep in common, if they had as many."""
+_GOODNESS = 2
+"""Number of GoodnessOfFit among the figures of merit."""
+_UNSTATED = 1.0
+"""px, for a sigma that is not stated."""
+
+Cell = tuple[str, int, int]
+"""Image, row and column."""
+
+
+class _Grid(NamedTuple):
+    """Cells of an image."""
+
+    first: tuple[float, float]
+    """Line and sample."""
+    step: tuple[float, float]
+    """Lines and samples of a cell."""
+    shape: tuple[int, int]
+
+
+def thinned(
+    network: ControlNetwork, cells: int, sizes: Mapping[str, tuple[int, int]] | None = None
+) -> tuple[ControlNetwork, list[str]]:
+    """A network with fewer points, and sentences about what is left of it.
+
+    Parameters
+    ----------
+    network : ControlNetwork
+    cells : int
+        In each image; about as many tie points are left in it.
+    sizes : mapping, optional
+        Lines and samples of images by their names; of others the cells divide the part where there are measures.
+
+    Raises
+    ------
+    InputError
+        No cells, or no point left.
+    """
+    if cells < 1:
+        raise InputError("--thin", f"{cells} cells", "one at least in each image")
+    images = [used_images(point) for point in network.points]
+    always = {i for i, point in enumerate(network.points) if images[i] and _stays(point)}
+    useful = [i for i, names in enumerate(images) if i in always or len(names) > 1]
+    if not useful:
+        raise InputError(network.source, "no point in two images", "some that connect images")
+    ties = sorted((i for i in useful if i not in always), key=lambda i: _badness(network.points[i], len(images[i])))
+    grids = _grids([network.points[i] for i in ties], cells, sizes or {})
+    kept, taken = set[int](), set[Cell]()
+    for i in ties:
+        occupied = _cells(network.points[i], grids)
+        if not taken.issuperset(occupied):
+            kept.add(i)
+            taken |= occupied
+    before, links = common_points([images[i] for i in ties]), Counter(common_points([images[i] for i in kept]))
+    for i in ties:
+        pairs = list(combinations(sorted(images[i]), 2))
+        if i not in kept and any(links[pair] < min(before[pair], _LINK) for pair in pairs):
+            kept.add(i)
+            links.update(pairs)
+    kept |= always
+    points = tuple(network.points[i] for i in sorted(kept))
+    needless = len(network.points) - len(useful)
+    return structs.replace(network, points=points), _said(network, images, kept, links, needless)
+
+
+def _stays(point: ControlPoint) -> bool:
+    return point.type != PointType.FREE or point.edit_lock
+
+
+def _badness(point: ControlPoint, images: int) -> tuple[bool, int, float, float]:
+    """By which points are sorted, the best first."""
+    measures = [one for one in point.measures if not one.ignore]
+    sigma = max(max(one.line_sigma or _UNSTATED, one.sample_sigma or _UNSTATED) for one in measures)
+    rejected = point.jigsaw_rejected or any(one.jigsaw_rejected for one in measures)
+    return rejected, -images, sigma, -min((_goodness(one) for one in measures if one.log), default=0.0)
+
+
+def _goodness(measure: ControlMeasure) -> float:
+    return max((value for kind, value in measure.log if kind == _GOODNESS), default=0.0)
+
+
+def _grids(points: Sequence[ControlPoint], cells: int, sizes: Mapping[str, tuple[int, int]]) -> dict[str, _Grid]:
+    """Cells as nearly square as so many can be."""
+    places: dict[str, list[tuple[float, float]]] = {}
+    for point in points:
+        for one in point.measures:
+            if not one.ignore:
+                places.setdefault(one.serial_number, []).append((one.line or 0.0, one.sample or 0.0))
+    grids = {}
+    for name, found in places.items():
+        low, high = np.min(found, axis=0), np.max(found, axis=0)
+        if name in sizes:
+            low, high = np.full(2, 0.5), np.array(sizes[name]) + 0.5
+        height, width = np.maximum(high - low, 1.0).tolist()
+        columns = int(np.clip(round((cells * width / height) ** 0.5), 1, cells))
+        rows = max(1, cells // columns)
+        grids[name] = _Grid((float(low[0]), float(low[1])), (height / rows, width / columns), (rows, columns))
+    return grids
+
+
+def _cells(point: ControlPoint, grids: Mapping[str, _Grid]) -> set[Cell]:
+    """Cells in which a point has measures."""
+    found = set[Cell]()
+    for one in point.measures:
+        if not one.ignore:
+            first, step, shape = grids[one.serial_number]
+            row, column = (
+                min(max(int(((value or 0.0) - low) / size), 0), count - 1)
+                for value, low, size, count in zip((one.line, one.sample), first, step, shape, strict=True)
+            )
+            found.add((one.serial_number, row, column))
+    return found
+
+
+def _said(
+    network: ControlNetwork, images: Sequence[tuple[str, ...]], kept: set[int], links: Mapping[tuple[str, str], int],
+    needless: int,
+) -> list[str]:  # fmt: skip
+    before = Counter(name for names in images for name in names)
+    after = Counter(name for i in kept for name in images[i])
+    fewest = sorted(after, key=lambda name: (after[name], name))
+    of_images = [f"{name} {after[name]} of {before[name]}" for name in fewest]
+    said = [
+        f"Thinned: {len(kept)} of {many(len(network.points), 'point')} stay; in images, the fewest first: "
+        + some(of_images, len(of_images))
+    ]
+    if links:
+        pair = min(links, key=lambda pair: (links[pair], pair))
+        said.append(f"Of two images with tie points in common {pair[0]} and {pair[1]} keep the fewest, {links[pair]}")
+    if needless:
+        said.append(f"Left out, being ignored or seen by a single image: {many(needless, 'point')}")
+    return said
+
+
+# --- several networks
+
+
+SAME_PLACE = 1e-6
+"""px and m, within which two places are one."""
+_KNOWN = (
+    "type", "apriori", "apriori_covariance", "apriori_source", "apriori_source_file", "apriori_radius_source",
+    "apriori_radius_source_file", "latitude_constrained", "longitude_constrained", "radius_constrained",
+)  # fmt: skip
+"""Fields that say what is known of a point beforehand."""
+
+
+@dataclass(slots=True)
+class _Counts:
+    """What was met in uniting."""
+
+    points: int = 0
+    """In several files."""
+    added: int = 0
+    """Measures that came to points of earlier files."""
+    repeated: int = 0
+    """Measures of one point and image in several files."""
+    moved: int = 0
+    """Of these, those at other places."""
+    largest: float = 0.0
+    """px, between two such places."""
+    otherwise: int = 0
+    """Points of another type, or with another a-priori place or covariance."""
+    locked: int = 0
+    """Points that would have been changed, and measures that would have been replaced, but for their lock."""
+
+    def notes(self, rule: Duplicates) -> list[str]:
+        """In sentences; none where no point is in several files."""
+        if not self.points:
+            return []
+        said = [f"United: {many(self.points, 'point')} of several files, with {many(self.added, 'more measure')}"]
+        kept = f"the {rule.value} file counts"
+        if self.repeated:
+            far = f", {self.moved} of them elsewhere (up to {self.largest:.3g} px)" if self.moved else ""
+            said.append(f"In several files: {many(self.repeated, 'measure')}{far}; {kept}")
+        if self.otherwise:
+            said.append(f"Of another type or a-priori place in another file: {many(self.otherwise, 'point')}; {kept}")
+        if self.locked:
+            said.append(f"Locked, and left as the earlier file has them: {self.locked} points and measures")
+        return said
+
+
+def united(
+    networks: Sequence[ControlNetwork], duplicates: Duplicates = Duplicates.REFUSE
+) -> tuple[tuple[ControlPoint, ...], list[str]]:
+    """Points of several networks, in their order, and sentences about those that several have.
+
+    Raises
+    ------
+    InputError
+        For an id in two networks, if that is to be refused.
+    """
+    files: dict[str, str] = {}
+    points: dict[str, ControlPoint] = {}
+    counts = _Counts()
+    for network in networks:
+        for point in network.points:
+            if (first := files.setdefault(point.id, network.source)) == network.source:
+                points[point.id] = point
+                continue
+            if duplicates == Duplicates.REFUSE:
+                where = f"{network.source}, point {point.id}"
+                remedy = "unite them (--duplicates first, or last), or rename one of the two"
+                raise InputError(where, f"an id that {first} has, too", "each id in one file", remedy)
+            points[point.id] = _one(points[point.id], point, duplicates == Duplicates.LAST, counts)
+    return tuple(points.values()), counts.notes(duplicates)
+
+
+def _one(early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: _Counts) -> ControlPoint:
+    """Two points of one id as one."""
+    counts.points += 1
+    if early.edit_lock:
+        counts.locked += 1
+        return early
+    first, second = (late, early) if prefer_late else (early, late)
+    known: dict[str, Any] = {}
+    if first.type == PointType.FREE and first.apriori is None:  # what the other knows contradicts nothing
+        known = {name: getattr(second, name) for name in _KNOWN}
+    elif (second.type, second.apriori) != (PointType.FREE, None):
+        counts.otherwise += any(getattr(first, name) != getattr(second, name) for name in _KNOWN[:3])
+    measures = _measures(early, late, prefer_late, counts)
+    reference = None
+    for one in (second, first):
+        if one.reference is not None:
+            image = one.measures[one.reference].serial_number
+            reference = next(k for k, measure in enumerate(measures) if measure.serial_number == image)
+    return structs.replace(first, measures=tuple(measures), reference=reference, **known)
+
+
+def _measures(early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: _Counts) -> list[ControlMeasure]:
+    """Those of the earlier point, then others; of the same image the one that counts."""
+    measures = list(early.measures)
+    number = {measure.serial_number: k for k, measure in reversed(list(enumerate(measures)))}
+    for measure in late.measures:
+        k = number.get(measure.serial_number)
+        if k is None:
+            measures.append(measure)
+            counts.added += 1
+            continue
+        off = apart(measures[k], measure)
+        counts.repeated += 1
+        counts.moved += off > SAME_PLACE
+        counts.largest = max(counts.largest, off)
+        if prefer_late and measures[k].edit_lock:
+            counts.locked += 1
+        elif prefer_late:
+            measures[k] = measure
+    return measures
+
+
+def apart(one: ControlMeasure, other: ControlMeasure) -> float:
+    """px, how far apart two measures are along line or sample; 0 where one has no place."""
+    pairs = ((one.line, other.line), (one.sample, other.sample))
+    return max((abs(a - b) for a, b in pairs if a is not None and b is not None), default=0.0)
