@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,7 +43,6 @@ _PLAIN = "case"
 _NOT_TAKEN = (Kind.CASE, Kind.LIST, Kind.OWN_RECORD)
 _UNKNOWN, _NO_TEXT = "of no kind known here", "a name that is no Unicode text, as a case file is"
 """Why a file is left out."""
-_STUB = "one pixel alone, cut down (slimcube?): name the whole image"
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
 _HEAD = """\
 # Written by `mgsgraph new`, and yours to change. All keys: mgsgraph help case.
@@ -120,7 +119,6 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     called = some([one.name for one in images], len(images))
     told = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
     told += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
-    told += [f"- {one.path.name}: {_STUB}" for one in images if _is_stub(one)]
     told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
     told += _of_one_moment(images)
     told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
@@ -177,9 +175,8 @@ def _no_image(
         file, _, reason = left_out[-1].partition(": ")
         tried = [line.partition(": ")[0] for line in left_out]
         return InputError(file, reason, remedy=f"so there is no image: {some(tried, len(tried))} can't be read")
-    counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
-    each = [f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items()]
-    holds = ", ".join([*each, *(f"{path.name} {why}" for path, why in islice(unknown.items(), 1))])
+    strange = [f"{path.name} {why}" for path, why in unknown.items()]
+    holds = ", ".join([*dict.fromkeys(map(str, kinds.values())), *strange[:1]])
     found = f"no image{f': it holds {holds}' if holds else ''}"
     expected, remedy = "a cube, support data, a label or a model state", "name an image too, or a folder of them"
     return InputError(where, found, expected, remedy)
@@ -230,14 +227,10 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
         text += "\n[[images]]\n"
         text += f"name = {quoted(one.name)}\n"
         size = f"{one.kind}, {one.image.lines} x {one.image.samples}"
-        text += said(f"image = {place(one.path, out)}", f"{size}: {_STUB}" if _is_stub(one) else size)
+        text += said(f"image = {place(one.path, out)}", size)
         text += f"pixels = {place(one.pixels, out)}\n" if one.pixels is not None else ""
         text += said(f"line_times = {quoted(one.line_times)}", _ROUGH) if one.line_times is not None else ""
     return text
-
-
-def _is_stub(one: DraftImage) -> bool:
-    return one.image.lines == one.image.samples == 1
 
 
 def _name(given: Sequence[Path], out: Path) -> str:

@@ -277,13 +277,6 @@ def test_the_cause_comes_first(case_file: Path, tmp_path: Path) -> None:
         draft_case([case_file.with_name("lidar.json"), case_file.with_name("network.pvl")], tmp_path / "case.toml")
 
 
-def test_a_cube_of_one_pixel_is_said(shared_data: Path, tmp_path: Path) -> None:
-    (cube,) = (shared_data / "mro_ctx_b10").glob("*.cub")
-    made = draft_case([cube], tmp_path / "case.toml")
-    assert any("one pixel" in line for line in made.said)
-    assert re.search("^image = .*one pixel", made.text, re.MULTILINE)
-
-
 def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
     """Pipes, loops, names that are no text, records of ours, files without an end: left out, and most of them said."""
     folder = case_file.parent

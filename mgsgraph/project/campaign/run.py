@@ -7,7 +7,6 @@ import math
 import os
 import socket
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -42,7 +41,6 @@ SUFFIX = ".toml"
 _ELSEWHERE, _MEND = "choose another --out", "take it away"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
-_JOINT = "-"
 _BESIDE = (".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json")
 """Endings of files that belong together: a label, and the pixels, posts or tables that it describes."""
 
@@ -87,10 +85,10 @@ def _walk(folder: Path, out: Path) -> list[Path]:
 
 
 def result_folders(cases: Iterable[Path], taken: Mapping[Path, str]) -> dict[Path, str]:
-    """Name of the folder of each case's results: the shortest end of its path that no other case has.
+    """Name of the folder of each case's results: the shortest end of its path that no case before it has.
 
-    ``sites/eos.toml`` gives ``eos``, ``sites/eos/case.toml`` as well; with ``a/eos.toml`` and ``b/eos.toml`` both
-    grow: ``a-eos`` and ``b-eos``.
+    ``sites/eos.toml`` gives ``eos``, ``sites/eos/case.toml`` as well; of ``a/eos.toml`` and ``b/eos.toml`` the second
+    one gives ``b-eos``.
 
     Parameters
     ----------
@@ -99,28 +97,17 @@ def result_folders(cases: Iterable[Path], taken: Mapping[Path, str]) -> dict[Pat
     taken : mapping of Path to str
         Names that were given earlier; they stay.
     """
-    names = dict(taken)
-    ends = {case: _parts(case) for case in cases if case not in taken}
-    lengths = dict.fromkeys(ends, 1)
-    while True:
-        tried = {case: _JOINT.join(parts[-lengths[case] :]) for case, parts in ends.items()}
-        counts = Counter([*tried.values(), *taken.values()])
-        longer = [case for case, name in tried.items() if counts[name] > 1 and lengths[case] < len(ends[case])]
-        if not longer:
-            break
-        for case in longer:
-            lengths[case] += 1
-    for case, name in tried.items():
-        if counts[name] > 1:
-            other = next(path for path, its in (names | tried).items() if its == name and path != case)
-            raise InputError(str(case), f"its results would go to {name!r}, like those of {other}", "another file name")
-    return names | tried
-
-
-def _parts(case: Path) -> tuple[str, ...]:
-    """Folders and stem of a case file's path, without a stem that says nothing."""
-    parts = tuple(part for part in case.parent.parts if part != case.anchor)
-    return parts if case.stem == _PLAIN and parts else (*parts, case.stem)
+    names, used = dict(taken), {name: case for case, name in taken.items()}
+    for case in [case for case in cases if case not in taken]:
+        parts = tuple(part for part in case.parent.parts if part != case.anchor)
+        parts = parts if case.stem == _PLAIN and parts else (*parts, case.stem)
+        ends = ["-".join(parts[-count:]) for count in range(1, len(parts) + 1)]
+        name = next((end for end in ends if end not in used), ends[-1])
+        if name in used:
+            found = f"its results would go to {name!r}, like those of {used[name]}"
+            raise InputError(str(case), found, "another file name")
+        names[case], used[name] = name, case
+    return names
 
 
 def checksums(case: Path) -> dict[str, str | None]:

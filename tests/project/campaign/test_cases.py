@@ -37,7 +37,7 @@ def test_names_are_short_where_they_can_be() -> None:
     cases = [
         Path(f"/sites/{place}.toml") for place in ("eos/case", "eos/case_papers", "gusev/case", "isidis", "x/isidis")
     ]
-    assert list(result_folders(cases, {}).values()) == ["eos", "case_papers", "gusev", "sites-isidis", "x-isidis"]
+    assert list(result_folders(cases, {}).values()) == ["eos", "case_papers", "gusev", "isidis", "x-isidis"]
 
 
 def test_cases_of_a_folder(tmp_path: Path) -> None:
