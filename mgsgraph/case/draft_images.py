@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.case.case_file import plain_image
-from mgsgraph.case.images import read_image
+from mgsgraph.case.case_file import plain_image, read_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label

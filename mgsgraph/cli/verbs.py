@@ -28,7 +28,7 @@ VERBS = {
     "shots": ("places", "Find the laser profiles over images, and those taken along with them."),
     "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
     "solve": ("projects", "Adjust everything in a project by batch, and compare."),
-    "studio": ("studio", "Look at a project, results or a case in the browser, measure and ask."),
+    "studio": ("projects", "Look at a project, results or a case in the browser, measure and ask."),
     "status": ("projects", "Say what is in a project and what its last solution was."),
     "undo": ("projects", "Take back the last edit of a point of a project."),
 }

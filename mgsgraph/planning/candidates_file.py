@@ -11,7 +11,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from mgsgraph.case.images import read_image
+from mgsgraph.case.case_file import read_image
 from mgsgraph.case.motion import Positive, Sigma
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from

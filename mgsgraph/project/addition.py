@@ -8,9 +8,8 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ImagesByName
 from mgsgraph.case.assembly import laser_profile, shots_in_images
-from mgsgraph.case.case_file import decode, plain_image
+from mgsgraph.case.case_file import decode, plain_image, read_image, read_images
 from mgsgraph.case.groups import in_images, with_sigmas
-from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput, ShotsInput

@@ -118,7 +118,7 @@ class StoredPoints(NamedTuple):
     surface_sigmas: Array
     """(n,) m; infinite for points that lie on no terrain model."""
     places: Array
-    """(n, 3) m, adjusted, NaN where undetermined or not adjusted yet; a-priori unless those were asked for."""
+    """(n, 3) m, adjusted, NaN where undetermined or not adjusted yet."""
     covariances: Array
     """(n, 3, 3) m^2, the same."""
     runs: "dict[int, Run]"
@@ -167,15 +167,14 @@ def _marks(marks: Mask | None) -> Mask | None:
     return marks if marks is not None and np.any(marks) else None
 
 
-def points_of(cells: Cells, bundle: int | None, adjusted: bool = True) -> StoredPoints:
+def points_of(cells: Cells, bundle: int | None) -> StoredPoints:
     """Points of a bundle, or all points."""
     names, bundles, sizes = cells.names(bundle)
     rows = np.stack([bundles, np.cumsum(sizes) - sizes, sizes], axis=1).tolist()
     runs = {number: Run(first, size) for number, first, size in rows}
     class_, kind, profile, sigma, place, covariance = _of_points(cells, "point_columns", POINTS, bundle, runs)
     points = GroundPoints(names, class_.astype(np.int64), kind.astype(np.int64), place, covariance)
-    if adjusted:
-        place, covariance = _of_points(cells, "adjusted_columns", ADJUSTED, bundle, runs)
+    place, covariance = _of_points(cells, "adjusted_columns", ADJUSTED, bundle, runs)
     return StoredPoints(points, profile.astype(np.int64), sigma, place, covariance, runs)
 
 
@@ -299,11 +298,6 @@ class StoredStereo:
     def __init__(self, connection: sqlite3.Connection, where: str) -> None:
         self._connection, self._cells = connection, Cells(connection)
         self._surfaces = StoredRecords(connection, where, "stereo_surface", StereoSurface)
-
-    @property
-    def there(self) -> bool:
-        """Whether any point lies on a stereo surface."""
-        return self._connection.execute("SELECT 1 FROM height_columns LIMIT 1").fetchone() is not None
 
     def control(
         self, bundle: int | None, runs: Mapping[int, Run], images: Index, starts: Array

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.analysis.places import View
-from mgsgraph.case.case_file import decode
-from mgsgraph.case.images import read_image, read_images
+from mgsgraph.case.case_file import decode, read_image, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import terrain_shots
 from mgsgraph.case.schema import CaseInput, TerrainInput

@@ -389,10 +389,11 @@ class Project:
 
     # --- counts
 
-    def counts(self, table: str, by: str) -> dict[int, int]:
-        """Number of rows of a table by the values of one of its columns, both ours."""
-        rows = self._connection.execute(f"SELECT {by}, count(*) FROM {table} GROUP BY {by} ORDER BY {by}")
-        return dict(rows.fetchall())
+    @property
+    def held_images(self) -> int:
+        """Number of images whose orientation is not adjusted."""
+        (count,) = self._connection.execute("SELECT count(*) FROM image WHERE held").fetchone()
+        return int(count)
 
     def bundle_images(self) -> list[tuple[str, int, int]]:
         """Name of the image, number of the bundle and number of its points, for each image of each bundle."""

@@ -16,10 +16,9 @@ from rig_files import write_rig
 
 import mgsgraph
 from mgsgraph.case import draft, draft_images
-from mgsgraph.case.case_file import decode
+from mgsgraph.case.case_file import decode, read_image
 from mgsgraph.case.draft import draft_case
 from mgsgraph.case.draft_images import DraftImage, named_as
-from mgsgraph.case.images import read_image
 from mgsgraph.case.reading import case_of
 from mgsgraph.errors import InputError
 from mgsgraph.files.kinds import Kind

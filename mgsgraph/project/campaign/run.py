@@ -343,19 +343,12 @@ def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
 def _workers(cluster: str | None, record: Record, due: Sequence[CaseTask]) -> Iterator[_Each]:
     """How tasks are worked off: in this process, or on a cluster whose workers see the same files."""
     if cluster is None:
-        yield _one_by_one
+        yield lambda function, tasks: enumerate(map(function, tasks))
         return
     with open_cluster(cluster, most=len(due)) as connection:
         for path in (record.path, due[0].case):
             connection.require_visible_file(path)
         yield connection.each
-
-
-def _one_by_one(
-    function: Callable[[CaseTask], CampaignEntry], tasks: Sequence[CaseTask]
-) -> Iterator[tuple[int, CampaignEntry | Lost]]:
-    for place, task in enumerate(tasks):
-        yield place, function(task)
 
 
 def summary(campaign: Campaign) -> str:
