@@ -150,6 +150,7 @@ DOOR = {
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
     "mgsgraph.project.project": {"json.loads"},
+    "mgsgraph.project.settings": {"json.loads"},
     # our own files, not a user's
     "mgsgraph.adjustment.graph.memory_map": {"read_text"},  # the system's: how much memory a container may take
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
