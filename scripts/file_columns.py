@@ -24,20 +24,17 @@ from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.registration.dem.checking import HeightChecks
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
-from mgsgraph.results.analysis import components_table
-from mgsgraph.results.crossings import selection_table
-from mgsgraph.results.drivers import drivers_table
-from mgsgraph.results.likelihood import likelihood_table
+from mgsgraph.results.analysis import components_table, likelihood_table, unexplained_table, vibrations_table
 from mgsgraph.results.matching import matches_table
-from mgsgraph.results.passes import nodes_table
+from mgsgraph.results.passes import nodes_table, shared_table
+from mgsgraph.results.places import selection_table
 from mgsgraph.results.plan import judged_table
 from mgsgraph.results.registration import discrepancy_table, registration_table
 from mgsgraph.results.reliability import reliability_table
 from mgsgraph.results.relief import costs_table, profiles_table, relief_shots_table
-from mgsgraph.results.shared import shared_table
+from mgsgraph.results.soundness import drivers_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.results.terrain_model import shots_table
-from mgsgraph.results.unexplained import unexplained_table, vibrations_table
 from mgsgraph.simulation.demo.truth import disagreement_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.mars import MARS

@@ -48,7 +48,7 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
-        "mgsgraph.registration.dem", "mgsgraph.results.stac_item", "mgsgraph.studio.ground",
+        "mgsgraph.registration.dem", "mgsgraph.results.terrain_model", "mgsgraph.studio.ground",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

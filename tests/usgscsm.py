@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.export.reprojection import Reprojection, images_of
+from mgsgraph.export.spice_nodes import Reprojection, images_of
 
 Numbers = NDArray[np.float64]
 State = dict[str, Any]

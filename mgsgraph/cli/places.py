@@ -124,17 +124,15 @@ def shots(
     """
     from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.project.oriented import ShotChoice, oriented_images, search_shots
-    from mgsgraph.results.crossings import SELECTION, crossing_sentences, crossings_table, selection_table
+    from mgsgraph.results.places import SELECTION, crossings_section, selection_table
 
     if out is not None:
         require_free(out, SELECTION)
     choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
     seen = oriented_images(case, names)
     over = search_shots(files, seen, choice)
-    found = over.crossings()
-    for line in crossings_table(found).text(units=True) if found else ():
-        click.echo(line)
-    print_sentences([*([seen.warning] if seen.warning else []), *crossing_sentences(over, found)])
+    print_sentences([seen.warning] if seen.warning else [])
+    click.echo(crossings_section(over, over.crossings()).text(None))
     if out is not None and not over.chosen.size:
         click.echo("Nothing is written: there is no shot to be written.")
     elif out is not None:

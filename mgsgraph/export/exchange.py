@@ -39,7 +39,6 @@ _ENDINGS = {f".{form}": form for form in Format if form != Format.MATCH_TEXT} | 
 _EDGE = 0.5
 """ISIS's count of an image's first edge; the last one is at its lines and samples and as much."""
 _MATCHES = (Format.MATCH, Format.MATCH_TEXT)
-_ISIS = (Format.PVL, Format.NET)
 _TABLES = (Format.CSV, Format.PARQUET)
 _ELSEWHERE = "name another file; or say --replace"
 

@@ -14,9 +14,8 @@ from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.libraries import library
 from mgsgraph.record import meanings
-from mgsgraph.results.geoparquet import GEOMETRY, with_points, with_shapes
-from mgsgraph.results.passes import nodes_table
-from mgsgraph.results.shared import shared_table
+from mgsgraph.results.large_tables import GEOMETRY, with_points, with_shapes
+from mgsgraph.results.passes import nodes_table, shared_table
 from mgsgraph.results.tables import (
     connectivity_table,
     orientation_table,
@@ -54,12 +53,6 @@ def layer_table(layer: Layer) -> Table:
     """A layer of a map as a table with a column of shapes."""
     columns = tuple(Column(name, values) for name, values in layer.fields.items())
     return with_shapes(Table(layer.name, layer.about, columns), shapely.to_wkb(layer.shapes).tolist())
-
-
-def table_layer(name: str, table: Table) -> Layer:
-    """A table whose rows lie at points as a layer, for how it is drawn: its columns without the shapes."""
-    fields = {part.name(): part.scaled for column in table.columns if column.files for part in column.split}
-    return Layer(name, table.note, "Point", np.zeros(0, dtype=object), fields)
 
 
 def to_pandas(solution: Solution, what: str = "points") -> "DataFrame":

@@ -11,22 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import (
-    adjusted_points,
-    local_sigmas,
-    ray_statistics,
-    rejected_points,
-    used_ray_counts,
-)
-from mgsgraph.files.output.csv_json import columns, picked, plain
-from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.analysis.statistics import adjusted_points, local_sigmas, ray_statistics, rejected_points
+from mgsgraph.files.output.csv_json import columns, picked
+from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.error_ellipse import PROBABILITY, error_ellipses
 from mgsgraph.geometry.footprint import Footprint, areas
-from mgsgraph.geometry.map_shapes import Shapes, geojson, map_lines, map_points, map_polygon, map_polygons
+from mgsgraph.geometry.map_shapes import Shapes, map_lines, map_points, map_polygon, map_polygons
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.results.tables import points_table
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _CORNERS = 48
@@ -57,18 +51,6 @@ class Layer(NamedTuple):
     """(n) shapes in degrees; None where a row has no place."""
     fields: Fields
     """Columns (n,): numbers, truth values or text."""
-
-    @property
-    def __geo_interface__(self) -> dict[str, Any]:
-        """GeoJSON's collection of features, as GeoPandas, Shapely and Folium take it; null for what is not known."""
-        lists = {name: plain(values if isinstance(values, np.ndarray) else list(values))
-                 for name, values in self.fields.items()}  # fmt: skip
-        features = [
-            {"type": "Feature", "id": str(k), "geometry": geojson(shape),
-             "properties": {name: values[k] for name, values in lists.items()}}
-            for k, shape in enumerate(self.shapes)
-        ]  # fmt: skip
-        return {"type": "FeatureCollection", "name": self.name, "features": features}
 
 
 class Vectors(NamedTuple):
@@ -153,6 +135,9 @@ _CLASSES = {
     PointClass.TIE: "tie points", PointClass.LASER: "laser points", PointClass.CONTROL: "control points",
     PointClass.POST: "posts of terrain models",
 }  # fmt: skip
+_POINT_COLUMNS = ("id", "kind", "rejected", "rays", "rays_used", "lon_deg", "lat_deg", "radius_m", "height_m",
+                  "height_above_areoid_m")  # fmt: skip
+"""Of points.csv that layers of points have."""
 
 
 def point_layers(solution: Solution) -> list[Layer]:
@@ -170,21 +155,13 @@ def point_layers(solution: Solution) -> list[Layer]:
 
 
 def _point_fields(solution: Solution) -> dict[str, Any]:
-    network, places = solution.network, solution.places
-    longitude, latitude, radius = planetocentric(places).T
+    """Columns of points.csv without the body-fixed ones, what moved and sigmas towards east, north and up."""
+    places, ways = solution.places, ("east", "north", "up")
     moved = _components(east_north_up(places), places - solution.places_before)
-    sigmas, ways = local_sigmas(solution.covariances, places), ("east", "north", "up")
+    sigmas = local_sigmas(solution.covariances, places)
+    table = {part.name(): part.scaled for column in points_table(solution).columns for part in column.split}
     return {
-        "id": list(network.points.ids),
-        "kind": picked([kind.name.lower() for kind in PointKind], network.points.kinds),
-        "rejected": rejected_points(solution),
-        "rays": network.ray_counts,
-        "rays_used": used_ray_counts(solution),
-        "lon_deg": longitude / DEG % 360.0,
-        "lat_deg": latitude / DEG,
-        "radius_m": radius,
-        "height_m": geodetic(places, network.images[0].body)[:, 2],
-        **({"height_above_areoid_m": radius - network.areoid.at(places)} if network.areoid else {}),
+        **{name: table[name] for name in _POINT_COLUMNS if name in table},
         **columns([f"correction_{way}_m" for way in ways], moved),
         **columns([f"sigma_{way}_m" for way in ways], sigmas),
         **columns([f"scaled_sigma_{way}_m" for way in ways], sigmas * solution.sigma0),

@@ -1,4 +1,4 @@
-"""A solution for another program: written to a folder that appears whole or not at all, and noted in its record."""
+"""A solution for another program, written to a folder that appears whole or not at all."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,9 +12,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target
 from mgsgraph.files.output.csv_json import write_json
-from mgsgraph.files.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
-from mgsgraph.files.records import read_record, record_text
-from mgsgraph.files.writing import write_file
+from mgsgraph.files.output.folders import EXPORT, PROGRAM, fresh_folder
+from mgsgraph.files.records import read_record
 from mgsgraph.network import PointClass
 from mgsgraph.results.archive import read_solution
 
@@ -55,8 +54,6 @@ class Exported(NamedTuple):
     """px, largest difference of their image coordinates from the solution's; NaN where nothing was read back."""
     converged: bool = True
     """Whether the solution is."""
-    noted: bool = True
-    """Whether the solution's record says so, too; it can't where it may not be written."""
     notes: tuple[str, ...] = ()
     """What the files keep of those that the solution was made from, and what not, in sentences."""
 
@@ -66,7 +63,6 @@ class Exported(NamedTuple):
         beware = {
             "They are farther off than they should be.": self.largest > _FINE,
             "The solution did NOT converge.": not self.converged,
-            "This could not be noted in the solution's own record.": not self.noted,
         }
         written = f"{len(self.files)} files for {self.target.value}"
         if self.measures:
@@ -82,7 +78,7 @@ def export_solution(
 ) -> Exported:
     """Write a solution for another program, to a folder that appears whole or not at all.
 
-    What was exported stands in the folder's export.json, and in the solution's own solution.json.
+    What was exported stands in the folder's export.json.
 
     Parameters
     ----------
@@ -118,13 +114,13 @@ def export_solution(
         if settings.verify:
             done = _verified(done, solution, aside)
         write_json(aside / EXPORT, _record(done, solution, settings))
-    return done._replace(noted=_note(path, done))
+    return done
 
 
 def _verified(done: Exported, solution: Solution, folder: Path) -> Exported:
     """With what kernels say when SPICE alone reads them; InputError where they don't show a point."""
-    from mgsgraph.export.reprojection import reprojection
     from mgsgraph.export.spice_back import spice_differences
+    from mgsgraph.export.spice_nodes import reprojection
 
     differences = spice_differences(folder, reprojection(solution))
     if lost := np.count_nonzero(~np.isfinite(differences)):
@@ -235,29 +231,7 @@ _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written
 
 def _record(done: Exported, solution: Solution, settings: ExportSettings) -> dict[str, Any]:
     said = {"program": PROGRAM, "format": FORMAT, "name": solution.name, "converged": solution.converged}
-    support = {name: str(path) for name, path in (settings.support or {}).items()}
-    return {**said, **_figures(done), "scaled": settings.scaled, "support": support, "notes": list(done.notes),
-            "files": list(done.files)}  # fmt: skip
-
-
-def _figures(done: Exported) -> dict[str, Any]:
     verified = {"measures": done.measures, "largest_difference_px": done.largest} if done.measures else {}
-    return {"target": done.target.value, **verified}
-
-
-def _note(path: Path, done: Exported) -> bool:
-    """Say in the solution's record what was exported last for each target; False where that is damaged, absent (then
-    the export alone says it) or not to be written.
-    """
-    file = (path if path.is_dir() else path.parent) / RECORD
-    try:
-        record = read_record(file)
-        earlier = dict(record.get("exports", {}))
-    except (ValueError, TypeError):
-        return False
-    exports = {**earlier, done.target.value: {**_figures(done), "folder": str(done.folder)}}
-    try:
-        write_file(file, record_text({**record, "exports": exports}))
-    except InputError:
-        return False  # the export is there all the same
-    return True
+    support = {name: str(path) for name, path in (settings.support or {}).items()}
+    return {**said, "target": done.target.value, **verified, "scaled": settings.scaled, "support": support,
+            "notes": list(done.notes), "files": list(done.files)}  # fmt: skip

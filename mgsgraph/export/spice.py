@@ -22,8 +22,16 @@ from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.export.reprojection import Reprojection, images_of, reprojection
-from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, Paths, adjusted_nodes, united_paths
+from mgsgraph.export.spice_nodes import (
+    TOLERANCE,
+    AdjustedNodes,
+    Paths,
+    Reprojection,
+    adjusted_nodes,
+    images_of,
+    reprojection,
+    united_paths,
+)
 from mgsgraph.export.spice_texts import (
     CLOCK,
     META_KERNEL,

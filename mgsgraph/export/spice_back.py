@@ -12,7 +12,7 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.errors import InputError
-from mgsgraph.export.reprojection import Reprojection, images_of
+from mgsgraph.export.spice_nodes import Reprojection, images_of
 from mgsgraph.files.spice.kernels import loaded, spice_words
 
 Numbers = np.ndarray[Any, np.dtype[np.float64]]

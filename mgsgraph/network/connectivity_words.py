@@ -57,11 +57,6 @@ def connectivity_warnings(connected: Connectivity) -> list[str]:
     return [*_islands(connected), *_untied(connected), *_apart(connected)]
 
 
-def weakest_joints(connected: Connectivity) -> list[str]:
-    """The weakest links: two parts of the block that have no stronger one, one phrase each."""
-    return [_weak(connected, row) for row in connected.spine[:WEAKEST].tolist()]
-
-
 def link_statement(connected: Connectivity) -> list[str]:
     """A sentence about all links and the weakest joint; none without links."""
     points, links = connected.points, connected.links

@@ -96,7 +96,7 @@ class EditRow(msgspec.Struct, frozen=True):
     kind: str
     point: str
     before: str | None
-    """JSON (`project.journal.PointState`); None where there was no such point."""
+    """JSON (`PointState`); None where there was no such point."""
     after: str | None
     """JSON; None where there is none any longer."""
 

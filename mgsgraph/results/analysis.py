@@ -3,31 +3,30 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mgsgraph.analysis.components import Components, components_of, iterated_components
-from mgsgraph.analysis.likelihood import linearity_of
+from mgsgraph.analysis.likelihood import LEVELS, Profile, linearity_of
 from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.snooping import snoop
+from mgsgraph.analysis.spacing.vibrations import ResidualVibrations, residual_vibrations
+from mgsgraph.analysis.unexplained import Unexplained, unexplained
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.results.answers import Questions, answered
-from mgsgraph.results.likelihood import likelihood_section, linearity_section
 from mgsgraph.results.reliability import reliability_section, snooping_section
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.results.sigmas import curve_section, raster_section
-from mgsgraph.results.unexplained import unexplained_section, vibrations_section
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
+from mgsgraph.results.soundness import linearity_section
+from mgsgraph.units import MRAD
 
 _EXPECTED = ", ".join(f"{100.0 * share:.3g}" for share in PROMISED)
 
@@ -131,11 +130,6 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     test, components, statistics = chi_square_test(fit), components_of(at), residual_statistics(at)
     residuals = residuals_table(statistics)
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.quantiles import quantile_sheet
-
-        return [quantile_sheet(statistics, name)]
-
     record = {
         "global_test": {
             "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
@@ -146,7 +140,8 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     }  # fmt: skip
     return Section(
         "honesty", "Stated sigmas against residuals", [f"{test.sentence}.", *components.sentences], [residuals],
-        record, [components_table(components)], sheets=sheets,
+        record, [components_table(components)],
+        sheets=drawn("mgsgraph.results.figures.quantiles.quantile_sheet", statistics, name),
     )  # fmt: skip
 
 
@@ -253,3 +248,110 @@ def _separability(posterior: Posterior) -> Section:
     ]  # fmt: skip
     said = [one.sentence[0].upper() + one.sentence[1:] for one in found]
     return Section("separability", sentences=said or [none], numbers=record)
+
+
+# --- intervals by the likelihood
+
+
+def likelihood_section(posterior: Posterior, names: Sequence[str]) -> Section:
+    """Intervals of the numbers of images, shifts and shared unknowns by the likelihood."""
+    table = likelihood_table([one for name in dict.fromkeys(names) for one in posterior.likelihood.profiles(name)])
+    mixed = ["Only within the lowest of several minima."] if posterior.linearised.mixed else []
+    return Section("likelihood", sentences=mixed, tables=[table], numbers=table.records(), csv=[table])
+
+
+def likelihood_table(profiles: Sequence[Profile]) -> Table:
+    """One row per unknown."""
+    units = ["mrad" if one.unit == "rad" else one.unit for one in profiles]
+    scale = np.array([1.0 / MRAD if one.unit == "rad" else 1.0 for one in profiles])
+    intervals = np.array([one.intervals for one in profiles]).reshape(-1, len(LEVELS), 2) * scale[:, None, None]
+    ends = [
+        Column(f"{end}_{100.0 * level:.0f}", intervals[:, k, side], meaning=f"{end}er end of the {level:.0%} interval",
+               label=f"{end} {level:.0%}", text=">10.4g")
+        for k, level in enumerate(LEVELS) for side, end in enumerate(("low", "high"))
+    ]  # fmt: skip
+    return Table("likelihood", "Intervals by the likelihood (68, 95 and 99 %)", (
+        Column("of", [one.owner for one in profiles], meaning="image, shift or shared unknown", text="<20"),
+        Column("axis", [one.axis for one in profiles], meaning="which of its unknowns", text="<31"),
+        Column("unit", units, meaning="of all numbers of the row", text="<5"),
+        Column("value", np.array([one.value for one in profiles]) * scale, meaning="estimate", text=">10.4g"),
+        Column("sigma", np.array([one.sigma for one in profiles]) * scale, meaning="by the covariance", text=">9.4g"),
+        *ends,
+        Column("ratio", np.array([one.ratio for one in profiles]), label="ratio", text=">6.3f",
+               meaning="width of the 95 % interval over that by the covariance"),
+    ))  # fmt: skip
+
+
+# --- what residuals show
+
+
+def unexplained_section(posterior: Posterior, name: str) -> Section:
+    """The tests of the residuals."""
+    found = unexplained(posterior.linearised)
+
+    table, said = unexplained_table(found), found.sentences
+    record = {"level": found.level, "tests": found.tests, "words": said, "effects": table.records()}
+    return Section("unexplained", sentences=said, numbers=record, csv=[table],
+                   sheets=drawn("mgsgraph.results.figures.unexplained.unexplained_sheet", found, name))  # fmt: skip
+
+
+def unexplained_table(found: Unexplained) -> Table:
+    """One row per named effect, then one for the clearest test of each place and kind of rows."""
+    every = [*found.effects, *found.others]
+    named = len(found.effects)
+    return Table("unexplained", "What the adjustment cannot explain", (
+        Column("kind", [str(one.kind) for one in every], meaning="what it is"),
+        Column("where", [one.where for one in every], meaning="image, profile, model, kind of rows"),
+        Column("named", ["yes" if k < named else "" for k in range(len(every))], meaning="yes: p below the level"),
+        Column("p", numbers(every, "p_value"), meaning="chance of anything as clear in a whole run on good data"),
+        Column("quantity", [one.quantity for one in every], meaning="what varies: line, sample; up, east and north"),
+        Column("amplitude", numbers(every, "amplitude"),
+               meaning="in `unit`; of a correlation the coefficient, whose `unit` is that of the length"),
+        Column("sigma", numbers(every, "sigma"), meaning="of the amplitude"),
+        Column("unit", [one.unit for one in every], meaning="of amplitude and sigma"),
+        Column("period_or_length", numbers(every, "period"), meaning="s, of jitter; correlation length, in `unit`"),
+        Column("statistic", numbers(every, "statistic"),
+               meaning="chi-square; of a correlation its standardised score"),
+        Column("degrees_of_freedom", numbers(every, "degrees").astype(int), meaning="of the statistic"),
+        Column("or", ["; ".join(one.alternatives) for one in every], meaning="where else it would explain as much"),
+        Column("term", [one.term for one in every], meaning="what to add to the case file"),
+    ))  # fmt: skip
+
+
+def vibrations_section(posterior: Posterior, name: str) -> Section:
+    """What residuals of all images show; a sentence where there are too few rays."""
+    try:
+        found = residual_vibrations(posterior.linearised)
+    except InputError as error:
+        said = f"No spectrum of residuals over time: {error}."
+        return Section("vibrations", sentences=[said], numbers={"words": [str(error)]})
+
+    table = vibrations_table(found)
+    seen = [
+        {
+            "image": one.image, "turn": one.turn, "share_shown": one.share, "named_from_px": None if one.blind else
+            one.limit, "highest_frequency_hz": one.spectrum.nyquist,
+        }
+        for one in found.spectra
+    ]  # fmt: skip
+    record = {"words": found.sentences, "vibrations": table.records(), "spectra": seen}
+    return Section("vibrations", sentences=found.sentences, numbers=record, csv=[table],
+                   sheets=drawn("mgsgraph.results.figures.vibrations.vibrations_sheet", found, name))  # fmt: skip
+
+
+def vibrations_table(found: ResidualVibrations) -> Table:
+    """One row per vibration, clearest first."""
+    every = found.vibrations
+    return Table("vibrations", "Vibrations in residuals", (
+        Column("image", [one.image for one in every], meaning="whose residuals show it best"),
+        Column("turn", [one.turn for one in every],
+               meaning="pitch: along lines; roll: along samples; yaw: along lines, by the sample"),
+        Column("frequency", numbers(every, "frequency"), "hz"),
+        Column("frequency_sigma", numbers(every, "frequency_sigma"), "hz"),
+        Column("amplitude", numbers(every, "amplitude"), "px", meaning="were it of this image alone"),
+        Column("sigma", numbers(every, "sigma"), "px", meaning="of the amplitude"),
+        Column("p", numbers(every, "probability"),
+               meaning="chance of one as clear in noise, at any frequency of this image and turn"),
+        Column("or", ["; ".join(one.alternatives) for one in every],
+               meaning="images of which it may be as well, or in part"),
+    ))  # fmt: skip

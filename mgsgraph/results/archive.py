@@ -6,7 +6,9 @@ of its.
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -85,9 +87,9 @@ def _require_shapes(solution: Solution) -> None:
     shifts = len(network.shift_names)
     shared = [one.sigmas.size for one in network.shared]
     moves = [len(terms) for terms in network.shift_terms]
-    of_strips = [size for strip in network.passes for size in strip.widths.tolist()]
-    width = np.array([prior.sigmas.size for prior in network.priors] + moves + shared + of_strips)
-    adjusted = np.append(network.with_polynomial, np.ones(shifts + len(shared) + len(of_strips), dtype=bool))
+    of_passes = [size for one in network.passes for size in one.widths.tolist()]
+    width = np.array([prior.sigmas.size for prior in network.priors] + moves + shared + of_passes)
+    adjusted = np.append(network.with_polynomial, np.ones(shifts + len(shared) + len(of_passes), dtype=bool))
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     expected: dict[str, tuple[int, ...]] = {
         "shifts": (shifts, 2),
@@ -100,50 +102,27 @@ def _require_shapes(solution: Solution) -> None:
         "stereo_heights": (n,), "test_dimensions": (k + r + n,),
     }  # fmt: skip
     expected |= {name: shape for name, shape in newer.items() if getattr(solution, name) is not None}
-    for name, shape in expected.items():
-        if (found := getattr(solution, name).shape) != shape:
-            raise InputError(name, f"shape {found}", f"{shape}", _ANEW)
     root = solution.joint_covariance.square_root
-    for name, found, right in (
-        ("joint_covariance.square_root.first", root.first, first),
-        ("joint_covariance.square_root.width", root.width, width),
-    ):
-        if not np.array_equal(found, right):
-            raise InputError(name, f"{found.tolist()[:10]}", f"{right.tolist()[:10]}", _ANEW)
-    shapes = [part.shape for part in solution.coefficients]
-    if shapes != [prior.sigmas.shape for prior in network.priors]:
-        raise InputError("coefficients", f"shapes {shapes[:5]}", "those of the priors", _ANEW)
-    _require_finite(solution)
-    if [value.size for value in solution.shift_values] != moves:
-        raise InputError("lift", "values of other unknowns", "those of the network's terrain model", _ANEW)
-    values = [value.shape for value in solution.shared]
-    if values != [(size,) for size in shared]:
-        raise InputError("shared", f"shapes {values[:5]}", "those of the network's shared unknowns", _ANEW)
-    _require_passes(solution)
-
-
-def _require_passes(solution: Solution) -> None:
-    """Raise InputError unless every strip has its nodes and its trend."""
-    strips = solution.network.passes
-    for name, values, right in (
-        ("nodes", solution.nodes, [(len(strip.nodes), 6) for strip in strips]),
-        ("trends", solution.trends, [strip.prior.trend_sigmas.shape for strip in strips]),
-    ):
-        if [value.shape for value in values] != right:
-            found = f"shapes {[value.shape for value in values][:5]}"
-            raise InputError(name, found, "those of the network's strips", _ANEW)
-
-
-def _require_finite(solution: Solution) -> None:
-    """Raise InputError where what was adjusted has no value."""
-    parts: dict[str, list[Array]] = {
-        "coefficients": list(solution.coefficients), "shifts": [solution.shifts], "shared": list(solution.shared),
-        "places": [solution.places[solution.determined]], "lift": [] if solution.lift is None else [solution.lift],
-        "nodes": list(solution.nodes), "trends": list(solution.trends),
+    found: list[tuple[str, str, Any, Any]] = [
+        *((name, "shape ", getattr(solution, name).shape, right) for name, right in expected.items()),
+        ("joint_covariance.square_root.first", "", root.first.tolist(), first.tolist()),
+        ("joint_covariance.square_root.width", "", root.width.tolist(), width.tolist()),
+    ]
+    parts: dict[str, tuple[Sequence[Array], list[tuple[int, ...]]]] = {
+        "coefficients": (solution.coefficients, [prior.sigmas.shape for prior in network.priors]),
+        "lift": (solution.shift_values, [(size,) for size in moves]),
+        "shared": (solution.shared, [(size,) for size in shared]),
+        "nodes": (solution.nodes, [(len(one.nodes), 6) for one in network.passes]),
+        "trends": (solution.trends, [one.prior.trend_sigmas.shape for one in network.passes]),
+    }
+    found += [(name, "shapes ", [value.shape for value in values], right) for name, (values, right) in parts.items()]
+    for name, what, value, right in found:
+        if value != right:
+            raise InputError(name, f"{what}{str(value)[:60]}", str(right)[:60], _ANEW)
+    numbers = {name: list(values) for name, (values, _) in parts.items()} | {
+        name: [value] for name in ("shifts", "sigmas_without_laser", "median_sigmas_without_laser")
+        if (value := getattr(solution, name)) is not None
     }  # fmt: skip
-    for name in ("sigmas_without_laser", "median_sigmas_without_laser"):
-        value = getattr(solution, name)
-        parts[name] = [] if value is None else [value]
-    for name, values in parts.items():
-        if not all(np.all(np.isfinite(one)) for one in values):
+    for name, arrays in (numbers | {"places": [solution.places[solution.determined]]}).items():
+        if not all(np.all(np.isfinite(one)) for one in arrays):
             raise InputError(name, "not a number", "finite numbers", _ANEW)

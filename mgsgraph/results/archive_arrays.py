@@ -10,7 +10,6 @@ import math
 import re
 import types
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
@@ -129,32 +128,12 @@ def read_members(file: BinaryIO, wanted: Callable[[str], bool] = lambda _: True)
     size = file.seek(0, io.SEEK_END)
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-    whole = sum(member.file_size for member in members)
-    if whole > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        found = f"members of {whole / 1e6:.1f} MB in a file of {size / 1e6:.1f} MB, or packed ones"
-        raise InputError(members[0].filename, found, "arrays as NumPy's savez writes them", _ANEW)
-    arrays = dict[str, NDArray[Any]]()
-    for member in members:
-        name = member.filename.removesuffix(".npy")
-        if wanted(name):
-            arrays[name] = _from_npy(_stored(file, member, name), name)
-    return arrays
-
-
-def _stored(file: BinaryIO, member: zipfile.ZipInfo, name: str) -> bytes:
-    """The bytes of a member that is not packed (PKWARE's APPNOTE 4.3.7); the library makes a file of each, which takes
-    its time where there are thousands.
-    """
-    file.seek(member.header_offset)
-    head = file.read(30)
-    if len(head) < 30 or not head.startswith(b"PK\x03\x04"):
-        raise InputError(name, "no member where the archive's list says", remedy=_ANEW)
-    name_size, extra_size = int.from_bytes(head[26:28], "little"), int.from_bytes(head[28:30], "little")
-    file.seek(name_size + extra_size, io.SEEK_CUR)
-    content = file.read(member.file_size)
-    if len(content) != member.file_size or zlib.crc32(content) != member.CRC:
-        raise InputError(name, "a wrong checksum, or cut short", remedy=_ANEW)
-    return content
+        whole = sum(member.file_size for member in members)
+        if whole > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+            found = f"members of {whole / 1e6:.1f} MB in a file of {size / 1e6:.1f} MB, or packed ones"
+            raise InputError(members[0].filename, found, "arrays as NumPy's savez writes them", _ANEW)
+        names = [(member, member.filename.removesuffix(".npy")) for member in members]
+        return {name: _from_npy(archive.read(member), name) for member, name in names if wanted(name)}
 
 
 def _from_npy(content: bytes, name: str) -> NDArray[Any]:

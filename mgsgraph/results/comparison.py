@@ -2,9 +2,10 @@
 more than was unknown; and where sigmas became smaller or larger.
 """
 
+import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,17 +17,13 @@ from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import COMPARISON
 from mgsgraph.files.output.table import Column, Table, cut
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
-from mgsgraph.network import PointClass
-from mgsgraph.results.comparison_input import input_section, only, settings_section
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.network import Network, PointClass
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.results.soundness import state_of
 from mgsgraph.results.summary import figures_of_merit
 from mgsgraph.text import many, root_mean_square, some
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 _POINTS = "points_compared"
 _MOST_IMAGES = 300
@@ -40,6 +37,10 @@ _METHOD = (
 )
 _CLASSES = [kind.name.lower() for kind in PointClass]
 _QUANTILES = (0.02, 0.5, 0.98)
+_SAME_PLACE = 1e-9
+"""px between measures that are the same: what a network's text form loses."""
+_SAME_SIGMA = 1e-12
+"""Relative difference of sigmas that are the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +49,6 @@ class Comparison:
 
     name: str
     """What the earlier one is called."""
-    labels: tuple[str, str]
-    """What the earlier one and the later one are called in headings."""
     section: Section
     """Sentences; tables of settings and input that differ, figures of merit, sigmas, images and points."""
     points: CommonPoints
@@ -73,28 +72,21 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     """
     shared, points = common_images(solution, earlier), CommonPoints(solution, earlier)
     images, moved, sigmas = _images(solution, earlier, shared), _points(points), _sigmas(points, labels)
-    settings, inputs = settings_section(earlier, solution, labels), input_section(earlier, solution, labels)
-    others = only("Images", [[image.name for image in one.network.images] for one in (earlier, solution)])
-    others += [
+    parts = (images, moved, sigmas, settings_section(earlier, solution, labels),
+             input_section(earlier, solution, labels))  # fmt: skip
+    said = [_METHOD.format(labels[1], labels[0]), *(sentence for one in parts for sentence in one.sentences)]
+    said += [
         f"{label.capitalize()}: NOT CONVERGED, so that its sigmas mean little."
         for one, label in zip((earlier, solution), labels, strict=True) if not one.converged
     ]  # fmt: skip
-    said = [_METHOD.format(labels[1], labels[0])]
-    said += [sentence for one in (images, moved, sigmas, settings, inputs) for sentence in one.sentences]
     every = [_fit_figures(solution, earlier, labels)]
-    every += [table for one in (sigmas, settings, inputs, images, moved) for table in one.tables if len(table)]
-
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.comparison import comparison_sheet  # matplotlib takes its time
-
-        sheet = comparison_sheet(points, labels)
-        return [] if sheet is None else [sheet]
-
+    every += [table for k in (2, 3, 4, 0, 1) for table in parts[k].tables if len(table)]
     csv = [*(table for table in every if table.name != _POINTS), *moved.csv]
-    record = {"format": 1, "names": list(labels), "statements": [*said, *others]}
+    record = {"format": 1, "names": list(labels), "statements": said}
     record |= {table.name: table.records() for table in every if table.name != _POINTS}
-    section = Section("comparison", "", [*said, *others], every, record, csv, sheets=sheets)
-    return Comparison(earlier.name, labels, section, points)
+    section = Section("comparison", "", said, every, record, csv,
+                      sheets=drawn("mgsgraph.results.figures.comparison.comparison_sheet", points, labels))  # fmt: skip
+    return Comparison(earlier.name, section, points)
 
 
 def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]]:
@@ -118,27 +110,22 @@ def common_images(solution: Solution, earlier: Solution) -> list[tuple[int, int]
 
 
 def _fit_figures(solution: Solution, earlier: Solution, labels: tuple[str, str]) -> Table:
-    names = [name for name, _ in figures_of_merit(solution)]
-    before, after = (np.array([value for _, value in figures_of_merit(one)]) for one in (earlier, solution))
-    states = [state_of(one) for one in (earlier, solution)]
+    both = earlier, solution
+    before, after = (np.array([value for _, value in figures_of_merit(one)]) for one in both)
     texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column]
              for column in (before, after, after - before)]  # fmt: skip
     note = "" if earlier.fit.observations == solution.fit.observations else (
         "The numbers of observations differ: costs can't be compared, sigma0 can."
     )
-    losses = [(one.settings.loss, one.settings.loss_width) for one in (earlier, solution)]
+    losses = [f"{one.loss}, width {one.loss_width:g}" if one.loss_width else one.loss
+              for one in (each.settings for each in both)]  # fmt: skip
     if losses[0] != losses[1]:  # another loss weighs the same residuals otherwise
-        words = "; now ".join(_loss(*one) for one in losses)
-        note = f"The losses differ ({words}): neither costs nor sigma0 can be compared."
+        note = f"The losses differ ({'; now '.join(losses)}): neither costs nor sigma0 can be compared."
     return Table("merit_compared", "Figures of merit", (
-        Column("figure", ["state", *names], page="s", text="<34"),
-        *(Column(name, [first, *text], page="s", text=">14")
-          for name, first, text in zip((*labels, "difference"), (*states, ""), texts, strict=True)),
+        Column("figure", ["state", *(name for name, _ in figures_of_merit(solution))], page="s", text="<34"),
+        *(Column(name, [first, *text], page="s", text=">14") for name, first, text in
+          zip((*labels, "difference"), (*map(state_of, both), ""), texts, strict=True)),
     ), note)  # fmt: skip
-
-
-def _loss(name: str, width: float | None) -> str:
-    return name if width is None else f"{name}, width {width:g}"
 
 
 def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int) -> tuple[Array, Array]:
@@ -162,9 +149,11 @@ def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]
     with np.errstate(divide="ignore", invalid="ignore"):
         most = np.array([np.max(np.where(s > 0.0, np.abs(moved) / s, np.nan), axis=0) for moved, s in found])
     largest = np.nanmax(np.nan_to_num(most), axis=1)  # NaN of a held image
-    worst, where = (largest.max(), names[int(np.argmax(largest))]) if largest.max(initial=0.0) > 0.0 else (0.0, "")
-    said = f"The orientation of {many(len(shown), 'common image')} differs by at most {worst:.2g} sigmas"
-    said += f" ({where})." if where else "."
+    worst = int(np.argmax(largest))
+    said = (
+        f"The orientation of {many(len(shown), 'common image')} differs by at most {largest[worst]:.2g} sigmas "
+        f"({names[worst]})."
+    )
     note = f"Over {PLACES} lines: rms of the differences, and the largest one in sigmas; a dash: held. "
     axes, turns = ("X", "Y", "Z"), ("x", "y", "z")
     table = Table("images_compared", "Orientation of the images", (
@@ -186,15 +175,15 @@ def _points(points: CommonPoints) -> Section:
     table = moved_points(points)
     if not len(table):
         return Section("points", sentences=[f"{counts}: no point has a place in both."])
-    length, off = np.linalg.norm(points.moved, axis=1), points.in_sigmas
-    known = off[np.isfinite(off)]
-    largest = f", by {known.max():.2g} sigmas at the most" if known.size else ""
-    rms, half = root_mean_square(length), np.median(length)
-    words = f"{counts}; they moved by {rms:.3g} m (rms), {length.max():.3g} m at the most{largest}"
+    length = np.linalg.norm(points.moved, axis=1)
+    most = np.nanmax(points.in_sigmas, initial=0.0)
+    said = (
+        f"{counts}; they moved by {root_mean_square(length):.3g} m (rms), {length.max():.3g} m at the most, by "
+        f"{most:.2g} sigmas at the most; half of them by less than {np.median(length):.3g} m."
+    )
     listed = np.argsort(-length, kind="stable")[:_MOST_POINTS]
     note = table.note + cut(len(table), len(listed), "those that moved most", "the table of points")
-    words += f"; half of them by less than {half:.3g} m."
-    return Section("points", sentences=[words], tables=[replace(table.take(listed), note=note)], csv=[table])
+    return Section("points", sentences=[said], tables=[replace(table.take(listed), note=note)], csv=[table])
 
 
 def moved_points(points: CommonPoints) -> Table:
@@ -241,6 +230,101 @@ def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
         f"of the points are better known by more than 1 %, {worse:.0f} % are worse known."
     )
     return Section("sigmas", sentences=[said], tables=[table])
+
+
+# --- before the adjustment
+
+
+def settings_section(earlier: Solution, solution: Solution, labels: tuple[str, str]) -> Section:
+    """Settings that differ, by the names that a case file has for them, and versions of what computed."""
+    one, other = (
+        dataclasses.asdict(each.settings) | {f"version of {name}": text for name, text in sorted(each.versions.items())}
+        for each in (earlier, solution)
+    )
+    names = [name for name in one | other if one.get(name) != other.get(name)]
+    different = [name for name in names if not name.startswith("version of ")]
+    said = f"Settings that differ: {', '.join(different)}." if different else "The solver's settings are the same."
+    return Section("settings", sentences=[said], tables=[Table(
+        "settings_compared", "Settings and versions that differ", (
+            Column("setting", names, page="s", text="<28"),
+            *(Column(label, ["not set" if each.get(name) is None else str(each[name]) for name in names], page="s",
+                     text=">22") for label, each in zip(labels, (one, other), strict=True)),
+        ),
+    )])  # fmt: skip
+
+
+def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]) -> Section:
+    """Measures and a-priori sigmas that differ, by the names of points and images."""
+    both = earlier.network, solution.network
+    (only_earlier, only_later), later, moved, weighted = _measures(*both)
+    rows = {image.name: j for j, image in enumerate(both[0].images)}
+    shared = [(rows[image.name], j) for j, image in enumerate(both[1].images) if image.name in rows]
+    before, after = np.array(shared, dtype=np.int64).reshape(-1, 2).T
+    priors = np.array([_priors_differ(*both, i, j) for i, j in shared], dtype=bool)
+    counts = [np.bincount(one.rays.image, minlength=len(one.images))[k]
+              for one, k in zip(both, (before, after), strict=True)]  # fmt: skip
+    of_image = both[1].rays.image[later]
+    placed, sized = (np.bincount(of_image[one], minlength=len(both[1].images))[after] for one in (moved, weighted))
+    listed = np.flatnonzero((counts[0] != counts[1]) | (placed > 0) | (sized > 0) | priors)
+    table = Table("input_compared", "Images of other measures or a-priori sigmas", (
+        Column("image", [both[1].images[j].name for j in after[listed].tolist()], page="s", text="<28"),
+        *(
+            Column(f"measures_{label.replace(' ', '_')}", count[listed], head=f"measures, {label}", page="s",
+                   text=">18")
+            for label, count in zip(labels, counts, strict=True)
+        ),
+        Column("moved", placed[listed], head="at another place", page="s", text=">17"),
+        Column("weighted", sized[listed], head="of another sigma", page="s", text=">17"),
+        Column("priors", ["other" if one else "same" for one in priors[listed].tolist()], head="a-priori sigmas",
+               page="s", text=">16"),
+    ))  # fmt: skip
+    said = [
+        f"Image measures: {later.size} of both, {only_earlier} of {labels[0]} alone, {only_later} of {labels[1]} "
+        f"alone; {np.count_nonzero(moved)} at another place, {np.count_nonzero(weighted)} of another sigma."
+    ]
+    if np.any(priors):
+        changed = [both[1].images[j].name for j in after[priors].tolist()]
+        said.append(f"Images of other a-priori sigmas: {some(changed, len(changed))}.")
+    return Section("inputs", sentences=[*said, *_only(*both)], tables=[table])
+
+
+def _only(earlier: Network, later: Network) -> Iterator[str]:
+    """Sentences about names that only the earlier, or only the later of two networks has."""
+    both = earlier, later
+    for what, names in (
+        ("Images", [[image.name for image in one.images] for one in both]),
+        ("Shared unknowns", [[each.name for each in one.shared] for one in both]),
+        ("Shifts of profiles and terrain models", [list(one.shift_names) for one in both]),
+        ("Passes", [[each.name for each in one.passes] for one in both]),
+    ):
+        before, after = map(dict.fromkeys, names)
+        new, gone = [name for name in after if name not in before], [name for name in before if name not in after]
+        parts = [f"{word}: {some(each, len(each))}" for word, each in (("new", new), ("gone", gone)) if each]
+        if parts:
+            yield f"{what} that only one of both has, {'; '.join(parts)}."
+
+
+def _measures(one: Network, other: Network) -> tuple[tuple[int, int], Index, Mask, Mask]:
+    """How many measures of a point in an image either network has alone, the other's numbers (n,) of common ones, and
+    which of these are at another place, or of another sigma; of several of a point in one image the first counts.
+    """
+    both = one, other
+    _, points = Names.united([Names.of(each.points.ids) for each in both])
+    every, images = Names.united([Names.of([image.name for image in each.images]) for each in both])
+    keys = [of_point[each.rays.point] * len(every) + of_image[each.rays.image]
+            for each, of_point, of_image in zip(both, points, images, strict=True)]  # fmt: skip
+    _, before, after = np.intersect1d(keys[0], keys[1], return_indices=True)
+    distance = np.linalg.norm(other.rays.places[after] - one.rays.places[before], axis=1)
+    sigmas = np.abs(other.rays.sigmas[after] / one.rays.sigmas[before] - 1.0).max(axis=1, initial=0.0)
+    alone = keys[0].size - before.size, keys[1].size - after.size
+    return alone, after, distance > _SAME_PLACE, sigmas > _SAME_SIGMA
+
+
+def _priors_differ(earlier: Network, later: Network, i: int, j: int) -> bool:
+    """Whether an image has other a-priori sigmas, or is held in one of both only."""
+    one, other = earlier.priors[i].sigmas, later.priors[j].sigmas
+    held = bool(earlier.held[i]) != bool(later.held[j])
+    return held or one.shape != other.shape or not np.allclose(one, other, rtol=_SAME_SIGMA, atol=0.0)
 
 
 def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> list[str]:

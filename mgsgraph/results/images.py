@@ -10,10 +10,9 @@ from mgsgraph.analysis.group_fits import ODDS
 from mgsgraph.analysis.group_medians import worst_first
 from mgsgraph.analysis.statistics import ORIENTATION, PLACES, RayStatistics, orientation_statistics, ray_statistics
 from mgsgraph.files.output.table import Column, Table
-from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.results.section import ROWS, Section
-from mgsgraph.text import NAMED, listed, many
+from mgsgraph.text import many, some
 from mgsgraph.units import ARCSEC
 
 _PIXELS = 0.5
@@ -106,38 +105,18 @@ def _orientation(solution: Solution, j: int) -> dict[str, Any]:
 
 def _constant_residuals(solution: Solution, rays: RayStatistics) -> list[str]:
     """Mean residuals of a class in an image that are too large for noise: its coordinates contradict the rest."""
-    names = [image.name for image in solution.network.images]
-    enough = rays.count >= _FEW_RAYS
+    names, enough, found = [image.name for image in solution.network.images], rays.count >= _FEW_RAYS, list[str]()
     size, noise = np.abs(np.nan_to_num(rays.mean)), np.nan_to_num(rays.standard_errors)
-    limit = _limit(2 * int(enough.sum()))
+    # noise exceeds the limit once in 1 / ODDS solutions, of all means together
+    limit = NormalDist().inv_cdf(1.0 - 0.5 * ODDS / max(2 * int(enough.sum()), 1))
     marked = enough[:, :, None] & (size > limit * noise) & (size > _PIXELS)
-    found = []
     for point_class in PointClass:
-        parts = [
-            _means(rays.mean[:, point_class, c], marked[:, point_class, c], names, unit)
-            for c, unit in enumerate(("lines", "samples"))
-        ]
-        if any(parts):
+        rows = np.argwhere(marked[:, point_class])
+        worst = rows[np.argsort(-size[rows[:, 0], point_class, rows[:, 1]], kind="stable")].tolist()
+        parts = [f"{rays.mean[j, point_class, c]:+.1f} {('lines', 'samples')[c]} in {names[j]}" for j, c in worst]
+        if parts:
             found.append(
-                f"{point_class.name.capitalize()} image points keep a constant residual of "
-                f"{' and '.join(part for part in parts if part)}. That is no noise but a systematic disagreement "
-                "between their stored image coordinates and the ranges, ground places or ties; no sigma here covers it."
+                f"{point_class.name.capitalize()} image points keep a constant residual of {some(parts, len(parts))}: "
+                "no noise, but their image coordinates disagree with ranges, ground places or ties; no sigma covers it."
             )
     return found
-
-
-def _limit(trials: int) -> float:
-    """Standard deviations that noise exceeds once in 1 / ODDS solutions with so many trials each."""
-    return NormalDist().inv_cdf(1.0 - 0.5 * ODDS / max(trials, 1))
-
-
-def _means(means: Array, marked: np.ndarray, names: list[str], unit: str) -> str:
-    """Words for the marked mean residuals of one component, the largest few; empty where none is marked."""
-    chosen: Index = np.flatnonzero(marked)
-    if chosen.size == 0:
-        return ""
-    worst = np.sort(chosen[np.argsort(-np.abs(means[chosen]), kind="stable")][:NAMED])
-    parts = [f"{means[j]:+.1f}{f' {unit}' if k == 0 else ''} in {names[j]}" for k, j in enumerate(worst)]
-    more = f" (and in {many(chosen.size - NAMED, 'more image')})" if chosen.size > NAMED else ""
-    opposite = ", of opposite sign" if means[chosen].min() < 0.0 < means[chosen].max() else ""
-    return listed(parts) + more + opposite

@@ -1,6 +1,6 @@
 """What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,20 +21,22 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import Network, NodePrior, PointClass
+from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.network.connectivity_words import (
+    WEAKEST,
     connectivity_warnings,
     cut_image_statement,
     link_statement,
-    weakest_joints,
 )
+from mgsgraph.network.finding import mounting_angles
+from mgsgraph.network.support import support
 from mgsgraph.network.terrain_control import coverage
 from mgsgraph.registration.crossings import shots_over_images
-from mgsgraph.results.crossings import crossing_sentences
-from mgsgraph.results.input_remarks import beyond_priors_statements, range_statements, reading_statements
-from mgsgraph.results.passes import bare_nodes, mounting_warnings, passes_inventory
-from mgsgraph.results.section import Section
+from mgsgraph.results.places import crossings_section
+from mgsgraph.results.section import ROWS, Section
+from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
+from mgsgraph.results.tables import connectivity_table
 from mgsgraph.text import many, root_mean_square, some, some_of, span
 from mgsgraph.units import DEG, KM, MRAD
 
@@ -48,8 +50,6 @@ _WILD = 10.0
 """Standard deviations from the median of their image beyond which ranges are named."""
 _MEDIAN_DEVIATION = 0.6745
 """Median of the modulus of a normal error, in its standard deviations."""
-_LISTED = 24
-"""Images up to which each is listed with its partners."""
 _NAMED = 5
 """How many of a kind are named."""
 
@@ -57,28 +57,30 @@ _NAMED = 5
 def inventory(case: Case) -> str:
     """Images and their coverage, points, shots, connectivity, and expected weak spots; several lines of text."""
     network = case.network
-    weak: list[str] = []
+    head = (
+        f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
+        f"measurements, {network.ranges.point.size} ranges"
+    )
+    images = Section("", head, case.notes, [_images_table(network.images, network)])
+    read = Section("", sentences=[*reading_statements(network.images), *_pulses(case)])
+    unknowns = Section("", tables=[_unknowns_table(network)])
+    weak = list[str]()
     try:
         prediction = predict(network, case.settings)
     except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
         weak.append(str(error))
         prediction = predict(_with_priors(network), case.settings)
     connected = connectivity(network, network_footprints(network, prediction.places))
+    rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
+    pairs = connectivity_table(connected).take(rows)
+    links = Section("", "Connections (points in common)", link_statement(connected), [pairs])
     weak += _weak_spots(network, prediction, connected)
-    head = (
-        f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
-        f"measurements, {network.ranges.point.size} ranges"
-    )
-    sections = [
-        Section("", head, case.notes, [_images_table(network.images, network)]),
-        Section("", sentences=reading_statements(network.images)),
-        _points(network, prediction),
-        _connections(connected),
-        Section("", sentences=[*_pulses(case), *_shared(network)]),
-        passes_inventory(network),
-        _terrain(network, prediction.places),
-        Section("", "Weak spots", weak or ["none seen"]),
-    ]
+    terrain = Section("", sentences=_terrain(network, prediction.places))
+    return _text([images, read, _points(network, prediction), links, unknowns, terrain,
+                  Section("", "Weak spots", weak or ["none seen"])])  # fmt: skip
+
+
+def _text(sections: Iterable[Section]) -> str:
     return "\n\n".join(filter(None, (section.text(None) for section in sections)))
 
 
@@ -103,24 +105,24 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
         for (i, j), area, share in zip(found.pairs.tolist(), found.areas.tolist(), found.shares.tolist(), strict=True)
     ]
     bare = [entry.name for entry in wanted.images if picture_of(entry, path.parent) is None]
-    folder = next((f"{path.parent / group.network}" for group in wanted.tie_groups), None)
-    into = "MATCHES" if folder is None else str(Path(folder).parent)
-    what = f"mgsgraph match {path} --out {into}" if pairs else "an image that overlaps, as well (mgsgraph new)"
-    what = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {what}' if bare and pairs else what
-    ready = f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}."
-    sections = [
+    folder = next((path.parent / group.network for group in wanted.tie_groups), None)
+    said = [f"Its tie points, {folder}, are not there yet."] if folder is not None else []
+    wants = f"mgsgraph match {path} --out {'MATCHES' if folder is None else folder.parent}"
+    if not pairs:
+        wants = "an image that overlaps (mgsgraph new)"
+    elif bare:
+        wants = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {wants}'
+    else:
+        said.append(f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}.")
+    return _text([
         Section("", f"{wanted.name}: {many(len(images), 'image')}, no measurements in them",
                 tables=[_images_table(images)]),
         Section("", sentences=reading_statements(images)),
         Section("", "Overlaps", pairs or ["none"]),
-        Section("", "Laser", _laser_files(wanted, images, path.parent)),
-        Section("", sentences=[
-            *([f"Its tie points, {folder}, are not there yet."] if folder is not None else []),
-            *([ready] if pairs and not bare else []),
-            f"To be adjusted it needs tie points, ground control, or laser shots measured in images; next: {what}",
-        ]),
-    ]  # fmt: skip
-    return "\n\n".join(section.text(None) for section in sections if section.sentences or section.tables)
+        Section("", "", _laser_files(wanted, images, path.parent)),
+        Section("", sentences=[*said, "To be adjusted it needs tie points, ground control, or laser shots measured in "
+                               f"images; next: {wants}"]),
+    ])  # fmt: skip
 
 
 def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Path) -> list[str]:
@@ -131,7 +133,7 @@ def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Pa
         require_on_body(shots.footprints, body, shots.source)
         over = shots_over_images(images, shots.chosen(shots.ground))
         said.append(f"{entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
-        said += crossing_sentences(over, over.crossings())
+        said += crossings_section(over, over.crossings()).sentences
     for cloud in wanted.altimetry:
         found = read_altimetry(cloud, folder, body)
         count = f"{many(len(found.ids), 'ground return')} in {many(len(found.profiles), 'profile')}"
@@ -152,42 +154,61 @@ def _with_priors(network: Network) -> Network:
     return replace(network, priors=priors, passes=passes)
 
 
-def _terrain(network: Network, places: Array) -> Section:
-    """Terrain model as control: how many tie points lie on it, with what sigma; its own unknowns."""
+def _terrain(network: Network, places: Array) -> list[str]:
+    """Terrain model as control: how many tie points lie on it, with what sigma."""
     surface = network.surface
     if surface is None:
-        return Section("")
+        return []
     sigmas, ties = surface.sigmas[np.isfinite(surface.sigmas)], network.points.classes == PointClass.TIE
-    covered, said = coverage(surface.grid, places[ties]), list[str]()
-    if sigmas.size:
-        said.append(f"{sigmas.size} points lie on it, sigma of their heights {span(sigmas)} m")
+    covered, name = coverage(surface.grid, places[ties]), f"Terrain model {surface.grid.source}"
+    said = [f"{name}: {sigmas.size} points lie on it, sigma of their heights {span(sigmas)} m"] if sigmas.size else []
     if covered.words:
-        said.append(f"of {covered.total} tie points it leaves out {covered.words}: these have no such row")
-    terms = [
-        f"{term.name} {term.sigma / (MRAD if term.unit == 'rad' else 1.0):.3g} {term.unit.replace('rad', 'mrad')}"
-        for term in surface.terms
-    ]
-    said.append(f"unknowns of its own, a-priori sigma: {', '.join(terms) if terms else 'none'}")
-    return Section("", f"Terrain model {surface.grid.source}", said)
+        said.append(f"{name}: of {covered.total} tie points it leaves out {covered.words}: these have no such row")
+    return said
 
 
 def _pulses(case: Case) -> list[str]:
     """Profiles whose ranges and heights get no share of their echoes' widths, which nobody knows; nothing without."""
     names = [Path(one.source).name for one in case.profiles if np.all(np.isnan(one.pulses))]
-    return [f"Laser profiles that don't say how broad their echoes were, {some(names, len(names))}: sigmas of their "
-            "ranges and heights are as stated, on slopes too (pulse_share)"] if names else []  # fmt: skip
+    return names and [f"Laser profiles that don't say how broad their echoes were, {some(names, len(names))}: sigmas "
+                      "of their ranges and heights are as stated, on slopes too (pulse_share)"]  # fmt: skip
 
 
-def _shared(network: Network) -> list[str]:
-    """Unknowns that images share, with what is known of them beforehand."""
-    said = []
-    for one in network.shared:
-        scale, unit = one.kind.reported
-        sigmas = ", ".join(f"{sigma / scale:.3g}" for sigma in one.sigmas)
-        kind = "" if one.name == one.kind else f" ({one.kind})"
-        names = [network.images[j].name for j in one.images.tolist()]
-        said.append(f"Shared by {some(names, len(names))}: {one.name}{kind}, a-priori sigma {sigmas} {unit}")
-    return said
+def _unknowns_table(network: Network) -> Table:
+    """Unknowns beside points and images' polynomials: passes and how their cameras are mounted, what images share, the
+    terrain model's own; with a-priori sigmas.
+    """
+    names, rows = [image.name for image in network.images], list[tuple[str, str, str]]()
+    for one in network.passes:
+        sigmas = one.prior.node_sigmas(np.zeros(len(one.nodes)))[0]
+        rows.append((
+            f"pass {one.name}, {len(one.nodes)} orientation images ({one.nodes.basis}) every {one.nodes.spacing:.3g} s",
+            some_of(names, one.images), f"{span(sigmas[:3])} m, {span(sigmas[3:] / MRAD)} mrad",
+        ))  # fmt: skip
+        rows += _mountings(one, names)
+    for shared in network.shared:
+        scale, unit = shared.kind.reported
+        sigmas = shared.sigmas / scale
+        rows.append((shared.name, some_of(names, shared.images), f"{', '.join(f'{one:.3g}' for one in sigmas)} {unit}"))
+    for term in () if network.surface is None else network.surface.terms:
+        size = f"{term.sigma / MRAD:.3g} mrad" if term.unit == "rad" else f"{term.sigma:.3g} {term.unit}"
+        rows.append((term.name, "terrain model", size))
+    what, of, known = ([row[k] for row in rows] for k in range(3))
+    return Table("unknowns", "Further unknowns", (
+        Column("unknown", what, text="<70"), Column("of", of, text="<28", gap=2),
+        Column("known", known, label="a-priori sigma", text="<", gap=2),
+    ))  # fmt: skip
+
+
+def _mountings(one: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
+    """How the cameras of a pass are turned against that of its first image."""
+    found = dict[str, list[str]]()
+    turns = np.zeros((0, 3)) if one.axes is None else mounting_angles(one.axes) / DEG
+    for j, angles in zip(one.images.tolist(), turns.tolist(), strict=False):
+        found.setdefault(", ".join(f"{angle:+.4f}" for angle in angles), []).append(names[j])
+    first, *others = found.items() or [("", [])]
+    return [(f"mounted at {turn} deg (about x, y, z of {first[1][0]})", some(mine, len(mine)), "")
+            for turn, mine in others]  # fmt: skip
 
 
 def _images_table(images: Sequence[PushbroomImage], network: Network | None = None) -> Table:
@@ -259,27 +280,6 @@ def _points(network: Network, prediction: Prediction) -> Section:
     return Section("", sentences=said or ["no laser ranges"], tables=[table])
 
 
-def _connections(connected: Connectivity) -> Section:
-    """Each image with its partners, in small blocks; the links as a whole and the weakest of them."""
-    said = [*link_statement(connected)]
-    if connected.spine.size > 1:
-        said.append(f"Weakest joints (parts that have no stronger link): {'; '.join(weakest_joints(connected))}.")
-    if len(connected.names) <= _LISTED:
-        said += [_partners(connected, j) for j in range(len(connected.names))]
-    return Section("", "Connections (points in common)", said)
-
-
-def _partners(connected: Connectivity, image: int) -> str:
-    rows = connected.links[np.any(connected.pairs[connected.links] == image, axis=1)]
-    rows = rows[np.argsort(-connected.points[rows], kind="stable")]
-    other = connected.pairs[rows].sum(axis=1) - image
-    partners = [
-        f"{connected.points[row]} with {connected.names[j]}" for row, j in zip(rows[:_NAMED], other, strict=False)
-    ]
-    named = some(partners, rows.size, _NAMED) or "no other image"
-    return f"{connected.names[image]}: {connected.seen[image]} points; {named}"
-
-
 def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
     points, shots, lost = network.points, network.ranges.point, network.undetermined
@@ -324,18 +324,22 @@ def wild_ranges(network: Network, values: Array) -> Index:
 
 
 def _poor_images(network: Network) -> list[str]:
-    found = []
-    for j in np.flatnonzero(network.pass_of < 0).tolist():  # a pass's images lean on each other
-        image, mine = network.images[j], network.rays.image == j
-        count, lines = int(np.count_nonzero(mine)), network.rays.places[mine, 0]
-        if count < _FEW_POINTS:
-            found.append(f"image {image.name} has only {count} points: its orientation will mostly be its prior")
+    """Images outside passes, whose images lean on each other, with few points or points on few of their lines."""
+    few, short = list[str](), list[str]()
+    for j in np.flatnonzero(network.pass_of < 0).tolist():
+        image, lines = network.images[j], network.rays.places[network.rays.image == j, 0]
+        if lines.size < _FEW_POINTS:
+            few.append(f"{image.name} ({lines.size})")
         elif np.ptp(lines) < _SHORT * image.lines:
-            found.append(
-                f"the points of image {image.name} span lines {lines.min():.0f} .. {lines.max():.0f} of {image.lines}: "
-                "its orientation is extrapolated elsewhere"
-            )
-    return found
+            short.append(f"{image.name} ({lines.min():.0f} .. {lines.max():.0f} of {image.lines})")
+    return [
+        f"{words}: {some(found, len(found))}"
+        for words, found in (
+            (f"images with fewer than {_FEW_POINTS} points, whose orientation is mostly its prior", few),
+            ("images whose points span few lines, and whose orientation is extrapolated elsewhere", short),
+        )
+        if found
+    ]
 
 
 def _convergence(network: Network) -> Array:
@@ -347,3 +351,39 @@ def _convergence(network: Network) -> Array:
         origins[mine], directions[mine], _, _ = image.rays(*rays.places[mine].T)
     _, _, angle = intersect_rays(origins, directions, rays.point, len(network.points))
     return np.asarray(angle[(network.points.classes == PointClass.TIE) & (network.ray_counts >= 2)])
+
+
+def mounting_warnings(network: Network) -> list[str]:
+    """Sentences about passes all of whose cameras have an unknown boresight, or lever arm: what these have in common is
+    not told from the pass's own attitude, or position.
+    """
+    found = []
+    estimated = [one for one in network.shared if one.name not in network.considered]
+    for kind, what, own in (
+        (SharedKind.CAMERA_BORESIGHT, "boresights", "attitude"), (SharedKind.CAMERA_LEVER_ARM, "lever arms", "position")
+    ):  # fmt: skip
+        known = {j for one in estimated if one.kind is kind for j in one.images.tolist()}
+        bare = [one.name for one in network.passes if known.issuperset(one.images.tolist())]
+        if bare:
+            found.append(
+                f"{what} of all cameras of {some(bare, len(bare))} are unknown beside the pass's own {own}: what they "
+                "have in common is told from it by the a-priori sigmas alone; leave one camera out as the reference"
+            )
+    return found
+
+
+def bare_nodes(network: Network) -> list[str]:
+    """Sentences about passes with nodes near which hardly anything was measured."""
+    found = []
+    for k, one in enumerate(network.passes):
+        near = support(network, k)
+        if near.gaps.size:
+            found.append(
+                f"pass {one.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(one.nodes)} "
+                "nodes, between others that have them: closer than the data supports, and refused by adjust"
+            )
+        if outer := int(np.count_nonzero(near.unobserved)) - near.gaps.size:
+            found.append(
+                f"pass {one.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
+            )
+    return found

@@ -21,13 +21,13 @@ from mgsgraph.files.output.folders import MATCH, PROGRAM, fresh_folder
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.records import FILES
 from mgsgraph.geometry.body import target_name
-from mgsgraph.matching.coarse import Agreement
 from mgsgraph.matching.match import digest, match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.progress import Progress, no_progress
 from mgsgraph.results.archive_arrays import read_members
+from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET
 
@@ -119,15 +119,16 @@ def write_matches(
         write_pvl_network(network, aside / "network.pvl")
         write_binary_network(network, aside / "network.net")
         digests = {one: sha256_of(aside / one) for one in ("network.pvl", "network.net")}
-        write_json(aside / MATCH, _record(matches, scene, name, settings) | {FILES: digests})
-        matches_table(matches).write_csv(aside / "matches.csv")
-        names = [MATCH, "network.pvl", "network.net", "matches.csv"]
-        if not figures:
-            return names
-        from mgsgraph.results.figures.matches import matches_sheet  # matplotlib takes its time
-        from mgsgraph.results.figures.sheet import save
+        section = match_section(matches, scene, name, settings)
+        write_json(aside / MATCH, section.numbers | {FILES: digests})
+        return [MATCH, *digests, *section.write(aside, figures)]
 
-        return names + save([matches_sheet(matches, scene, name)], aside)
+
+def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> Section:
+    """What matching found, in the case of this name."""
+    return Section("match", "", match_statements(matches, scene), numbers=_record(matches, scene, name, settings),
+                   csv=[matches_table(matches)],
+                   sheets=drawn("mgsgraph.results.figures.matches.matches_sheet", matches, scene, name))  # fmt: skip
 
 
 def matches_table(matches: Matches) -> Table:
@@ -178,38 +179,28 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
     }
 
 
-def _beyond(one: Agreement) -> str:
-    """A caution where a correction is larger than what was stated beforehand."""
-    times = one.moved / one.expected
-    return f", {times:.0f} TIMES ITS A-PRIORI SIGMA: look whether that may be" if times > _SURPRISING else ""
-
-
 def match_statements(matches: Matches, scene: Scene) -> list[str]:
     """What was found, in sentences."""
-    ties, names = matches.ties, [picture.image.name for picture in scene.pictures]
+    ties, names, loss = matches.ties, [picture.image.name for picture in scene.pictures], matches.losses
     rays = np.bincount(ties.measure_point)
     sigmas = np.sqrt(np.linalg.eigvalsh(matches.covariances[~matches.reference])[:, 1])
     misfit = np.abs(matches.misfit[~matches.reference])
     filled, whole = matches.cells
-    found = [
-        f"{names[one.first]} and {names[one.second]}: {one.agreed} of {one.candidates} matches on a coarse grid agree "
-        f"on an orientation that moves the second by {one.moved:.0f} m on the ground{_beyond(one)}."
-        for one in matches.agreements
-    ]
-    found += [f"Not brought together: {reason}" for reason in matches.refused]
-    found += matches.cautions
-    loss = matches.losses
-    found.append(
+    found = list[str]()
+    for one in matches.agreements:
+        times = one.moved / one.expected  # NaN where nothing was stated
+        beyond = f", {times:.0f} TIMES ITS A-PRIORI SIGMA: look whether that may be" if times > _SURPRISING else ""
+        found.append(
+            f"{names[one.first]} and {names[one.second]}: {one.agreed} of {one.candidates} matches on a coarse grid "
+            f"agree on an orientation that moves the second by {one.moved:.0f} m on the ground{beyond}."
+        )
+    return [
+        *found, *(f"Not brought together: {reason}" for reason in matches.refused), *matches.cautions,
         f"{many(loss.linked, 'pair')} of features; of the surest {loss.tried} {loss.measured} could be measured, "
-        f"{loss.alike} are alike and sharp, {loss.returned} are the same on the way back, {loss.coplanar} coplanar, "
-        f"{loss.steady} of a height like their neighbours'; the best of each cell were kept."
-    )
-    found.append(
+        f"{loss.alike} are alike and sharp, {loss.returned} the same on the way back, {loss.coplanar} coplanar, "
+        f"{loss.steady} of a height like their neighbours'; the best of each cell were kept.",
         f"{many(len(rays), 'tie point')} with {rays.min()} to {rays.max()} measures in {filled} of {whole} cells of "
-        f"{matches.cell:.4g} m ({100.0 * filled / max(whole, 1):.0f} %) of the ground that images share."
-    )
-    found.append(
+        f"{matches.cell:.4g} m ({100.0 * filled / max(whole, 1):.0f} %) of the ground that images share.",
         f"Sigma of a match, in the direction where it is largest: median {np.median(sigmas):.3f} px, 95 % below "
-        f"{np.quantile(sigmas, 0.95):.3f} px; coplanarity residuals: median {np.median(misfit):.2f} m on the ground."
-    )
-    return found
+        f"{np.quantile(sigmas, 0.95):.3f} px; coplanarity residuals: median {np.median(misfit):.2f} m on the ground.",
+    ]  # fmt: skip

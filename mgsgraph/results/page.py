@@ -17,7 +17,6 @@ from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.page import page_of, write_page
 from mgsgraph.files.output.table import NONE, Column, Table, cut
 from mgsgraph.files.writing import require_free
-from mgsgraph.geometry.records import Index
 from mgsgraph.network import PointClass
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results.comparison import compare
@@ -113,11 +112,13 @@ def _content(
             "statements": sentences_of(found),
             "key_figures": _key_figures(solution),
             "without_sigmas": without_sigmas,
-            **_registered(solution, case, registration),
+            **_registered(solution, registration),
             "tables": tables(solution, found),
             "compared": compared,
             "settings": _settings_tables(solution),
-            "inputs": _inputs_table(inputs),
+            "inputs": _pairs("inputs", "Files that this page was made from", ("file", "SHA-256"), {
+                name: checksum or "could not be read" for name, checksum in inputs.items()
+            }),
             "case_name": "" if case is None else case.path.name,
             "version": solution.versions.get("mgsgraph", NONE),
         }
@@ -127,35 +128,19 @@ def _content(
     return content | {"figures": figures}
 
 
-def _registered(solution: Solution, case: Case | None, registration: CaseRegistration | None) -> dict[str, Any]:
+def _registered(solution: Solution, registration: CaseRegistration | None) -> dict[str, Any]:
     """Laser footprints on the images, or why there are none."""
     if registration is None:
-        return {"scenes": [], "about_scenes": "", "registered": [], "agreement": None, "closeups": [],
-                "without_scenes": _without_scenes(solution, case)}  # fmt: skip
-    from mgsgraph.results.figures.page import registration_figures
-    from mgsgraph.results.figures.page_scene import scenes
-
-    shown, about = scenes(registration)
-    registered = registration_section(registration)
-    return {
-        "scenes": shown,
-        "about_scenes": about,
-        "registered": registered.sentences,
-        "agreement": registered.tables[0],
-        "closeups": registration_figures(registration),
-        "without_scenes": "" if shown else "No footprint falls in an image.",
-    }
-
-
-def _without_scenes(solution: Solution, case: Case | None) -> str:
-    if case is not None:
-        return f"{case.path.name} names no laser profile in [[shots]], whose footprints could be shown here."
-    if np.any(solution.network.points.classes == PointClass.LASER):
-        return (
-            "A solution holds no pixels and no footprints as they were archived: with the case file (--case) this "
-            "section shows them on the images, if the case names profiles of MOLA."
+        laser = np.any(solution.network.points.classes == PointClass.LASER)
+        none = "This solution has no laser points." if not laser else (
+            "Footprints are shown on the images with the case file (--case), if the case names profiles of MOLA."
         )
-    return "This solution has no laser points."
+        return {"registered": None, "footprints": [], "unregistered": none}
+    from mgsgraph.results.figures.page import registration_figures
+
+    drawn = registration_figures(registration)
+    none = "" if drawn else "No footprint falls in an image."
+    return {"registered": registration_section(registration), "footprints": drawn, "unregistered": none}
 
 
 def _key_figures(solution: Solution) -> list[tuple[str, str]]:
@@ -204,17 +189,13 @@ def _measures(solution: Solution) -> Table:
 
 
 def _points(solution: Solution) -> Table:
-    chosen = _weakest(solution)
+    """Points in their own order: all, or those without a place and those of the largest sigma."""
+    size = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
+    chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_ROWS])
     table = points_table(solution, chosen)
     which = "those that nothing determines and those of the largest sigma"
     note = table.note + cut(len(solution.network.points), chosen.size, which, "the table of points")
     return replace(table.last("rays_used", "state"), note=note)
-
-
-def _weakest(solution: Solution) -> Index:
-    """Points that are listed, in their own order: all, or those without a place and those of the largest sigma."""
-    size = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
-    return np.sort(np.argsort(-size, kind="stable")[:MOST_ROWS])
 
 
 # --- how it was made
@@ -222,21 +203,12 @@ def _weakest(solution: Solution) -> Index:
 
 def _settings_tables(solution: Solution) -> list[Table]:
     """Settings of the solver, by the names that a case file has for them; versions, and the time of each stage."""
-    found = dataclasses.asdict(solution.settings)
-    values = ["" if value is None else str(value) for value in found.values()]
-    names = [*solution.versions, *(f"{stage} (s)" for stage in solution.seconds)]
-    more = [*solution.versions.values(), *(f"{seconds:.2f}" for seconds in solution.seconds.values())]
-    return [
-        _pairs("settings", "Settings of the solver", "setting", "value", list(found), values),
-        _pairs("versions", "Versions and wall time", "what", "value", names, more),
-    ]
+    settings = dataclasses.asdict(solution.settings)
+    made = {**solution.versions, **{f"{stage} (s)": f"{time:.2f}" for stage, time in solution.seconds.items()}}
+    return [_pairs("settings", "Settings of the solver", ("setting", "value"), settings),
+            _pairs("versions", "Versions and wall time", ("what", "value"), made)]  # fmt: skip
 
 
-def _inputs_table(inputs: Mapping[str, str | None]) -> Table:
-    """Files and their checksums."""
-    sums = [checksum or "could not be read" for checksum in inputs.values()]
-    return _pairs("inputs", "Files that this page was made from", "file", "SHA-256", list(inputs), sums)
-
-
-def _pairs(name: str, title: str, first: str, second: str, names: list[str], values: list[str]) -> Table:
-    return Table(name, title, (Column(first, names, page="s"), Column(second, values, page="s")))
+def _pairs(name: str, title: str, heads: tuple[str, str], values: Mapping[str, Any]) -> Table:
+    texts = ["" if value is None else str(value) for value in values.values()]
+    return Table(name, title, (Column(heads[0], list(values), page="s"), Column(heads[1], texts, page="s")))

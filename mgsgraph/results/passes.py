@@ -12,29 +12,22 @@ import numpy as np
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_reports
+from mgsgraph.analysis.separability import mixtures, separations
+from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import (
-    JointNodePrior,
-    Network,
-    NodePrior,
-    Pass,
-    PassPrior,
-    PolynomialPrior,
-    Process,
-    ProcessPrior,
-    SharedKind,
-)
-from mgsgraph.network.finding import mounting_angles
-from mgsgraph.network.support import support
 from mgsgraph.results.section import Section
-from mgsgraph.text import many, some, span
-from mgsgraph.units import DEG, MGON, MRAD
+from mgsgraph.text import some
+from mgsgraph.units import MGON
 
 POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
 """Components of corrections along a pass: m, and rad."""
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
+_CORRELATED = 0.9
+"""Correlation with a constant pitch, and share of the a-priori sigma that is left, above which something is said."""
+_ALIKE = 0.99
+"""Likeness from which the measures count as unable to tell two unknowns apart."""
 
 
 # --- tables
@@ -108,111 +101,66 @@ def passes_section(solution: Solution) -> Section:
     return Section("passes", tables=[table], csv=csv, numbers=table.records())
 
 
-def passes_inventory(network: Network) -> Section:
-    """Passes of a network: images, mountings, nodes, and what is known of their trajectories beforehand."""
-    said = []
-    for one in network.passes:
-        start, stop = one.nodes.coverage
-        names = [network.images[j].name for j in one.images.tolist()]
-        said += [
-            f"{one.name} ({some(names, len(names))}): {len(one.nodes)} orientation images ({one.nodes.basis}), one "
-            f"every {one.nodes.spacing:.4g} s of {stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
-            f"{one.name}: a-priori sigmas {_prior_words(one.prior)}",
-            *_mounting_words(network, one),
-        ]
-    return Section("", "Passes" if said else "", said)
+# --- unknowns that images share
 
 
-def _mounting_words(network: Network, one: Pass) -> list[str]:
-    """How cameras stand against that of the first image, a line for each camera."""
-    if one.axes is None:
-        return []
-    cameras = list[tuple[Array, list[str]]]()
-    for j, axes in zip(one.images.tolist(), one.axes, strict=True):
-        known = [names for other, names in cameras if np.allclose(other, axes, atol=1e-6)]
-        if known:
-            known[0].append(network.images[j].name)
-        else:
-            cameras.append((axes, [network.images[j].name]))
-    first, *others = cameras
-    reference = network.images[int(one.images[0])].name
-    lines = [f"mounted as {reference}: {some(first[1], len(first[1]))}"] if len(first[1]) > 1 else []
-    for axes, names in others:
-        x, y, z = (mounting_angles(axes[None])[0] / DEG).tolist()
-        apart = float(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))) / DEG
-        turned = f"{x:+.4f}, {y:+.4f}, {z:+.4f} deg (nominal rotation vector, about the axes x, y, z of {reference}; "
-        turned += f"optical axes {apart:.4f} deg apart)"
-        lines.append(f"mounted at {turned}: {some(names, len(names))}")
-    return lines
+def shared_table(solution: Solution) -> Table:
+    """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
+    found, apart = shared_estimates(solution), separations(solution)
+    units = [one.unit for one in found]
+    return Table("shared", "Unknowns that images share", (
+        Column("text", [f"{one.name[:34]} {one.axis}".strip() for one in found], label="", text="<38", files=False),
+        Column("name", [one.name for one in found], meaning="of the unknown", page="s"),
+        Column("kind", [one.kind.value for one in found], meaning="as the case file names it", page="s"),
+        Column("axis", [one.axis for one in found], meaning="of the camera, of a boresight or lever arm", page="s"),
+        Column("unit", units, meaning="s, mrad, m or ppm", page="s", text="<5"),
+        Column("image", [one.image for one in found], meaning="whose constant pitch it is most like",
+               head="most like pitch of", page="s"),
+        Column("value", numbers(found, "value"), units, "adjusted", page=".4g", text=">+10.4g"),
+        Column("sigma", numbers(found, "sigma"), units, "for sigma0 = 1", head="σ", page=".4g", label="sigma",
+               text=">9.3g"),
+        Column("prior_sigma", numbers(found, "prior_sigma"), units, "the same beforehand", head="a-priori σ",
+               page=".4g", label="before", text=">9.3g"),
+        Column("correlation_with_pitch", numbers(found, "correlation"), meaning="of the posterior, with that pitch",
+               head="correlation", page=".3f", label="with pitch: corr.", text=">17.2f"),
+        Column("likeness_to_pitch", numbers(found, "likeness"), meaning="cosine of what both do to the measures",
+               head="likeness", page=".3f", label="alike", text=">6.2f"),
+        Column("likeness_to_pitches", numbers(found, "together"),
+               meaning="with the best mixture of all images' pitches"),
+        Column("ground_m_per_{unit}", numbers(found, "ground"), units, "m on the ground, in the middle of that image"),
+        Column("gain", numbers(apart, "gain"), meaning="sigma over a-priori sigma"),
+        Column("most_correlated_with", [one.other for one in apart], meaning="of all other unknowns"),
+        Column("largest_correlation", numbers(apart, "correlation"), meaning="with that one, of the posterior"),
+        Column("multiple_correlation", numbers(apart, "together"), meaning="with all other unknowns together"),
+        Column("verdict", [one.verdict.value for one in apart], meaning="whether it can be told apart"),
+    ))  # fmt: skip
 
 
-def mounting_warnings(network: Network) -> list[str]:
-    """Sentences about passes all of whose cameras have an unknown boresight, or lever arm: what these have in common is
-    not told from the pass's own attitude, or position.
-    """
-    found = []
-    estimated = [one for one in network.shared if one.name not in network.considered]
-    for kind, what, own in (
-        (SharedKind.CAMERA_BORESIGHT, "boresights", "attitude"), (SharedKind.CAMERA_LEVER_ARM, "lever arms", "position")
-    ):  # fmt: skip
-        known = {j for one in estimated if one.kind is kind for j in one.images.tolist()}
-        bare = [one.name for one in network.passes if known.issuperset(one.images.tolist())]
-        if bare:
-            found.append(
-                f"{what} of all cameras of {some(bare, len(bare))} are unknown beside the pass's own {own}: what they "
-                "have in common is told from it by the a-priori sigmas alone; leave one camera out as the reference"
-            )
-    return found
+def shared_section(solution: Solution) -> Section:
+    """Verdict on each column, and a sentence about each mixture of them that is determined."""
+    table, both = shared_table(solution), zip(shared_estimates(solution), separations(solution), strict=True)
+    said = [
+        f"{one.name[0].upper()}{one.name[1:]}{f', axis {one.axis}' if one.axis else ''}: "
+        + " ".join([apart.sentence, *_warnings(one)])
+        for one, apart in both
+    ]  # fmt: skip
+    said += [f"Of shared unknowns together is determined: {one.words}." for one in mixtures(solution)]
+    return Section("shared", sentences=said, tables=[table], csv=[table] if solution.network.shared else [],
+                   numbers=table.drop("unit").records())  # fmt: skip
 
 
-def _prior_words(prior: PassPrior) -> str:
-    if isinstance(prior, JointNodePrior):
-        return "of all nodes jointly"
-    if isinstance(prior, PolynomialPrior):
-        terms = [
-            f"{name} {', '.join(span(row / unit) for row in sigmas)} {word}"
-            for name, sigmas, unit, word in (
-                ("position", prior.position_sigmas, 1.0, "m"), ("attitude", prior.attitude_sigmas, MRAD, "mrad")
-            )
-        ]  # fmt: skip
-        return f"of the terms 1, s, s^2, s^3 of polynomials (s = -1 .. 1): {'; '.join(terms)}"
-    if isinstance(prior, ProcessPrior):
-        parts = [_process_words(one, "m") for one in prior.position]
-        parts += [_process_words(one, "mrad") for one in prior.attitude]
-        return f"{', '.join([*_trend_words(prior), *parts])}"
-    departures = f"departures {span(prior.sigmas[:3])} m and {span(prior.sigmas[3:] / MGON)} mgon"
-    parts = [*_trend_words(prior), departures]
-    after = f", correlated over {prior.correlation_time:g} s" if prior.correlation_time else ", each by itself"
-    return f"{', '.join(parts)}{after}"
-
-
-def _trend_words(prior: NodePrior | ProcessPrior) -> list[str]:
-    return [
-        f"{name} {span(sigmas[:3])} m and {span(sigmas[3:] / MGON)} mgon"
-        for name, sigmas in (("bias", prior.bias), ("drift", prior.drift))
-    ]
-
-
-def _process_words(one: Process, unit: str) -> str:
-    times = f" over {one.correlation_time:g} s" if one.correlation_time else ""
-    times += f" at {one.frequency:g} Hz ({one.bandwidth:g} Hz wide)" if one.frequency else ""
-    begin = "to be estimated, from " if one.estimated else ""
-    unit_of = f"{unit}/s^1.5" if not one.stationary else unit
-    return f"{one.kind}{times} {begin}{span(one.sigmas / (MRAD if unit == 'mrad' else 1.0))} {unit_of}"
-
-
-def bare_nodes(network: Network) -> list[str]:
-    """Sentences about passes with nodes near which hardly anything was measured."""
-    found = []
-    for k, one in enumerate(network.passes):
-        near = support(network, k)
-        if near.gaps.size:
-            found.append(
-                f"pass {one.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(one.nodes)} "
-                "nodes, between others that have them: closer than the data supports, and refused by adjust"
-            )
-        if outer := int(np.count_nonzero(near.unobserved)) - near.gaps.size:
-            found.append(
-                f"pass {one.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
-            )
+def _warnings(one: SharedEstimate) -> list[str]:
+    """What the measurements do not tell."""
+    found, several = [], one.likeness <= _ALIKE and abs(one.correlation) <= _CORRELATED
+    if one.likeness > _ALIKE or abs(one.correlation) > _CORRELATED or one.together > _ALIKE:
+        pitch = f"constant pitches of {some(one.mixture, len(one.mixture))} together (most like: {one.image}, "
+        pitch = pitch if several else f"a constant pitch of image {one.image} ("
+        alone = several or one.likeness > _ALIKE
+        hardly = "The priors alone separate it from" if alone else "It is highly correlated with"
+        ground = "" if np.isnan(one.ground) else f" 1 {one.unit} of it is {one.ground:.0f} m on the ground there."
+        found.append(
+            f"{hardly} {pitch}likeness {one.likeness:.2f}, correlation {one.correlation:.2f}).{ground}"
+        )
+    if one.sigma > _CORRELATED * one.prior_sigma:
+        found.append("The measurements say hardly anything about it.")
     return found

@@ -1,4 +1,4 @@
-"""Places that were projected, as a table: what was given, where it went, with what sigma, and whether it is seen."""
+"""Places that were projected, and laser shots over images, as tables."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -10,14 +10,18 @@ from mgsgraph.analysis.places import Places, State, View, on_surface
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.errors import require
 from mgsgraph.files.networks.table_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.files.place_table import PlaceTable
 from mgsgraph.files.writing import begins
 from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.time_scales import utc_of_tdb, utc_texts
+from mgsgraph.names import RepeatedNames
+from mgsgraph.registration.crossings import Crossing, ShotsOverImages
+from mgsgraph.results.section import Section
 from mgsgraph.text import many
-from mgsgraph.units import DEG, ISIS_OFFSET
+from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
 
 
 class Surface(NamedTuple):
@@ -31,6 +35,8 @@ class Surface(NamedTuple):
     """m, by which the ellipsoid's radii are larger."""
 
 
+_DAY = 86400.0
+_MINUTES = "%Y-%m-%dT%H:%M"
 PLACES = begins(
     "a table of mgsgraph project",
     r"([^\n]*,)?state,(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
@@ -127,3 +133,77 @@ def _statement(found: Places, noun: str, where: str) -> str:
     counts = Counter(found.states)
     others = ", ".join(f"{count} {state}" for state, count in counts.items() if state is not State.SEEN)
     return f"{many(len(found.states), noun)} {where}: {counts[State.SEEN]} seen" + (f", {others}" if others else "")
+
+
+# --- laser shots over images
+
+
+def crossings_table(found: tuple[Crossing, ...]) -> Table:
+    """One row for each image and profile that crosses it or was taken along."""
+    return Table("crossings", "Laser profiles over images", (
+        Column("image", [one.image for one in found], meaning="its name", text="<24"),
+        Column("profile", [one.profile for one in found], meaning="orbit, or the minute it began", text="<17", gap=2),
+        Column(
+            "utc", [f"{utc_of_tdb(one.start):{_MINUTES}}" for one in found], text="<16", gap=2,
+            meaning="of its first shot inside",
+        ),
+        Column("shots", numbers(found, "shots").astype(np.int64), meaning="of the profile", text=">7"),
+        Column("inside", numbers(found, "inside").astype(np.int64), meaning="of them in the image", text=">7"),
+        Column(
+            "simultaneous", numbers(found, "simultaneous").astype(np.int64), text=">7", label="along",
+            meaning="of them fired while the image was taken",
+        ),
+        Column("off_nadir", numbers(found, "off_nadir"), "deg", "median of those inside", text=">9.2f"),
+        Column(
+            "from_image", numbers(found, "seconds") / _DAY, "d", "from the image's nearest line, negative before it",
+            text=">12.3f", label="from image",
+        ),
+    ))  # fmt: skip
+
+
+SELECTION = begins("a selection of mgsgraph shots", "altimeter,profile,utc,images,simultaneous,orbit,")
+"""Tables of `selection_table`, by their columns."""
+
+
+def selection_table(over: ShotsOverImages) -> Table:
+    """Shots that fall in an image, with all that `altimetry.shots.read_shots` takes back; what is empty is unknown."""
+    shots, rows = over.shots.chosen(over.chosen), over.chosen
+    longitude, latitude, radius = planetocentric(shots.footprints).T
+
+    def names(which: Mask) -> RepeatedNames:
+        seen, numbers = np.unique(which[:, rows], axis=1, return_inverse=True)
+        texts = RepeatedNames.of([";".join(over.images[j].name for j in np.flatnonzero(one)) for one in seen.T])
+        return texts[numbers.ravel()]
+
+    return Table("shots", "Laser shots over images", (
+        Column("altimeter", RepeatedNames((shots.altimeter.name,), np.zeros(rows.size, dtype=np.int64))),
+        Column("profile", shots.profile_names(), meaning="orbit, or the minute (UTC) in which a crossing began"),
+        Column("utc", utc_texts(shots.times + 0.5 * MILLISECOND)),
+        Column("images", names(over.inside), meaning="in which the footprint falls"),
+        Column("simultaneous", names(over.inside & (over.seconds == 0.0)), meaning="those taken while it was fired"),
+        Column("orbit", shots.orbits), Column("frame", shots.frames), Column("shot", shots.shots),
+        Column("ground", shots.ground.astype(np.int64), meaning="1 for a return from the ground, 0 for noise"),
+        Column("channel", shots.channels, meaning="that triggered; 0 where unknown"),
+        Column("time", shots.times, "s", "TDB past J2000"),
+        Column("longitude", longitude / DEG % 360.0, "deg", "planetocentric, east", scale=1.0),
+        Column("latitude", latitude, "deg", "planetocentric"),
+        Column("radius", radius, "m"),
+        Column("range", shots.ranges, "m", "one-way"),
+        Column("range_correction", shots.range_corrections, "m", "as archived, not applied"),
+        Column("areoid_radius", shots.areoid_radii, "m"),
+        Column("spacecraft_{}", shots.spacecraft, "m", "body-fixed", parts=("x", "y", "z")),
+        Column("off_nadir", shots.off_nadir, "deg"),
+        Column("clock", shots.clocks, "Hz", "the altimeter's"),
+        Column("pulse", shots.pulses, "s", "standard deviation of the echo"),
+    ))  # fmt: skip
+
+
+def crossings_section(over: ShotsOverImages, found: tuple[Crossing, ...]) -> Section:
+    """How many shots of which profiles fall in each image, and which profiles were taken along with it."""
+    said = list[str]()
+    for image in over.images:
+        inside = [one for one in found if one.image == image.name and one.inside]
+        along = [one.profile for one in found if one.image == image.name and one.simultaneous]
+        shots, profiles = many(sum(one.inside for one in inside), "shot"), many(len(inside), "profile")
+        said.append(f"{image.name}: {shots} of {profiles} fall in it, {', '.join(along) or 'none'} taken along with it")
+    return Section("crossings", "", said, [crossings_table(found)])

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +11,9 @@ from mgsgraph.files.output.folders import PLAN
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan
 from mgsgraph.planning.targets import Sigmas
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.text import many
 from mgsgraph.units import KM
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 
 def plan_section(plan: Plan) -> Section:
@@ -29,12 +26,8 @@ def plan_section(plan: Plan) -> Section:
         for first, last, title in zip(ends, ends[1:], ("Each by itself", "Chosen one after the other"), strict=False)
     ]
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.plan import plan_sheet  # matplotlib takes its time
-
-        return [plan_sheet(plan)]
-
-    return Section("plan", "", statements(plan), shown, plan_json(plan), [table], sheets=sheets)
+    return Section("plan", "", statements(plan), shown, plan_json(plan), [table],
+                   sheets=drawn("mgsgraph.results.figures.plan.plan_sheet", plan))  # fmt: skip
 
 
 def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
@@ -79,28 +72,16 @@ def statements(plan: Plan) -> list[str]:
     found = [f"Targets: {plan.targets.words}; their {what} is {plan.now.total:.4g} m now ({_local(plan.now)})."]
     if not plan.chosen:
         return [*found, "None of the candidates is worth anything: each row above says why."]
-    names = ", ".join(one.name for one in plan.chosen)
-    measures = sum(one.measures for one in plan.chosen)
+    names, measures = ", ".join(one.name for one in plan.chosen), sum(one.measures for one in plan.chosen)
     found.append(
         f"Chosen: {names}; the {what} falls to {plan.after.total:.4g} m ({_local(plan.after)}), by "
         f"{100.0 * plan.drop:.3g}%, with {many(measures, 'measure')} and {plan.bits:.3f} bits gained on the unknowns "
         "that exist already."
     )
     if plan.plain is not None and len(plan.chosen) > 1:
-        found.append(_against_plain(plan, plan.plain))
+        found.append(f"The first {len(plan.chosen)} of the ranking ({plan.plain.name}) would leave "
+                     f"{plan.plain.after.total:.4g} m and gain {plan.plain.bits:.3f} bits.")  # fmt: skip
     return found
-
-
-def _against_plain(plan: Plan, plain_choice: Evaluation) -> str:
-    count = len(plan.chosen)
-    if {one.name for one in plan.chosen} == set(plain_choice.name.split(" + ")):
-        return f"The first {count} of the ranking are the same ones."
-    gain = 100.0 * (1.0 - plan.after.total / plain_choice.after.total)
-    better = f"{abs(gain):.2g}% {'lower' if gain >= 0.0 else 'HIGHER'}"
-    return (
-        f"The first {count} of the ranking ({plain_choice.name}) would leave {plain_choice.after.total:.4g} m and gain "
-        f"{plain_choice.bits:.3f} bits: what was chosen in sight of one another leaves a sigma that is {better}."
-    )
 
 
 def _local(sigmas: Sigmas) -> str:

@@ -83,15 +83,12 @@ def _falls(profile: ProfileRegistration) -> str:
     """How many shots fall in each image."""
     found = profile.found
     seeing = [
-        (int(inside.sum()), f"in {image.name}{' (taken at the same time)' if np.any(same) else ''}")
+        f"{int(inside.sum())} fall in {image.name}{' (taken at the same time)' if np.any(same) else ''}"
         for image, inside, same in zip(found.images, found.inside, found.simultaneous, strict=True)
         if np.any(inside | same)
     ]
-    if not seeing:
-        return f"None of {many(found.shots.times.size, 'shot')} of {profile.name} falls in an image."
-    (first, place), *others = seeing
-    where = listed([f"{first} fall{'s' * (first == 1)} {place}", *(f"{count} {other}" for count, other in others)])
-    return f"Of {many(found.shots.times.size, 'shot')} of {profile.name}, {where}."
+    shots = f"{many(found.shots.times.size, 'shot')} of {profile.name}"
+    return f"Of {shots}, {listed(seeing)}." if seeing else f"None of {shots} falls in an image."
 
 
 def _methods(state: str, profiles: tuple[ProfileRegistration, ...]) -> str:

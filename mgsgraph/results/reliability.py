@@ -9,7 +9,7 @@ from mgsgraph.analysis.reliability import Reliability
 from mgsgraph.analysis.snooping import Snooping
 from mgsgraph.analysis.suspects import Suspect, suspects
 from mgsgraph.files.output.csv_json import picked
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.section import Section
 from mgsgraph.text import NAMED, many, some
@@ -17,7 +17,6 @@ from mgsgraph.text import NAMED, many, some
 _KINDS = ("image coordinate", "range", "a-priori place", "height", "stereo height", "prior", "crossover")
 _MOST_ALIKE = 6
 """Measures of a group that are printed; analysis.json has all."""
-_MOST_REMOVED = 30
 
 
 def reliability_section(found: Reliability, most: int) -> Section:
@@ -65,7 +64,7 @@ def reliability_table(found: Reliability, rows: Index | None = None) -> Table:
     points = [*found.at.network.points.ids, ""]  # the last one is that of row -1
     images = [*(image.name for image in found.at.network.images), ""]
 
-    def numbers(values: np.ndarray) -> np.ndarray:
+    def known(values: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(values), values, np.nan)[order]
 
     return Table("reliability", "Measures by suspicion", (
@@ -74,34 +73,33 @@ def reliability_table(found: Reliability, rows: Index | None = None) -> Table:
         Column("point", picked(points, table.point[order]), meaning="that it is of"),
         Column("image", picked(images, table.image[order]), meaning="that it is of"),
         Column("unit", found.units(order), meaning="of residual, sigma and blunder", text="<4"),
-        Column("w", numbers(table.test), meaning="normalised residual", text=">8.2f"),
-        Column("residual", numbers(table.residual), meaning="measured minus predicted, in `unit`", text=">10.3g"),
-        Column("sigma", numbers(table.sigma), meaning="a priori, in `unit`"),
-        Column("redundancy", numbers(table.redundancy), meaning="0 .. 1", label="redund.", text=">7.3f"),
-        Column("minimal_detectable_blunder", numbers(table.detectable), meaning="found by the tests, in `unit`",
+        Column("w", known(table.test), meaning="normalised residual", text=">8.2f"),
+        Column("residual", known(table.residual), meaning="measured minus predicted, in `unit`", text=">10.3g"),
+        Column("sigma", known(table.sigma), meaning="a priori, in `unit`"),
+        Column("redundancy", known(table.redundancy), meaning="0 .. 1", label="redund.", text=">7.3f"),
+        Column("minimal_detectable_blunder", known(table.detectable), meaning="found by the tests, in `unit`",
                label="detectable", text=">10.3g"),
-        Column("effect", numbers(table.effect), "m", "of one that goes unnoticed, on the point", label="moves (m)",
+        Column("effect", known(table.effect), "m", "of one that goes unnoticed, on the point", label="moves (m)",
                text=">10.3g"),
-        Column("external", numbers(table.external), meaning="the most that it shifts any result, in sigmas of it"),
-        Column("joint_test", numbers(table.joint), meaning="of the whole ray or a-priori place, chi-square"),
-        Column("joint_dimensions", numbers(table.dimensions), meaning="those that something controls"),
+        Column("external", known(table.external), meaning="the most that it shifts any result, in sigmas of it"),
+        Column("joint_test", known(table.joint), meaning="of the whole ray or a-priori place, chi-square"),
+        Column("joint_dimensions", known(table.dimensions), meaning="those that something controls"),
     ))  # fmt: skip
 
 
 def snooping_section(found: Snooping) -> Section:
     """What data snooping has removed, in its order."""
-    removed = [
-        f"{np.sqrt(one.test):.2f} (limit {np.sqrt(one.critical):.2f}): {some(one.names, len(one.names))}"
-        for one in found.removals[:_MOST_REMOVED]
-    ]
-    more = len(found.removals) - _MOST_REMOVED
-    said = [
+    said = (
         f"Data snooping removed {many(len(found.removals), 'group')} of measurements in "
-        f"{many(found.adjustments, 'adjustment')}" + ("" if found.complete else ", and stopped before its end")
-        + f"; {many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now.",
-        *removed, *([f"And {many(more, 'group')} more."] if more > 0 else []),
-    ]  # fmt: skip
-    return Section("snooping", sentences=said, numbers={
+        f"{many(found.adjustments, 'adjustment')}{'' if found.complete else ', and stopped before its end'}; "
+        f"{many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now."
+    )
+    removed = Table("snooping", "Removed, in this order", (
+        Column("test", np.sqrt(numbers(found.removals, "test")), text=">8.2f"),
+        Column("limit", np.sqrt(numbers(found.removals, "critical")), text=">8.2f"),
+        Column("measures", [some(one.names, len(one.names)) for one in found.removals], text="<", gap=2),
+    ))  # fmt: skip
+    return Section("snooping", sentences=[said], tables=[removed], numbers={
         "adjustments": found.adjustments, "complete": found.complete, "sigma0": found.solution.sigma0,
         "removed": [
             {"measures": list(one.names), "test": one.test, "dimensions": one.dimensions, "critical": one.critical}

@@ -2,9 +2,9 @@
 coregistration.json, one row per profile, one per shot, and the misfits of all shifts that were searched.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,19 +17,14 @@ from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, write_sections_into
+from mgsgraph.results.section import Section, drawn, write_sections_into
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 FORMAT = 1
 """Version of coregistration.json's layout."""
 _MOST_MINIMA = 10
 """Of a cost surface that are written, best first."""
-_MOST_PROFILES = 5
-"""With several minima that are named."""
 _WAYS = ("east", "north")
 
 
@@ -88,11 +83,6 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
     assert network.stereo is not None
     pairs = [[network.images[j].name for j in pair] for pair in network.stereo.images.tolist()]
 
-    def sheets() -> "Iterable[Sheet]":
-        from mgsgraph.results.figures.relief import relief_sheets  # only those who draw wait for matplotlib
-
-        return relief_sheets(registration)
-
     said = relief_statements(registration)
     record = {
         "format": FORMAT,
@@ -117,7 +107,8 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
         "statements": said,
     }  # fmt: skip
     csv = [profiles, relief_shots_table(registration), costs_table(registration)]
-    return Section("coregistration", "", said, [profiles], record, csv, sheets=sheets)
+    return Section("coregistration", "", said, [profiles], record, csv,
+                   sheets=drawn("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
 
 
 def _crossovers_json(solution: Solution) -> dict[str, Any]:
@@ -263,11 +254,19 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
     """What was found, in sentences with numbers and units; the table of profiles has each by itself."""
     profiles, solution, reach = registration.profiles, registration.solution, registration.settings.reach
     taken = [one for one in profiles if np.any(one.taken)]
-    tied = [one for one in taken if one.after.cost.tied]
-    found, several = _agreement(tied), [one for one in tied if not one.after.cost.clear and one.after.cost.reached]
+    tied, found = [one for one in taken if one.after.cost.tied], list[str]()
+    if known := [one for one in tied if one.before.cost.tied]:
+        before, after = (
+            root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in known]))
+            for state in ("before", "after")
+        )
+        sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in known])
+        found.append(f"Before, {many(len(known), 'profile')} and the images disagreed by {before:.0f} m (rms); after, "
+                     f"by {after:.1f} m (median sigma {sigma:.1f} m).")  # fmt: skip
     for which, words in (
         ([one for one in tied if one.after.cost.clear], f"have one clear minimum within {reach:.0f} m"),
-        (several, "have several possible minima, and heights that count as those of level ground"),
+        ([one for one in tied if not one.after.cost.clear and one.after.cost.reached],
+         "have several possible minima, and heights that count as those of level ground"),
         ([one for one in tied if not one.after.cost.reached],
          "keep off their best shift in adjustments, and have heights that count as those of level ground"),
         ([one for one in taken if not one.after.cost.tied], "are not tied by relief"),
@@ -276,46 +275,13 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
         if which:
             names = some([one.name for one in which], len(which))
             found.append(f"{len(which)} of {len(profiles)} profiles {words} ({names}).")
-    found += [_several(one) for one in several[:_MOST_PROFILES]]
     if solution.network.considered:
         named = some(solution.network.considered, len(solution.network.considered))
         found.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
     found.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, {solution.sigma0:.3g} with them.")
     if (crossing := _crossovers_json(solution))["count"]:
-        found.append(
-            f"{many(crossing['count'], 'crossover')} of laser profiles: heights differ by {crossing['rms_m']:.2g} m "
-            f"rms, {crossing['rms_sigmas']:.2g} of their sigmas."
-        )
+        found.append(f"{many(crossing['count'], 'crossover')} of laser profiles: heights differ by "
+                     f"{crossing['rms_m']:.2g} m rms, {crossing['rms_sigmas']:.2g} of their sigmas.")  # fmt: skip
     if not solution.converged:
         found.append(f"The adjustment has NOT CONVERGED. {solution.message}")
     return found
-
-
-def _agreement(tied: list[ReliefProfile]) -> list[str]:
-    """By how much profiles and images disagreed, and disagree."""
-    known = [one for one in tied if one.before.cost.tied]
-    if not known:
-        return []
-    before, after = (
-        root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in known]))
-        for state in ("before", "after")
-    )
-    sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in known])
-    return [
-        f"Before, {many(len(known), 'profile')} and the images disagreed by {before:.0f} m (rms); after, by "
-        f"{after:.1f} m (median sigma {sigma:.1f} m)."
-    ]
-
-
-def _several(one: ReliefProfile) -> str:
-    """Which minima may be the right one."""
-    possible = one.after.cost.possible
-    where = "; ".join(
-        f"{100.0 * found.weight:.2g} % at {round(found.shift[0]):+d} m east, {round(found.shift[1]):+d} m north"
-        for found in possible
-    )
-    sigma = np.sqrt(np.trace(one.after.misplacement_covariance))
-    return (
-        f"{one.name}: {len(possible)} minima may be the right one: {where}; over all of them the first is right to "
-        f"{sigma:.0f} m."
-    )

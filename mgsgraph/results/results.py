@@ -1,8 +1,7 @@
 """All files of one adjustment, in one folder; and the record of all figures of merit, solution.json."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -80,32 +79,19 @@ def write_into(
     known: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
     files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
     known |= {"networks": files} if files else {}
-    with _drawn_meanwhile(solution, folder, connected, figures) as drawn:
-        write_json(folder / RECORD, solution_json(solution, connected, sections) | known)
-        orientation_table(solution).write_csv(folder / "orientation.csv")
-        large = write_large_tables(solution, folder, tables)
-        connectivity_table(connected).write_csv(folder / "connectivity.csv")
-        write_archive(solution, folder / ARCHIVE)
-        more = [name for section in sections for name in section.write(folder, figures=False)]
-        names = [RECORD, large[0], "orientation.csv", large[1], "connectivity.csv", ARCHIVE, *more]
-        return [*names, *drawn()]
+    write_json(folder / RECORD, solution_json(solution, connected, sections) | known)
+    orientation_table(solution).write_csv(folder / "orientation.csv")
+    large = write_large_tables(solution, folder, tables)
+    connectivity_table(connected).write_csv(folder / "connectivity.csv")
+    write_archive(solution, folder / ARCHIVE)
+    names = [RECORD, large[0], "orientation.csv", large[1], "connectivity.csv", ARCHIVE]
+    names += [name for section in sections for name in section.write(folder, figures=False)]
+    if figures:
+        from mgsgraph.results.figures import FIGURES_END, figure_tasks  # matplotlib takes its time
 
-
-@contextmanager
-def _drawn_meanwhile(
-    solution: Solution, folder: Path, connected: Connectivity, figures: bool
-) -> Iterator[Callable[[], list[str]]]:
-    """Let workers draw while the tables are written; yields what waits for them and gives the names of their files."""
-    if not figures:
-        yield list
-        return
-    from mgsgraph.results.figures import (  # matplotlib takes its time; only those who draw wait for it
-        FIGURES_END,
-        figure_tasks,
-    )
-
-    with called_in_workers(figure_tasks(solution, folder, connected), *FIGURES_END) as drawn:
-        yield lambda: list(chain.from_iterable(drawn()))
+        with called_in_workers(figure_tasks(solution, folder, connected), *FIGURES_END) as drawn:
+            names += chain.from_iterable(drawn())
+    return names
 
 
 def case_of(folder: str | Path) -> Path:

@@ -4,6 +4,7 @@ and the files of a folder. The page takes sentences and tables as they are.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +59,17 @@ class Section:
         from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
 
         return [*every, *save(self.sheets(), folder)]
+
+
+def drawn(function: str, *given: Any) -> Callable[[], Iterable["Sheet"]]:
+    """What draws figures by a function with a dotted name: matplotlib takes its time, and is loaded then."""
+    module, _, name = function.rpartition(".")
+
+    def sheets() -> Iterable["Sheet"]:
+        made = getattr(import_module(module), name)(*given)
+        return made if isinstance(made, Iterable) else [made] if made is not None else []
+
+    return sheets
 
 
 def write_sections(

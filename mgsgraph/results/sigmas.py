@@ -5,7 +5,6 @@ The GeoTIFF has four bands in metres, on the body's sphere, planetocentric degre
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +17,8 @@ from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, drawn
 from mgsgraph.units import DEG
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 
 def _file_of(posterior: Posterior, image: str) -> str:
@@ -46,25 +42,16 @@ def curve_section(posterior: Posterior, image: str) -> Section:
         Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
     ))  # fmt: skip
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.sigmas import curve_sheet
-
-        return [curve_sheet(poses, file)]
-
     record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
     shown = table.take(np.arange(0, lines.size, 10))
-    return Section("curves", tables=[shown], numbers=record, csv=[table], sheets=sheets)
+    return Section("curves", tables=[shown], numbers=record, csv=[table],
+                   sheets=drawn("mgsgraph.results.figures.sigmas.curve_sheet", poses, file))  # fmt: skip
 
 
 def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | None, sigma: float) -> Section:
     """Sigmas of new points, measured to `sigma` px, over the overlap of images (all when empty); cells of `cell` m."""
     grid = sigma_grid(posterior, images, cell, sigma)
     body = posterior.network.images[0].body
-
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.sigmas import raster_sheet
-
-        return [raster_sheet(grid, "sigma_map")]
 
     _, rows, columns = grid.values.shape
     record = {
@@ -74,7 +61,8 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
     }  # fmt: skip
     said = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
     files = {"sigmas.tif": partial(write_sigma_raster, grid, body)}
-    return Section("raster", sentences=[said], numbers=record, files=files, sheets=sheets)
+    return Section("raster", sentences=[said], numbers=record, files=files,
+                   sheets=drawn("mgsgraph.results.figures.sigmas.raster_sheet", grid, "sigma_map"))  # fmt: skip
 
 
 def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:

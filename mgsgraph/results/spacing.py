@@ -1,15 +1,13 @@
 """A study of orientation images in words, and as files: nodes.json, CSV files of all numbers, and figures."""
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mgsgraph.analysis.spacing.choice import Choice
 from mgsgraph.analysis.spacing.corrections import AXES
-from mgsgraph.analysis.spacing.densify import Densified
 from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS
 from mgsgraph.analysis.spacing.study import NodeStudy
 from mgsgraph.errors import InputError
@@ -17,12 +15,9 @@ from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import NODES
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.text import many, some
 from mgsgraph.units import ARCSEC, MGON
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 _CONTRADICTED = 3.0
 """Times the prior's sigma that a vibration may have before the prior counts as wrong."""
@@ -66,82 +61,55 @@ def node_statements(study: NodeStudy) -> list[str]:
     """What was found, in sentences."""
     choice = study.choice
     chosen, best = choice.candidates[choice.chosen], choice.candidates[choice.best]
+    good = [one.spacing for one in choice.candidates if not one.refused]
     found = [
         f"{many(chosen.squares.size, 'ray')} held out, one of a point each, are predicted best by nodes every "
         f"{best.spacing:g} s. Chosen: {chosen.spacing:g} s, {many(chosen.nodes, 'node')}, the coarsest within one "
         "standard error of the best."
     ]
-    good = [one for one in choice.candidates if not one.refused]
-    if chosen is good[0] or chosen is good[-1]:
-        end, other = ("closest", "closer") if chosen is good[0] else ("widest", "wider")
-        found.append(f"That is the {end} candidate that could be adjusted: a {other} one may be better.")
-    closest = choice.candidates[choice.closest].spacing
-    for count, why in (
-        (choice.rejected, f"rejected as blunders, with nodes every {closest:g} s, took part with no candidate"),
-        (choice.blunders, "held out that no candidate can predict (blunders) don't count"),
-        (choice.unjudged, "held out have no prediction (no other rays place their points) and don't count"),
-    ):
-        found += [f"{many(count, 'ray')} {why}."] if count else []
-    found.append(_scatter(choice))
+    if chosen.spacing in (good[0], good[-1]):
+        end = "closest" if chosen.spacing == good[0] else "widest"
+        found.append(f"That is the {end} candidate that could be adjusted; one beyond it may be better.")
+    if choice.rejected or choice.blunders or choice.unjudged:
+        found.append(
+            f"Not counted: {many(choice.rejected, 'ray')} rejected as blunders with nodes every "
+            f"{choice.candidates[choice.closest].spacing:g} s, {choice.blunders} held out that no candidate predicts, "
+            f"{choice.unjudged} held out whose points no other rays place."
+        )
+    scatter = choice.scatter
+    found.append(
+        f"Rays of one line within a moment scatter {scatter.factor:.3f} +- {scatter.error:.3f} times their stated "
+        f"sigmas{', WHICH ARE WRONG: correct them' if scatter.contradicts else ''}; noise in spectra is taken as that."
+        if math.isfinite(scatter.error) else
+        "There are too few rays to tell how much they scatter: their stated sigmas are used."
+    )  # fmt: skip
     for one in study.strips:
         for known, spectrum in zip(one.corrections.known.tolist(), one.spectra, strict=True):
             most = max((peak.amplitude for peak in spectrum.vibrations), default=0.0)
             if most > _CONTRADICTED * known:
-                found.append(
-                    f"{spectrum.strip}, {spectrum.axis}: a vibration's amplitude is {most / known:.3g} times what the "
-                    "prior expects of departures, which holds nodes back from following it: give it a wider sigma."
-                )
+                found.append(f"{spectrum.strip}, {spectrum.axis}: a vibration's amplitude is {most / known:.3g} times "
+                             "what the prior expects of departures: give it a wider sigma.")  # fmt: skip
     quiet = [one.corrections.strip for one in study.strips if not any(spectrum.vibrations for spectrum in one.spectra)]
     if quiet:
-        found.append(
-            f"No vibration found in {some(quiet, len(quiet))} beyond noise ({100.0 * FALSE_ALARMS:g} % false alarms "
-            "per axis) and what the prior expects."
-        )
+        found.append(f"No vibration found in {some(quiet, len(quiet))} beyond noise ({100.0 * FALSE_ALARMS:g} % false "
+                     "alarms per axis) and what the prior expects.")  # fmt: skip
     if study.densified is not None:
-        found += _closer(study.densified)
+        first, last = study.densified.rounds[0], study.densified.rounds[-1]
+        found.append(f"Where residuals asked for closer nodes: {sum(first.nodes)} became {sum(last.nodes)}, sigma0 "
+                     f"{first.sigma0:.4f} became {last.sigma0:.4f}. {study.densified.message}")  # fmt: skip
     return found
-
-
-def _scatter(choice: Choice) -> str:
-    """How much rays scatter."""
-    scatter = choice.scatter
-    if not math.isfinite(scatter.error):
-        return "There are too few rays to tell how much they scatter: their stated sigmas are used."
-    times = f"{scatter.factor:.3f} +- {scatter.error:.3f} times"
-    said = f"Rays of one line within a moment scatter {times} their stated sigmas"
-    if not scatter.contradicts:
-        return f"{said}: noise in spectra and residuals is taken as that."
-    return (
-        f"{said}, WHICH ARE WRONG, unless blunders are among them. Noise in spectra and residuals is taken as that, "
-        "but rays are weighed against priors as stated: correct the sigmas of rays."
-    )
-
-
-def _closer(densified: Densified) -> list[str]:
-    first, last = densified.rounds[0], densified.rounds[-1]
-    steps = [np.diff(strip.nodes.times) for strip in densified.network.passes]
-    low, high = min(float(step.min()) for step in steps), max(float(step.max()) for step in steps)
-    return [
-        f"Where residuals asked for closer nodes: {sum(first.nodes)} became {sum(last.nodes)} in "
-        f"{many(len(densified.rounds), 'adjustment')}, {low:.3g} to {high:.3g} s apart; sigma0 {first.sigma0:.4f} "
-        f"became {last.sigma0:.4f}. {densified.message}"
-    ]
 
 
 def nodes_section(study: NodeStudy) -> Section:
     """Candidates and what was found."""
     candidates = candidates_table(study.choice)
 
-    def sheets() -> "Iterable[Sheet]":
-        from mgsgraph.results.figures.spacing import node_sheets  # matplotlib takes its time
-
-        return node_sheets(study)
-
     peaks = peaks_table(study)
     seen = [k for k, row in enumerate(peaks.records()) if row["beyond_prior"] and row["echo_of"] is None]
     csv = [candidates, _course_table(study), *([_spectra_table(study)] if study.strips else [])]
     return Section("nodes", "", node_statements(study),
-                   [candidates, peaks.take(np.array(seen, dtype=np.int64))], nodes_json(study), csv, sheets=sheets)
+                   [candidates, peaks.take(np.array(seen, dtype=np.int64))], nodes_json(study), csv,
+                   sheets=drawn("mgsgraph.results.figures.spacing.node_sheets", study))
 
 
 def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> list[str]:

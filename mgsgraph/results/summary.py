@@ -3,24 +3,24 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json, connectivity_statements
-from mgsgraph.results.control import control_section, minima_section
-from mgsgraph.results.drivers import drivers_section
-from mgsgraph.results.group_fits import fits_section
+from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.images import images_section
-from mgsgraph.results.input_remarks import range_statements, reading_statements
-from mgsgraph.results.likelihood import linearity_section
-from mgsgraph.results.passes import passes_section
-from mgsgraph.results.points import laser_section, points_section, ranges_section
+from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import Section
-from mgsgraph.results.shared import shared_section
-from mgsgraph.results.soundness import soundness_section, state_of
-from mgsgraph.text import many, short, some_of
+from mgsgraph.results.soundness import (
+    drivers_section,
+    fits_section,
+    implausible_section,
+    linearity_section,
+    reading_statements,
+    soundness_section,
+    state_of,
+)
+from mgsgraph.text import many, short
 
 
 def solution_sections(solution: Solution, connected: Connectivity | None = None) -> list[Section]:
@@ -33,7 +33,7 @@ def solution_sections(solution: Solution, connected: Connectivity | None = None)
         soundness_section(solution),
         drivers_section(solution),
         fits_section(solution),
-        Section("", sentences=_implausible(solution)),
+        implausible_section(solution),
         linearity_section(solution.linearity),
         minima_section(solution.minima),
         images_section(solution),
@@ -73,22 +73,6 @@ def _ending(solution: Solution) -> list[str]:
     return [
         f"NOT CONVERGED after {steps}; {cost}. {solution.message}",
         "Nothing below is a result. Look at the largest residuals for blunders, and at the a-priori sigmas.",
-    ]
-
-
-def _implausible(solution: Solution) -> list[str]:
-    """Orientations that were moved too far, and ranges that no orbit within its sigmas explains."""
-    net, found = solution.network, solution.strained
-    ranges = range_statements(net, solution.range_residuals_before)
-    said = [f"With the nominal orientation {sentence}." for sentence in ranges]
-    if not found or (solution.converged and found[0].impossible):  # of which `soundness_section` speaks
-        return said
-    names = some_of([net.images[one.image].name for one in found], np.arange(len(found)))
-    return [
-        *said,
-        f"Moved by up to {found[0].most:.2g} of their a-priori sigmas are the orientations of {names}: an input is "
-        "wrong (ranges, images or columns interchanged, a focal length, control), or these sigmas are too small. None "
-        "of the quoted sigmas holds. Look at the inputs with `mgsgraph check` before making these sigmas larger.",
     ]
 
 

@@ -170,10 +170,10 @@ def residual_rows(solution: Solution) -> int:
     return solution.network.rays.point.size + solution.network.ranges.point.size + _stereo_heights(solution)[0].size
 
 
-def residual_points(solution: Solution, rows: slice = slice(None)) -> Index:
-    """(m,) number of the ground point of each row of `residuals_table`, or of some of the `rows`."""
+def residual_points(solution: Solution) -> Index:
+    """(m,) number of the ground point of each row of `residuals_table`."""
     network = solution.network
-    return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])[rows]
+    return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])
 
 
 def _parts(rows: slice, sizes: Sequence[int]) -> list[slice]:
@@ -200,15 +200,15 @@ def connectivity_table(connected: Connectivity) -> Table:
         ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
     ]
     return Table("connectivity", "Pairs of images", (
-        Column("image_a", picked(names, connected.pairs[:, 0]), meaning="one of the two"),
-        Column("image_b", picked(names, connected.pairs[:, 1]), meaning="the other"),
-        Column("common_points", points, meaning="seen in both"),
+        Column("image_a", picked(names, connected.pairs[:, 0]), meaning="one of the two", text="<24"),
+        Column("image_b", picked(names, connected.pairs[:, 1]), meaning="the other", text="<24"),
+        Column("common_points", points, meaning="seen in both", label="points", text=">7"),
         *(
             Column(f"{c.name.lower()}_points", connected.common[:, c], meaning="of these")
             for c in PointClass if c.measured
         ),
-        Column("remark", remarks, meaning="bridge: the only link between two parts of the block"),
-        Column("overlap", connected.areas, "km2", "of the footprints"),
+        Column("remark", remarks, meaning="bridge: the only link between two parts of the block", text="<30", gap=2),
+        Column("overlap", connected.areas, "km2", "of the footprints", text=">10.4g"),
         Column("overlap_share", connected.shares, meaning="of the smaller footprint"),
         Column("gap", connected.gaps, "km", "between the footprints"),
     ))  # fmt: skip

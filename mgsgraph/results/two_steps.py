@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +13,10 @@ from mgsgraph.files.output.folders import fresh_folder
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import TERRAIN
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, write_sections_into
+from mgsgraph.results.section import Section, drawn, write_sections_into
 from mgsgraph.text import many, short, some_of
 from mgsgraph.units import DEG, MGON
-
-if TYPE_CHECKING:
-    from mgsgraph.results.figures.sheet import Sheet
 
 
 def write_two_steps(
@@ -67,15 +63,11 @@ def two_steps_section(statistics: TwoStepStatistics) -> Section:
     csv += [_heights_table(statistics)] if statistics.points.size else []
     csv += [] if found is None else [_cells_table(found)]
 
-    def sheets() -> "list[Sheet]":
-        from mgsgraph.results.figures.height_maps import height_map_sheet  # matplotlib takes its time
-
-        return [] if found is None else [height_map_sheet(statistics, found)]
-
     return Section(
         "two_steps", short(statistics.steps.fitted.name, 60), two_steps_statements(statistics),
         [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
-        sheets=sheets,
+        sheets=None if found is None else
+        drawn("mgsgraph.results.figures.height_maps.height_map_sheet", statistics, found),
     )  # fmt: skip
 
 
@@ -107,57 +99,39 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
 
 def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
     """What the tables do not say."""
-    steps, whole, found = statistics.steps, statistics.whole, [_of_blunders(statistics)]
+    steps, whole, heights = statistics.steps, statistics.whole, statistics.whole.heights
+    limit, off, found = steps.free.settings.reject, np.flatnonzero(steps.off), list[str]()
+    if bad := [name for name, one in (("step 1", steps.free), ("step 2", steps.fitted)) if not one.converged]:
+        found.append(f"NOT CONVERGED: {' and '.join(bad)}. Nothing below is a result.")
+    if limit:
+        found.append(
+            f"Beyond {limit:g} standard deviations step 1 rejected {many(_rejected(statistics), 'ray')}, which stay "
+            f"out of step 2; the height rows of {many(off.size, 'point')} were rejected (matched wrongly in all "
+            f"images, or other ground than the model's; {some_of(steps.network.points.ids, off) or 'none'})."
+            + ("" if steps.at_rest else " Which ones these are did not converge.")
+        )
+    else:
+        found.append("No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so.")
     if whole.points and not np.all(np.isfinite(whole.mean[:2])):
         found.append("Nothing is known beforehand of some orientation: there is no a-priori sigma.")
-    found += _of_heights(statistics)
-    if not steps.converged:
-        which = " and ".join(
-            name for name, one in (("step 1", steps.free), ("step 2", steps.fitted)) if not one.converged
-        )
-        found.insert(0, f"NOT CONVERGED: {which}. Nothing below is a result.")
-    return found
-
-
-def _of_blunders(statistics: TwoStepStatistics) -> str:
-    steps = statistics.steps
-    limit = steps.free.settings.reject
-    if limit == 0.0:
-        return "No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so."
-    rays = 0 if steps.free.rays_rejected is None else int(steps.free.rays_rejected.sum())
-    off = np.flatnonzero(steps.off)
-    text = (
-        f"Step 1 rejected {many(rays, 'ray')} of {steps.network.rays.point.size} beyond {limit:g} standard "
-        "deviations, which stay out of step 2; "
-    )
-    if not off.size:
-        return text + "no height above the terrain is off by as much."
-    names = some_of(steps.network.points.ids, off)
-    text += (
-        f"{many(off.size, 'point')} lie{'s' * (off.size == 1)} so far off the terrain that the height row went: a "
-        f"blunder of matching that all rays share, or other ground than the model's ({names})"
-    )
-    return text + ("." if steps.at_rest else "; which ones these are did not come to rest.")
-
-
-def _of_heights(statistics: TwoStepStatistics) -> list[str]:
-    heights, found = statistics.whole.heights, list[str]()
     if heights.count:
         found.append(
-            f"Heights above the terrain are of {many(heights.count, 'point')}, where the rays alone put them; the rms "
-            f"of the adjusted ones, each pulled by its own height row, is {heights.rms_adjusted:.3g} m."
+            f"Heights above the terrain are of {many(heights.count, 'point')}, where the rays alone put them. Rms of "
+            f"the adjusted ones: {heights.rms_adjusted:.3g} m above the adjusted model, {heights.rms_given:.3g} m over "
+            "the given one."
         )
-        if statistics.steps.network.terrain_moves and TERRAIN not in statistics.steps.network.considered:
-            found.append(
-                "In step 2 the terrain model has moved to where the rays put it; above the model as it was given the "
-                f"rms is {heights.rms_given:.3g} m."
-            )
     for count, why in (
         (statistics.without_row, "had no height row, beside the terrain model or over missing posts"),
         (statistics.left_out, "with a height row left out of these heights: over missing posts, or without a place"),
     ):
         found += [f"{many(count, 'tie point')} {why}."] if count else []
     return found
+
+
+def _rejected(statistics: TwoStepStatistics) -> int:
+    """Rays that step 1 rejected."""
+    rejected = statistics.steps.free.rays_rejected
+    return 0 if rejected is None else int(rejected.sum())
 
 
 # --- files
@@ -190,7 +164,7 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
                 (steps.free, steps.fitted), steps.history, steps.seconds, strict=True
             )
         ],
-        "rays_rejected": 0 if steps.free.rays_rejected is None else int(steps.free.rays_rejected.sum()),
+        "rays_rejected": _rejected(statistics),
         "heights_off": [steps.network.points.ids[i] for i in np.flatnonzero(steps.off).tolist()],
         "heights_at_rest": steps.at_rest,
         "ties_without_height": statistics.without_row,

@@ -13,7 +13,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.studio.linked import Prediction
 from mgsgraph.studio.marks import shots_of, ties_of
-from mgsgraph.studio.registration import footprints_record, heights_record, relief_record
+from mgsgraph.studio.registration import footprints_record
 from mgsgraph.studio.tiles import Pyramid
 from mgsgraph.studio.views import Pictured, Views, number_of
 
@@ -45,7 +45,7 @@ class Figures:
     def __init__(self, scene: Pictured, views: Views) -> None:
         self._scene, self._views = scene, views
         self._every: dict[str, Callable[[Request], Sheet]] = {
-            "images": self._images, "footprints": self._footprints, "relief": self._relief, "heights": self._heights,
+            "images": self._images, "footprints": self._footprints,
         }
 
     def sheet(self, view: str, request: Request) -> "Sheet":
@@ -106,22 +106,6 @@ class Figures:
 
         images = footprints_record(self._views.linked.block)["images"]
         return footprints_sheet(_chosen(images, "image", request.query_params.get("image"), "a shot in an image"))
-
-    def _relief(self, request: Request) -> "Sheet":
-        from mgsgraph.results.figures.registration_views import relief_sheet
-
-        folder, radius = self._scene.folder, self._views.linked.block.images[0].body.equatorial
-        record = None if folder is None else relief_record(folder, radius)
-        profiles = [] if record is None else record["profiles"]
-        return relief_sheet(_chosen(profiles, "name", request.query_params.get("profile"), "a registration by relief"))
-
-    def _heights(self, _: Request) -> "Sheet":
-        from mgsgraph.results.figures.registration_views import heights_sheet
-
-        record = None if self._scene.folder is None else heights_record(self._scene.folder)
-        if record is None:
-            raise InputError("figure heights", "results without two steps", "those of mgsgraph adjust --two-steps")
-        return heights_sheet(record)
 
     # --- of the solution: the sheets that results have
 

@@ -17,7 +17,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.network import TERRAIN, Network
-from mgsgraph.results.control import minima_section
+from mgsgraph.results.ground import minima_section
 from mgsgraph.results.results import solution_json
 from mgsgraph.results.summary import statements
 

@@ -29,7 +29,7 @@ from mgsgraph.kernel.rows import SURFACE, one_observation
 from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
 from mgsgraph.results.archive import read_solution, write_archive
-from mgsgraph.results.control import control_section, surface_heights
+from mgsgraph.results.ground import control_section, surface_heights
 from mgsgraph.units import ARCSEC, DEG, MRAD
 
 RADIUS = 3.39e6
@@ -118,7 +118,7 @@ def test_any_of_them_may_be_unknown_alone() -> None:
     assert np.all(lifted.shift_covariance(0) == 0.0)
     assert lifted.lift is not None
     assert abs(lifted.lift[0] - 30.0) < 5.0
-    assert "rose by" in " ".join(control_section(lifted).sentences)
+    assert "upward shift +" in " ".join(control_section(lifted).sentences)
     tilted = adjust_network(control(1, ("tilt_sigma", "middle")), SolverSettings())
     assert [term.unit for term in tilted.network.shift_terms[0]] == ["rad", "rad"]
 
@@ -192,8 +192,8 @@ def test_it_is_told_in_words_and_numbers() -> None:
     np.testing.assert_allclose(record["sigma_tilt_about_east_north_mrad"], sigmas[3:] / MRAD)
     assert record["sigma_up_m"] == sigmas[2]
     words = " ".join(control_section(solution).sentences)
-    assert f"It rose by {solution.lift[0]:+.1f} m" in words
-    assert "through the middle of the points" in words
+    assert f"upward shift {solution.lift[0]:+.1f} m" in words
+    assert "tilt about east" in words
 
 
 def test_the_archive_keeps_them_and_knows_what_is_missing(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import group_fits as module
 from mgsgraph.analysis.group_fits import group_fits
 from mgsgraph.network import ImageRays, Network, PointClass
-from mgsgraph.results.group_fits import fits_section, group_fits_table, weight_unit
 from mgsgraph.results.results import solution_json
+from mgsgraph.results.soundness import fits_section, group_fits_table, weight_unit
 from mgsgraph.results.summary import statements, summary_table
 
 PLAIN = SolverSettings(starts=0)

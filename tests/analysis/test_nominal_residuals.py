@@ -12,7 +12,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.nominal_residuals import unexplained_ranges, unexplained_residuals
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network, SharedKind, SharedUnknown
-from mgsgraph.results.input_remarks import beyond_priors_statements, range_statements
+from mgsgraph.results.soundness import beyond_priors_statements, range_statements
 
 
 def found(net: Network) -> tuple[str, ...]:

@@ -124,12 +124,9 @@ def test_one_clear_line(tmp_path: Path, fault: str) -> None:
 def test_check_says_who_makes_a_pass_and_how_it_is_mounted(tmp_path: Path) -> None:
     """The angle of 3.1 rad about z, 177.6 degrees; and that boresights of both cameras are one too many."""
     said = inventory(mgsgraph.read_case(write_rig(tmp_path, PASS + R + "boresight_sigma_mrad = 1\n")))
-    assert "Passes\n- one (L, R): 4 orientation images (lagrange)" in said
-    assert "a-priori sigmas of the terms 1, s, s^2, s^3 of polynomials" in said
+    assert "pass one, 4 orientation images (lagrange)" in said
     x, y, z = np.degrees(rotation.logarithm(TURN.T[None])[0])
-    assert f"mounted at {x:+.4f}, {y:+.4f}, {z:+.4f} deg (nominal rotation vector, about the axes x" in said
-    apart = np.degrees(np.arccos(TURN[2, 2]))
-    assert f", y, z of L; optical axes {apart:.4f} deg apart): R" in said
+    assert f"mounted at {x:+.4f}, {y:+.4f}, {z:+.4f} deg (about x, y, z of L)" in said
     assert "  pass one\n" in said
     assert "leave one camera out" not in said
     both = R + "boresight_sigma_mrad = 1\n" + R.replace("R", "L") + "boresight_sigma_mrad = 1\n"

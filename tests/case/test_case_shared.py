@@ -82,7 +82,7 @@ def test_line_rate_and_lever_arms(case_file: Path) -> None:
               SharedKind.LINE_RATE: [2e-5], SharedKind.CAMERA_LEVER_ARM: [1.0, 2.0, 3.0],
               SharedKind.ALTIMETER_LEVER_ARM: [4.0] * 3}  # fmt: skip
     assert {one.kind: pytest.approx(one.sigmas.tolist()) for one in found.network.shared} == wanted
-    assert "line rate, a-priori sigma 20 ppm" in inventory(found)
+    assert re.search(r"line rate .* 20 ppm", inventory(found))
     without = mgsgraph.read_case(case_file, laser=False).network.shared
     assert SharedKind.ALTIMETER_LEVER_ARM not in [one.kind for one in without]
     assert len(without) == len(found.network.shared) - 1
@@ -90,7 +90,7 @@ def test_line_rate_and_lever_arms(case_file: Path) -> None:
 
 def test_check_lists_them(case_file: Path) -> None:
     said = inventory(mgsgraph.read_case(with_text(case_file, GOOD)))
-    assert "Shared by SIM/A: range bias, a-priori sigma 5 m" in said
+    assert re.search(r"range bias +SIM/A +5 m", said)
 
 
 @pytest.mark.parametrize(

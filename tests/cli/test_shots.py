@@ -13,7 +13,7 @@ from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.project.oriented import oriented_images
-from mgsgraph.results.crossings import SELECTION
+from mgsgraph.results.places import SELECTION
 
 
 def call(*arguments: object) -> None:

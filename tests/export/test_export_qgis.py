@@ -1,4 +1,4 @@
-"""Styles and the project for QGIS: what they say of the layers, and in QGIS's own hands where it is installed."""
+"""The project for QGIS: what they say of the layers, and in QGIS's own hands where it is installed."""
 
 import json
 import os
@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from gis_files import LAYERS, layer, odd_solution
 
-from mgsgraph.export.gis import write_gis
+from mgsgraph.export.gis import style, write_gis, write_project
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, point_layers
-from mgsgraph.export.qgis import style, write_project
 from mgsgraph.geometry.body import Ellipsoid
 
 pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")
@@ -27,7 +26,7 @@ application = QgsApplication([], False)
 application.initQgis()
 folder, project = sys.argv[1], QgsProject.instance()
 found = {"read": project.read(folder + "/solution.qgs"), "crs": project.crs().description(),
-         "ellipsoid": project.ellipsoid(), "layers": {}, "styles": {}}
+         "ellipsoid": project.ellipsoid(), "layers": {}}
 shown = []
 for node in project.layerTreeRoot().findLayers():
     one = node.layer()
@@ -37,7 +36,6 @@ for node in project.layerTreeRoot().findLayers():
     found["layers"][one.dataProvider().dataSourceUri().split("layername=")[1]] = {
         "valid": one.isValid(), "rows": one.featureCount(), "crs": one.crs().description(), "shown": node.isVisible(),
         "drawn": [sum(1 for row in one.getFeatures(rule.filterExpression() or "TRUE")) for rule in rules],
-        "styled": one.loadNamedStyle(folder + "/styles/" + one.dataProvider().dataSourceUri().split("=")[1] + ".qml"),
     }
     shown += [one] if node.isVisible() else []
 settings = QgsMapSettings()
@@ -79,16 +77,12 @@ def test_the_project_has_all_layers_and_the_body(folder: Path) -> None:
     assert south < north
 
 
-def test_a_style_for_every_layer_and_table(folder: Path) -> None:
-    assert {path.stem for path in (folder / "styles").iterdir()} == set(SHAPES)
-    tables = {path.stem for path in folder.glob("*.parquet")}
-    assert tables == {path.stem for path in folder.glob("*.qml")} == {
-        "points", "residuals", "footprints", "error_ellipses"
-    }  # fmt: skip
-    for path in folder.rglob("*.qml"):
-        found = ElementTree.parse(path).getroot()
-        rules = list(found.iter("rule"))
-        assert len(rules) == len(found.findall("renderer-v2/symbols/symbol")) > 0
+def test_each_layer_has_its_rules(folder: Path) -> None:
+    layers = list(ElementTree.parse(folder / "solution.qgs").getroot().iter("maplayer"))
+    assert len(layers) == len(SHAPES)
+    for one in layers:
+        assert len(list(one.iter("rule"))) == len(one.findall("renderer-v2/symbols/symbol")) > 0
+    assert {path.name for path in folder.iterdir()} == {"solution.gpkg", "solution.qgs"}
 
 
 def test_exaggeration_is_stated_in_the_legend() -> None:
@@ -136,7 +130,6 @@ def test_qgis_opens_the_project_and_draws_it(folder: Path) -> None:
         assert one["crs"] == "Mars (2015) - Sphere / Ocentric"
         assert one["rows"] == len(layer(folder / "solution.gpkg", name).shapes)
         assert sum(one["drawn"]) == one["rows"], f"{name}: each row is drawn once"
-        assert one["styled"] == ["", True], name
     assert said["layers"]["residuals_exaggerated"]["shown"]
     assert not said["layers"]["residuals"]["shown"]
     assert said["colours"] > 20

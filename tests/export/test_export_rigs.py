@@ -20,10 +20,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_out import orientation_polynomials
 from mgsgraph.export.csm import write_csm
 from mgsgraph.export.isis import write_isis
-from mgsgraph.export.reprojection import reprojection
 from mgsgraph.export.spice import NaifIds, SpiceNaming, write_spice
 from mgsgraph.export.spice_back import spice_differences
-from mgsgraph.export.spice_nodes import TOLERANCE
+from mgsgraph.export.spice_nodes import TOLERANCE, reprojection
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.distortion import RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage

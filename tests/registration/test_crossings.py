@@ -18,7 +18,7 @@ from mgsgraph.geometry.records import frozen_mask
 from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.project.oriented import OrientedImages, ShotChoice, search_shots
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
-from mgsgraph.results.crossings import crossing_sentences, crossings_table, selection_table
+from mgsgraph.results.places import crossings_section, crossings_table, selection_table
 
 
 def along_and_later() -> tuple[ShotsOverImages, AltimeterShots]:
@@ -52,7 +52,7 @@ def test_the_profile_that_was_taken_along() -> None:
     assert np.array_equal(over.chosen, np.flatnonzero(over.inside[0]))
     assert np.array_equal(over.inside[0, :60], over.inside[0, 60:])
     assert len(crossings_table((first, second)).text()) == 3
-    assert f"{2 * within} shots" in crossing_sentences(over, (first, second))[0]
+    assert f"{2 * within} shots" in crossings_section(over, (first, second)).sentences[0]
 
 
 def test_a_selection_is_read_back(tmp_path: Path) -> None:

@@ -18,8 +18,7 @@ from mgsgraph.analysis.common_points import CommonPoints
 from mgsgraph.cli import group
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.results.comparison import compare, write_comparison
-from mgsgraph.results.comparison_input import input_section, settings_section
+from mgsgraph.results.comparison import compare, input_section, settings_section, write_comparison
 from mgsgraph.results.figures.comparison import comparison_sheet
 from mgsgraph.results.figures.sheet import encoded
 from mgsgraph.results.results import write_results

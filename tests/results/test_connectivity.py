@@ -1,6 +1,7 @@
 """How images are connected, in words, as a table and as a figure: what they say, not what they look like."""
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from mgsgraph.network.connectivity_words import (
     connectivity_json,
     connectivity_statements,
     cut_image_statement,
-    weakest_joints,
 )
 from mgsgraph.results.figures.connectivity import (
     connectivity_sheet,
@@ -85,9 +85,6 @@ def test_words_of_a_block() -> None:
     assert untied.startswith("1 pair of images overlaps without any common point: I5 and I6 by 500 km^2, 60 %")
     assert "I2 and I3 (3 points, 220 km apart)" in apart
     assert cut_image_statement(block()) == ["the block falls apart without I2"]
-    assert [phrase.split(", the only")[0] for phrase in weakest_joints(block())] == [
-        "I2 and I3, 3 points", "I4 and I5, 8 points", "I1 and I2, 26 points", "I0 and I1, 30 points",
-    ]  # fmt: skip
 
 
 def test_slivers_are_not_worth_ties() -> None:
@@ -116,9 +113,8 @@ def test_rejected_points_do_not_hold_the_block(solution: Solution) -> None:
 def test_check_tells_of_it(case_file: Path) -> None:
     text = inventory(mgsgraph.read_case(case_file))
     connections = text.split("Connections")[1].split("Weak spots")[0]
-    assert "SIM/A: 28 points; 28 with SIM/B" in connections
     assert "have 28 points in common and overlap by" in connections
-    assert "Weakest joints" not in connections
+    assert re.search(r"SIM/A +SIM/B +28 ", connections)
 
 
 # --- table

@@ -11,7 +11,7 @@ from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.results.control import control_section, surface_heights
+from mgsgraph.results.ground import control_section, surface_heights
 from mgsgraph.results.results import solution_json
 from mgsgraph.results.tables import residuals_table
 
@@ -27,8 +27,8 @@ def test_shifts_and_heights_are_told() -> None:
     assert record["surface"]["count"] == after.size == 12
     assert record["surface"]["rms_height_before_m"] == pytest.approx(np.sqrt(np.mean(before**2)))
     words = " ".join(control_section(solution).sentences)
-    assert "Profile profile" in words
-    assert "The terrain model moved" in words
+    assert "profile moved" in words
+    assert "terrain model moved" in words
     assert "12 tie points were held to the terrain model" in words
     assert "back-projections" not in words
     assert solution_json(solution)["control"] == record

@@ -11,9 +11,9 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.results.archive import read_solution
-from mgsgraph.results.drivers import drivers_section, drivers_table
 from mgsgraph.results.page import tables
 from mgsgraph.results.results import solution_json, write_results
+from mgsgraph.results.soundness import drivers_section, drivers_table
 from mgsgraph.results.summary import solution_sections, statements
 
 

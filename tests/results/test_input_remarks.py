@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from networks import network, pair
 
-from mgsgraph.results.input_remarks import reading_statements
+from mgsgraph.results.soundness import reading_statements
 
 
 def test_each_remark_is_said_once_with_its_images() -> None:

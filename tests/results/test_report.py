@@ -1,7 +1,5 @@
 """The report page: its figures, tables and comparisons, and what a real browser makes of it."""
 
-import base64
-import io
 import re
 import warnings
 from dataclasses import replace
@@ -10,7 +8,6 @@ from typing import Any
 
 import networks
 import numpy as np
-import PIL.Image
 import profiles
 import pytest
 from sharing import with_all_kinds
@@ -27,7 +24,6 @@ from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results import page as report_page
 from mgsgraph.results.comparison import compare, orientation_difference
 from mgsgraph.results.figures import page as report_figures
-from mgsgraph.results.figures.page_scene import Scene, scenes
 from mgsgraph.results.page import tables as tables_of
 from mgsgraph.results.page import write_report
 from mgsgraph.results.summary import solution_sections
@@ -36,7 +32,7 @@ from mgsgraph.simulation.files import write_pair
 LINES, SAMPLES = (3000, 3400), (100, 250)
 """Of the bright field in the pictures."""
 FIGURES = {
-    "map", "connectivity", "discrepancy", "closeups", "orientation", "residuals", "sigma_map",
+    "map", "connectivity", "overlay_1", "overlay_2", "discrepancy", "closeups", "orientation", "residuals", "sigma_map",
     "comparison",
 }
 
@@ -70,11 +66,6 @@ def solution(case: Case) -> Solution:
 @pytest.fixture(scope="module")
 def registration(case: Case, solution: Solution) -> CaseRegistration:
     return register_case(case, solution)
-
-
-@pytest.fixture(scope="module")
-def scene(registration: CaseRegistration) -> Scene:
-    return scenes(registration)[0][0]
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +103,7 @@ def test_it_is_one_file_without_an_outside_address(page: Path) -> None:
     assert len(addresses) > 20
     assert [one[:60] for one in addresses if not one.startswith(("data:", "#"))] == []
     assert re.findall(r"https?://|@import|url\((?!#)", text) == []
-    assert set(re.findall(r'data-name="([a-z_]+)"', text)) == FIGURES
+    assert set(re.findall(r'data-name="([a-z0-9_]+)"', text)) == FIGURES
     assert len(text) < 5_000_000
 
 
@@ -188,14 +179,8 @@ def test_unknowns_that_images_share() -> None:
 @pytest.mark.usefixtures("no_figures")
 def test_a_case_without_profiles_says_so(solution: Solution, case: Case, tmp_path: Path) -> None:
     text = text_of(solution, tmp_path, case=replace(case, profiles=()))
-    assert "case.toml names no laser profile" in text
-    assert 'class="scene"' not in text
-
-
-def test_without_pixels_the_frame_stands_for_the_image(registration: CaseRegistration) -> None:
-    found, _ = scenes(replace(registration, pictures=(None, None)))
-    assert [one.uri for one in found] == ["", ""]
-    assert all(one.states[0].marks for one in found)
+    assert "if the case names profiles of MOLA" in text
+    assert 'data-name="overlay' not in text
 
 
 # --- tables
@@ -318,39 +303,6 @@ def test_other_pixels_are_refused(solution: Solution) -> None:
         compare(solution, earlier)
 
 
-# --- footprints on images
-
-
-def test_marks_are_where_footprints_fall(registration: CaseRegistration, scene: Scene) -> None:
-    for state, profiles_ in registration.states():
-        found = profiles_[0].found
-        (shown,) = [one for one in scene.states if one.orientation == state]
-        inside = np.flatnonzero(found.inside[0])
-        assert [mark.number - 1 for mark in shown.marks] == inside.tolist()
-        drawn = np.array([[float(mark.x) / scene.per_line, 1024.0 - float(mark.y)] for mark in shown.marks])
-        np.testing.assert_allclose(drawn, found.places[0, inside], atol=0.06 / min(1.0, scene.per_line))
-    assert {mark.level for mark in scene.states[0].marks} == {50, 10, 5, 1}
-
-
-def test_the_picture_lies_under_the_marks(scene: Scene) -> None:
-    """The bright field has its lines to the right and its samples upward."""
-    data = base64.b64decode(scene.uri.partition(",")[2])
-    grey = np.asarray(PIL.Image.open(io.BytesIO(data)).convert("L"))
-    rows, columns = np.nonzero(grey > 150)
-    per_x, per_y = scene.covered[0] / grey.shape[1], scene.covered[1] / grey.shape[0]
-    top = scene.width - scene.covered[1]
-    assert np.array([columns.min(), columns.max() + 1]) * per_x / scene.per_line == pytest.approx(LINES, abs=8)
-    assert scene.width - (top + np.array([rows.max() + 1, rows.min()]) * per_y) == pytest.approx(SAMPLES, abs=8)
-
-
-def test_heights_run_along_the_image(registration: CaseRegistration, scene: Scene) -> None:
-    shots = registration.before[0].found.shots
-    assert scene.relief.count("L") + 1 == scene.dots.count("M") == int(registration.before[0].found.inside[0].sum())
-    low, high = (float(text) for text in scene.heights)
-    assert 30.0 < high - low < 41.0  # waves of 20 m
-    assert shots.times.size == profiles.SHOTS
-
-
 # --- in a browser
 
 
@@ -371,11 +323,6 @@ class Opened:
         """Texts that can be seen."""
         rows = f"[...document.querySelectorAll('#table-{table} tbody tr')].filter(row => !row.hidden)"
         return list(self.tab.evaluate(f"{rows}.map(row => row.cells[{c}].textContent)"))
-
-    def box(self, n: int = 0) -> list[float]:
-        """The part of a scene's drawing that can be seen."""
-        text = self.tab.locator(".view").nth(n).get_attribute("viewBox")
-        return [float(value) for value in text.split()]
 
 
 def test_every_figure_is_there_and_nothing_is_asked_for(browser: Any, page: Path) -> None:
@@ -479,79 +426,18 @@ def test_unknown_numbers_come_last(browser: Any, solution: Solution, tmp_path: P
         assert seen.column("images", c)[-1] == NONE
 
 
-def test_images_are_zoomed_and_panned(browser: Any, page: Path, scene: Scene) -> None:
-    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
-    view = seen.tab.locator(".view").first
-    mark = "document.querySelector('.view').style.getPropertyValue('--k')"
-    size = view.bounding_box()
-    x, y, w, h = seen.box()
-    assert (x, y) == (0.0, 0.0)
-    assert h == pytest.approx(scene.width)  # the image fills the height
-    view.focus()
-    seen.tab.keyboard.press("+")
-    x, y, w2, h2 = seen.box()
-    assert (w2, h2) == pytest.approx((w / 1.5, h / 1.5))
-    assert (x + w2 / 2.0, y + h2 / 2.0) == pytest.approx((w / 2.0, h / 2.0))
-    assert float(seen.tab.evaluate(mark)) == pytest.approx(w2 / size["width"])  # units per pixel of the screen
-    seen.tab.keyboard.press("ArrowRight")
-    assert seen.box()[0] == pytest.approx(x + 80.0 * w2 / size["width"])
-    heights = seen.tab.locator(".profile").first.get_attribute("viewBox").split()
-    assert [float(heights[k]) for k in (0, 2)] == [seen.box()[k] for k in (0, 2)]  # above their lines
-    view.scroll_into_view_if_needed()
-    x, y, w, _ = seen.box()
-    place = view.bounding_box()
-    middle = place["x"] + place["width"] / 2.0, place["y"] + place["height"] / 2.0
-    seen.tab.mouse.move(*middle)
-    seen.tab.mouse.down()
-    seen.tab.mouse.move(middle[0] - 100.0, middle[1])
-    seen.tab.mouse.up()
-    assert seen.box()[0] == pytest.approx(x + 100.0 * w / place["width"], rel=1e-3)
-    box = seen.box()
-    seen.tab.mouse.down(button="right")
-    seen.tab.mouse.move(*middle)
-    seen.tab.mouse.up(button="right")
-    assert seen.box() == box  # only the first button drags
-    seen.tab.keyboard.press("0")
-    x, _, w, _ = seen.box()
-    assert x <= 1e-6
-    assert w >= scene.length - 1e-6
-    seen.tab.locator("button[data-do=start]").first.click()
-    assert seen.box()[0] == 0.0
-    assert "lines 0 to" in seen.tab.locator(".where").first.text_content()
-    assert seen.said == []
-
-
-def test_before_and_after_can_be_told_apart(browser: Any, page: Path) -> None:
-    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
-    view = seen.tab.locator(".view").first
-    view.scroll_into_view_if_needed()
-    shown = {}
-    for value in ("both", "before", "after"):
-        seen.tab.locator(f".scene input[value={value}]").first.check()
-        pixels = np.asarray(PIL.Image.open(io.BytesIO(view.screenshot())).convert("RGB")).astype(int)
-        red, blue = pixels[..., 0], pixels[..., 2]
-        shown[value] = (int(np.count_nonzero(red - blue > 90)) > 50, int(np.count_nonzero(blue - red > 90)) > 50)
-    assert shown == {"both": (True, True), "before": (True, False), "after": (False, True)}
-
-
 def test_on_paper_images_are_whole(browser: Any, page: Path) -> None:
     seen = Opened(browser, page, viewport={"width": 700, "height": 900})
     seen.tab.emulate_media(media="print")
     visible = "sel => [...document.querySelectorAll(sel)].map(one => one.checkVisibility())"
-    assert set(seen.tab.evaluate(visible, ".strips")) == {True}
-    assert set(seen.tab.evaluate(visible, ".viewer, nav, .bar button")) == {False}
+    assert set(seen.tab.evaluate(visible, "nav, .bar button")) == {False}
     assert set(seen.tab.evaluate(visible, "#table-points [role=status]")) == {True}  # what was cut
-    shapes = seen.tab.evaluate("[...document.querySelectorAll('.piece > svg')].map(one => [one.clientWidth / "
-                               "one.clientHeight, one.viewBox.baseVal.width / one.viewBox.baseVal.height])")
-    assert all(drawn == pytest.approx(wanted, rel=0.02) for drawn, wanted in shapes)
     right = "one => one.getBoundingClientRect().right"
-    assert max(seen.tab.evaluate(f"[...document.querySelectorAll('.piece > *, figure .drawing')].map({right})")) <= 700
+    assert max(seen.tab.evaluate(f"[...document.querySelectorAll('figure .drawing')].map({right})")) <= 700
     assert seen.said == []
 
 
 def test_without_javascript_nothing_is_missing(browser: Any, page: Path) -> None:
     tab = browser.new_context(offline=True, java_script_enabled=False).new_page()
     tab.goto(page.as_uri())
-    assert tab.locator(".strips").first.is_visible()
-    assert not tab.locator(".viewer").first.is_visible()
     assert tab.locator("#table-points tbody tr").last.is_visible()

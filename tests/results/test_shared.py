@@ -19,8 +19,8 @@ from mgsgraph.analysis.shared_unknowns import pitch_axis, shared_estimates
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
 from mgsgraph.results.archive import read_solution, write_archive
+from mgsgraph.results.passes import shared_section, shared_table
 from mgsgraph.results.results import solution_json, write_results
-from mgsgraph.results.shared import shared_section, shared_table
 from mgsgraph.results.summary import statements, summary_table
 
 

@@ -30,8 +30,7 @@ from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.registration.dem.checking import check_profiles, checked
 from mgsgraph.registration.dem.model import Dem, DemSettings, dem_of
 from mgsgraph.results import terrain_model
-from mgsgraph.results.stac_item import item
-from mgsgraph.results.terrain_model import BANDS, dem_section, make_dem, write_dem
+from mgsgraph.results.terrain_model import dem_section, make_dem, stac_item, write_dem
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
 FILES = {"dem.json", "dem.stac.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png"}
@@ -122,7 +121,7 @@ def test_pystac_takes_the_item(folder: Path) -> None:
         with pytest.raises(pystac.errors.STACValidationError):
             validate(wrong)
     item = pystac.Item.from_file(folder / STAC_ITEM)
-    assert {"dem", "ortho", "sigma", "record", "shots", "overview"} == set(item.assets)
+    assert {"dem", "ortho", "record", "overview"} == set(item.assets)
     for asset in item.assets.values():
         assert (folder / asset.href).is_file()
         assert asset.roles
@@ -173,7 +172,7 @@ def test_an_item_on_the_date_line_of_the_moon() -> None:
     moved = replace(made().model.map, longitude=180.0, latitude=0.0, radius=1737400.0)
     dem = replace(made(), model=replace(made().model, map=moved))
     images = [picture.image for picture in dem_site.scene().pictures]
-    told = item(dem, moved, BANDS, images, [])
+    told = stac_item(dem, moved, images, [])
     west, south, east, north = told["bbox"]
     assert told["geometry"]["type"] == "MultiPolygon"
     assert 170.0 < west < 180.0
@@ -182,7 +181,7 @@ def test_an_item_on_the_date_line_of_the_moon() -> None:
     assert told["properties"]["ssys:targets"] == ["Moon"]
     assert told["properties"]["ssys:target_class"] == "satellite"
     odd = replace(moved, radius=2.5e5)
-    unknown = item(replace(dem, model=replace(dem.model, map=odd)), odd, BANDS, images, [])
+    unknown = stac_item(replace(dem, model=replace(dem.model, map=odd)), odd, images, [])
     assert not any("ssys" in one for one in (*unknown["stac_extensions"], *unknown["properties"]))
 
 

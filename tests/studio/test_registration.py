@@ -105,11 +105,9 @@ def test_heights_by_cell_are_those_of_the_statistics(tmp_path: Path) -> None:
     assert sum(record["points"]) == cells.count.sum()
     points, rms = np.array(record["points"]), np.array(record["rms_m"], dtype=np.float64)
     np.testing.assert_allclose(np.sqrt((rms**2 * points).sum(axis=1) / points.sum()), cells.total)
-    with served(Scene(Block.of_solution(statistics.steps.fitted), {}, tmp_path / "out")) as address:
-        assert fetched(address, "/api/figure/heights.png")[2].startswith(b"\x89PNG")
 
 
-VIEWS = ("footprints", "relief", "residuals", "map", "orientation", "connectivity")
+VIEWS = ("footprints", "residuals", "map", "orientation", "connectivity")
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +133,7 @@ def test_a_figure_as_pdf_has_its_caption_and_is_the_same_again(address: str) -> 
 
 
 @pytest.mark.parametrize("path", [
-    "figure/nothing.svg", "figure/map.gif", "figure/heights.svg", "figure/relief.svg?profile=none",
+    "figure/nothing.svg", "figure/map.gif", "figure/heights.svg",
     "figure/images.svg?line0=5&line1=5", "figure/images.svg?image=none", "figure/images.svg?line0=nan", "images/none",
     "images/none/ground?line=1&sample=1", "images/none/tiles/0/0/0.png",
 ])  # fmt: skip

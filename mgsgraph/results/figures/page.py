@@ -16,7 +16,7 @@ from mgsgraph.results.figures import solution_sheets
 from mgsgraph.results.figures.closeups import closeup_sheets
 from mgsgraph.results.figures.comparison import comparison_sheet
 from mgsgraph.results.figures.discrepancy import discrepancy_sheets
-from mgsgraph.results.figures.overlay import pixels_of
+from mgsgraph.results.figures.overlay import overlay_sheets, pixels_of
 from mgsgraph.results.figures.sheet import (
     Sheet,
     encoded,
@@ -98,10 +98,12 @@ def _pictures(sheets: Callable[[], Iterable[Sheet]]) -> list[Picture]:
 
 
 def registration_figures(registration: CaseRegistration) -> list[Picture]:
-    """Close-ups and discrepancies of images about laser footprints."""
+    """Footprints on images, discrepancies of pairs of images, and close-ups."""
     pixels = [pixels_of(path) for path in registration.pictures]
-    closeups = drawn(closeup_sheets(registration, pixels), as_picture=True)
-    return [*drawn(discrepancy_sheets(registration)), *closeups]
+    overlays, closeups = (
+        drawn(sheets(registration, pixels), as_picture=True) for sheets in (overlay_sheets, closeup_sheets)
+    )
+    return [*overlays, *drawn(discrepancy_sheets(registration)), *closeups]
 
 
 def comparison_figures(points: CommonPoints) -> list[Picture]:

@@ -39,11 +39,8 @@ from mgsgraph.results.figures.sheet import (
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
-_LARGE = 4
-"""Profiles that are drawn large; all others are small, together on one sheet."""
-_SMALL = 48
-"""Of these, that are drawn at most."""
-_SMALL_COLUMNS = 8
+_LARGE, _MOST = 4, 52
+"""Profiles that are drawn one by one, and those that have a row on the sheet of all."""
 _NAMED_MINIMA = 1e-3
 """Weight from which on a minimum is marked, besides the best two."""
 _NEAR = 0.3
@@ -58,9 +55,7 @@ def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
     """Cost surfaces, profiles and the map; those profiles large that most need a look, the others together."""
     order = _worst_first(registration.profiles)
     large, small = sorted(order[:_LARGE]), order[_LARGE:]
-    yield _costs(registration, large, sheet_name("costs", 1, 1 + bool(small)))
-    if small:
-        yield _small_costs(registration, sorted(small[:_SMALL]), len(small))
+    yield _costs(registration, large)
     sheets = len(large) + bool(small)
     for k, p in enumerate(large):
         yield _profile(registration, registration.profiles[p], sheet_name("profiles", k + 1, sheets))
@@ -79,14 +74,14 @@ def _worst_first(profiles: Sequence[ReliefProfile]) -> list[int]:
 
 
 @plain_style()
-def _costs(registration: ReliefRegistration, chosen: Sequence[int], name: str) -> Sheet:
+def _costs(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
     """Misfit over shifts of some profiles, before above after."""
     profiles, shifts = registration.profiles, registration.solution.network.shifts
     assert shifts is not None
     count = len(chosen)
     side = 3.1 if count <= 2 else 2.5
     sheet = new_sheet(
-        name, max(count * (side + 0.35) + 0.6, 6.4), 2.0 * (side + 0.45) + 0.5,
+        "costs", max(count * (side + 0.35) + 0.6, 6.4), 2.0 * (side + 0.45) + 0.5,
         f"Misfit over shifts: {short(registration.name, 50)}", _costs_caption(registration, len(chosen)),
     )  # fmt: skip
     grid = sheet.panels(2, count)
@@ -130,7 +125,7 @@ def _above_best(cost: CostSurface) -> Array:
     return np.asarray((cost.misfits - np.nanmin(cost.misfits)) / cost.scale)
 
 
-def _draw_cost(panel: Axes, cost: CostSurface, top: float, share: float = 1.0) -> AxesImage | None:
+def _draw_cost(panel: Axes, cost: CostSurface, top: float, share: float) -> AxesImage | None:
     """The cost surface with its minima, a share of its reach; words where too few shots are on the surface."""
     panel.grid(visible=False)
     panel.set_facecolor("#DDDDDD")
@@ -174,34 +169,7 @@ def _costs_caption(registration: ReliefRegistration, shown: int) -> str:
         f"{clear} of {many(len(profiles), 'profile')} with one clear minimum, {len(profiles) - tied} not tied by relief"
     )
     more = len(profiles) - shown
-    return f"{text}; grey: too few shots on the surface{f'; {more} more on the second sheet' if more else ''}."
-
-
-@plain_style()
-def _small_costs(registration: ReliefRegistration, chosen: Sequence[int], offered: int) -> Sheet:
-    """Misfit over shifts before the adjustment of many profiles, small."""
-    columns = min(_SMALL_COLUMNS, len(chosen))
-    rows = -(-len(chosen) // columns)
-    omitted = f"; of {offered} the {len(chosen)} that were farthest off are drawn" if offered > len(chosen) else ""
-    caption = (
-        f"Misfit of {len(chosen)} more profiles over shifts up to {registration.settings.reach:.0f} m east (to the "
-        f"right) and north (upward), before the adjustment with stereo rows{omitted}."
-    )
-    name, title = sheet_name("costs", 2, 2), "Misfit over shifts: all others"
-    sheet = new_sheet(name, 1.35 * columns + 0.6, 1.5 * rows + 0.6, title, caption)
-    grid = sheet.panels(rows, columns).ravel()
-    top = _top([registration.profiles[p].before.cost for p in chosen])
-    shown = None
-    for panel, p in zip(grid, chosen, strict=False):
-        shown = _draw_cost(panel, registration.profiles[p].before.cost, top) or shown
-        panel.set(xticks=[], yticks=[])
-        panel.set_title(short(registration.profiles[p].name, 14), size=7.0)
-    for panel in grid[len(chosen) :]:
-        panel.set_axis_off()
-    if shown is not None:
-        sheet.colour_bar(shown, grid.tolist(), _MISFIT, MaxNLocator(6), "max")
-    sheet.legend(_cost_handles()[:3])
-    return sheet
+    return f"{text}; grey: too few shots on the surface{f'; of {more} more see profiles.csv' if more else ''}."
 
 
 # --- profiles
@@ -299,7 +267,7 @@ def _profile_caption(one: ReliefProfile) -> str:
 def _heights_of_all(registration: ReliefRegistration, name: str) -> Sheet:
     """Rms of shot minus surface and misplacement of every profile, before and after."""
     profiles = registration.profiles
-    shown = [profiles[p] for p in thinned(len(profiles), _LARGE + _SMALL).tolist()]
+    shown = [profiles[p] for p in thinned(len(profiles), _MOST).tolist()]
     rms = np.array([[one.rms_before, one.rms_after] for one in shown])
     off = np.array([[np.linalg.norm(state.misplacement) for state in (one.before, one.after)] for one in shown])
     omitted = f"; {len(shown)} of {len(profiles)} are drawn, profiles.csv has all" if shown[len(profiles) :] else ""

@@ -140,7 +140,7 @@ export class Registration {
     redraw.push(this.diagram(section, 260, canvas => drawHeights(canvas, chosen.shots), () => heightWords(chosen)));
     redraw.push(this.diagram(section, 220, canvas => drawOff(canvas, chosen.shots),
       'Height of each shot above the surface that the images show, with its a-priori sigma: orange before, blue after.'));
-    this.saving(section, 'relief', () => ({profile: chosen.name}));
+    section.append(make('p', {textContent: 'As figures: costs.png and profiles.png in the folder of results.'}));
     return section;
   }
 
@@ -157,7 +157,7 @@ export class Registration {
         this.diagram(row, 360, canvas => drawCells(canvas, record, values, stage, what === 'mean'),
           () => cellWords(record, values, stage, what === 'mean', words, name));
       }
-    this.saving(section, 'heights');
+    section.append(make('p', {textContent: 'As a figure: height_map.png in the folder of results.'}));
     return section;
   }
 

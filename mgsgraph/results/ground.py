@@ -1,0 +1,309 @@
+"""The ground of a solution: points and ranges, what the laser gives, what was left out, and what else held the block
+(profile shifts, terrain, stereo surfaces, back-projections).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.multistart import Minima
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, used_ray_counts
+from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass
+from mgsgraph.network.terrain_control import Coverage, coverage
+from mgsgraph.results.section import Section
+from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
+from mgsgraph.units import MRAD
+
+_SAME = 1.05
+"""Ratio up to which two sigmas count as the same."""
+
+
+def points_section(solution: Solution) -> Section:
+    """Points by class, and what was left out."""
+    table = classes_table(solution)
+    there = [point_class for point_class, _ in solution.network.of_class()]
+    record = {row.pop("kind"): row for row in table.records()}
+    shown = table.take(np.array(there, dtype=np.int64))
+    return Section("points", sentences=_left_out(solution), tables=[shown], numbers=record)
+
+
+def classes_table(solution: Solution) -> Table:
+    """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
+    found = [point_statistics(solution, c) for c in solution.network.classes]
+    sigma, median, high, mean, rms = (
+        np.array([getattr(one, name) for one in found])
+        for name in ("mean_sigma", "median_sigma", "high_sigma", "mean_correction", "rms_correction")
+    )
+    axes, capital = ("x", "y", "z"), "XYZ"
+    return Table("classes", "Ground points by kind (sigmas for sigma0 = 1)", (
+        Column("kind", [c.name.lower() for c in solution.network.classes], page="s", text="<10"),
+        Column("count", np.array([one.count for one in found]), head="points", page="s", label="count", text=">8"),
+        Column("rejected", np.array([one.rejected for one in found]), page="s", text=">9"),
+        Column("weak", np.array([one.weak for one in found]), meaning="sigma over ten times the median: parallel rays",
+               page="s", text=">5"),
+        Column("median_sigma_{}", median, "m", "for sigma0 = 1, body-fixed", axes,
+               tuple(f"median σ {a}" for a in capital), ".2f", "median sigma [m]", ">9", gap=2),
+        Column("high_sigma_{}", high, "m", "95 % of the points have this at most", axes,
+               tuple(f"95 % σ {a}" for a in capital), ".2f"),
+        Column("mean_sigma_{}", sigma, "m", "the mean, which weak points dominate", axes,
+               tuple(f"mean σ {a}" for a in capital), ".2f"),
+        Column("scaled_sigma_{}", median * solution.sigma0, "m", "median, times sigma0", axes,
+               tuple(f"σ {a} × σ₀" for a in capital), ".2f", files=False),
+        Column("mean_correction_{}", mean, "m", "adjusted minus before", axes),
+        Column("rms_correction_{}", rms, "m", "the same", axes, tuple(f"rms Δ{a}" for a in capital), ".2f",
+               "rms correction [m]", ">9", gap=2),
+    ), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
+       "Corrections are adjusted minus before.",
+    )  # fmt: skip
+
+
+def _left_out(solution: Solution) -> list[str]:
+    """Points, rays, ranges and heights that took no part."""
+    network, found = solution.network, []
+    there = solution.determined
+    lost = np.flatnonzero(~there)
+    if lost.size:
+        found.append(f"{many(lost.size, 'point')} of {there.size} stayed out: nothing determines a place (fewer "
+                     f"than two rays, or nearly parallel ones): {some_of(network.points.ids, lost)}.")  # fmt: skip
+    counts = [
+        (int(np.count_nonzero(~used & there[point])), point.size, noun)
+        for used, point, noun in (
+            (solution.rays_used, network.rays.point, "ray"), (solution.ranges_used, network.ranges.point, "range"),
+        )
+    ]  # fmt: skip
+    if solution.stereo_rejected is not None:
+        gone = solution.stereo_rejected & there
+        counts.append((int(np.count_nonzero(gone)), int(np.count_nonzero(gone | solution.stereo_used)), "height"))
+    if any(count for count, *_ in counts):
+        parts = [f"{many(count, noun)} of {total}" for count, total, noun in counts if total]
+        found.append(f"{listed(parts)} were rejected as blunders; the table of residuals marks them.")
+    if solution.test_dimensions is not None:
+        tested = solution.test_dimensions[: network.rays.point.size][solution.rays_used]
+        if few := int(np.count_nonzero(tested < 2)):
+            found.append(f"Of {tested.size} rays that took part others check {few} in one direction at most (mostly "
+                         "across the epipolar line): a blunder along the other goes unnoticed.")  # fmt: skip
+    bare = np.flatnonzero(there & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
+    if bare.size:
+        found.append(f"{many(bare.size, 'point')} lost all rays to that: {some_of(network.points.ids, bare)}.")
+    return found
+
+
+def ranges_section(solution: Solution) -> Section:
+    """How laser ranges fit, with the nominal orientation and with the adjusted one."""
+    found = range_statistics(solution)
+    record = {
+        "count": found.count, "used": found.used, "mean_residual_m": found.mean, "rms_residual_m": found.rms,
+        "mean_residual_before_m": found.mean_before, "rms_residual_before_m": found.rms_before,
+    }  # fmt: skip
+    if not found.count:
+        return Section("ranges", numbers=record)
+    table = Table("ranges", "Laser ranges", (
+        Column("orientation", ["before", "after"], page="s", text="<26"),
+        Column("ranges", np.full(2, found.count), page="s", text=">6"),
+        Column("used", np.full(2, found.used), page="s", text=">6"),
+        Column("mean residual", np.array([found.mean_before, found.mean]), "m", page=".2f", text=">15.3g"),
+        Column("rms residual", np.array([found.rms_before, found.rms]), "m", page=".2f", text=">15.3g"),
+    ), "Measured minus predicted.")  # fmt: skip
+    return Section("ranges", tables=[table], numbers=record)
+
+
+def laser_section(solution: Solution) -> Section:
+    """What the laser gives; or, where nothing is known of the ground, what the sigmas rest on."""
+    without = solution.sigmas_without_laser
+    if without is None:
+        return Section("laser_effect", sentences=_held_by(solution))
+    found, gain = point_statistics(solution, PointClass.TIE), laser_gain(solution)
+    median = solution.median_sigmas_without_laser
+    network, laser = solution.network, solution.network.points.classes == PointClass.LASER
+    rays, ranges = int(np.sum(solution.rays_used & laser[network.rays.point])), int(solution.ranges_used.sum())
+    rows = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {many(ranges, 'range')}"
+    which, sigmas = ("mean", found.mean_sigma) if median is None else ("median", found.median_sigma)
+    said = (
+        f"Without the laser rows ({rows}) the tie points' {which} sigmas would be "
+        f"{three(without if median is None else median)} m in x, y, z instead of {three(sigmas)} m: "
+        + ("they add little." if gain < _SAME else f"about {gain:.2g} times larger.")
+    )
+    return Section("laser_effect", sentences=[said], numbers={
+        "tie_mean_sigma_m": found.mean_sigma,
+        "tie_mean_sigma_without_laser_m": without,
+        "ratio": without / found.mean_sigma,
+        "tie_median_sigma_m": found.median_sigma,
+        "tie_median_sigma_without_laser_m": median,
+        "ratio_overall": gain,
+    })  # fmt: skip
+
+
+def _held_by(solution: Solution) -> list[str]:
+    """What holds the block on the ground where nothing is known of it."""
+    network = solution.network
+    known = np.any(solution.determined & (network.points.kinds != PointKind.FREE)) or np.any(solution.ranges_used)
+    if known or network.surface is not None:
+        return []
+    own = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.with_polynomial)]
+    constant = np.array(own + [one.prior.node_sigmas(np.zeros(len(one.nodes)))[0] for one in network.passes])
+    held = f" and {many(int(network.held.sum()), 'held image')}" if np.any(network.held) else ""
+    if constant.size == 0:
+        return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
+    return [
+        f"No laser rows and no ground control: only the orientation priors{held} hold the block on the ground. The "
+        f"constant terms' sigmas are {span(constant[:, :3])} m in position and {span(constant[:, 3:] / MRAD)} mrad in "
+        "rotation, and the sigmas of the ground points mostly repeat them."
+    ]
+
+
+# --- further control
+
+
+def surface_heights(solution: Solution) -> tuple[Array, Array]:
+    """Heights (k,) in m of the points that lie on the terrain model, along its normal, before and after."""
+    surface = solution.network.surface
+    if surface is None:
+        return np.zeros(0), np.zeros(0)
+    mine = np.isfinite(surface.sigmas) & solution.determined
+    before, _ = surface.grid.height_above(solution.places_before[mine])
+    places = solution.places[mine]
+    after, _ = surface.grid.height_above(places - _terrain_motion(solution, places))
+    there = np.isfinite(before) & np.isfinite(after)
+    return before[there], after[there]
+
+
+def terrain_coverage(solution: Solution) -> Coverage | None:
+    """How the terrain model covers the determined tie points, at their adjusted places; None without one."""
+    network, surface = solution.network, solution.network.surface
+    if surface is None:
+        return None
+    ties = (network.points.classes == PointClass.TIE) & solution.determined
+    places = solution.places[ties]
+    return coverage(surface.grid, places - _terrain_motion(solution, places))
+
+
+def _terrain_motion(solution: Solution, places: Array) -> Array:
+    """(n, 3) m by which the terrain model has moved at places (n, 3) in m."""
+    surface = solution.network.surface
+    if surface is None or not solution.network.terrain_moves:
+        return np.zeros_like(places)
+    return surface.moved(places, solution.shift_values[-1])
+
+
+def control_section(solution: Solution) -> Section:
+    """Profile shifts, terrain heights and back-projected rays; units in the keys of the numbers."""
+    before, after = surface_heights(solution)
+    covered, on_stereo = terrain_coverage(solution), stereo_heights(solution)
+    copied = int(np.count_nonzero([] if (flags := solution.network.rays.back_projected) is None else flags))
+    table, said = _shifts_table(solution), list[str]()
+    shifts = [row | _lift_json(solution, p) for p, row in enumerate(table.records())]
+    said += [_shift_sentence(solution, p) for p in range(len(shifts))]
+    if after.size:
+        said.append(f"{after.size} tie points were held to the terrain model: rms height above it "
+                    f"{root_mean_square(before):.1f} m before, {root_mean_square(after):.1f} m after.")  # fmt: skip
+    if covered is not None and covered.words:
+        said.append(f"Tie points that the terrain model doesn't cover, and doesn't hold: {covered.words}.")
+    if on_stereo.size:
+        rms = root_mean_square(on_stereo)
+        said.append(f"{on_stereo.size} points were held to stereo surfaces: rms height above them {rms:.1f} m.")
+    if copied:
+        said.append(f"{copied} image places of laser points are back-projections with the nominal orientation: they "
+                    "repeat its prior, and the stated sigmas are too small.")  # fmt: skip
+    return Section("control", sentences=said, tables=[table], numbers={
+        "shifts": shifts,
+        "surface": {
+            "count": int(after.size),
+            "rms_height_before_m": root_mean_square(before),
+            "rms_height_m": root_mean_square(after),
+            "mean_height_m": float(after.mean()) if after.size else None,
+            "outside": covered.beside if covered else 0,
+            "over_missing_posts": covered.over_holes if covered else 0,
+        },
+        "stereo": {
+            "count": int(on_stereo.size), "rms_height_m": root_mean_square(on_stereo) if on_stereo.size else None
+        },
+        "back_projected_rays": copied,
+    })  # fmt: skip
+
+
+def _shifts_table(solution: Solution) -> Table:
+    names, ways = solution.network.shift_names, ("east", "north")
+    sigmas = [np.sqrt(np.diag(solution.shift_covariance(p))) for p in range(len(names))]
+    return Table("shifts", "Horizontal shifts of profiles and terrain model", (
+        Column("name", names, page="s"),
+        Column("east_north", np.array([solution.shifts[p] for p in range(len(names))]).reshape(-1, 2), "m", parts=ways,
+               head="{}", page=".1f"),
+        Column("sigma_east_north", np.array(sigmas).reshape(-1, 2), "m", parts=ways, head="σ {}", page=".1f"),
+        Column("considered", np.isin(names, solution.network.considered)),
+    ))  # fmt: skip
+
+
+def _shift_sentence(solution: Solution, shift: int) -> str:
+    """By how much footprints, or a terrain model, were moved, with sigmas."""
+    network, name = solution.network, solution.network.shift_names[shift]
+    sigmas = np.sqrt(np.diag(solution.shift_spread(shift)))
+    if name in network.considered:
+        return f"{name}: its shift is considered, not estimated; its sigma of {sigmas[0]:.1f} m is part of all sigmas."
+    parts = [
+        f"{term.name} {value / MRAD:+.4f} mrad (sigma {sigma / MRAD:.4f})" if term.unit == "rad" else
+        f"{term.name} {value:+.1f} m (sigma {sigma:.1f})"
+        for term, value, sigma in zip(network.shift_terms[shift], solution.shift_values[shift], sigmas, strict=True)
+    ]  # fmt: skip
+    return f"{name} moved as a whole: {', '.join(parts)}."
+
+
+def stereo_heights(solution: Solution) -> Array:
+    """Heights (k,) in m, along the normal, of the points that were held to a stereo surface."""
+    heights = solution.stereo_heights
+    return np.zeros(0) if heights is None else heights[solution.stereo_used]
+
+
+def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
+    """Value and sigma of the terrain model's height and tilts; nothing of what is known."""
+    sigmas = np.sqrt(np.diag(solution.shift_spread(shift))).tolist()
+    both = zip(solution.shift_values[shift].tolist(), sigmas, strict=True)
+    found = {term.name: pair for term, pair in zip(solution.network.shift_terms[shift], both, strict=True)}
+    record = dict(zip(("up_m", "sigma_up_m"), found.get("upward shift", ()), strict=False))
+    tilts = np.array([both for name, both in found.items() if name.startswith("tilt")])
+    if tilts.size:
+        record["tilt_about_east_north_mrad"], record["sigma_tilt_about_east_north_mrad"] = (tilts.T / MRAD).tolist()
+    return record
+
+
+# --- several places at which a terrain model fits
+
+
+def minima_section(found: Minima | None) -> Section:
+    """What starts over the terrain model's shift have found; mean and sigma are the mixture's."""
+    if found is None:
+        return Section("minima")
+    began = f"{many(found.starts, 'start')} over the terrain model's shift ({found.lost} did not converge)"
+    said = f"No better minimum than this one was found from {began}."
+    if found.several:
+        said = (
+            f"SEVERAL MINIMA: {len(found.each)} were found from {began}. The lowest one is the solution; all sigmas "
+            "are those of the mixture about it."
+        )
+    table = _minima_table(found)
+    return Section("minima", sentences=[said], tables=[table], numbers={
+        "starts": found.starts, "lost": found.lost, "number": len(found.each),
+        "shift_mean_east_north_m": found.mean[:2], "shift_sigma_east_north_m": _sigmas(found.covariance),
+        "each": table.records(),
+    })  # fmt: skip
+
+
+def _sigmas(covariance: Array) -> Array:
+    return np.sqrt(np.diagonal(covariance)[:2])
+
+
+def _minima_table(found: Minima) -> Table:
+    """One row per minimum."""
+    each, ways = found.each, ("east", "north")
+    return Table("minima", "Places at which the terrain model fits", (
+        Column("weight", numbers(each, "weight"), page=".3f", text=">8.3f"),
+        Column("cost", numbers(each, "cost"), page=".2f", text=">10.4g"),
+        Column("starts", np.array([one.starts for one in each]), head="starts that ended here", page="s"),
+        Column("shift_east_north", np.array([one.shift[:2] for one in each]), "m", parts=ways, head="{}", page=".1f",
+               label="shift (m)", text=">+9.1f"),
+        Column("sigma_east_north", np.array([_sigmas(one.spread) for one in each]), "m", parts=ways, head="σ {}",
+               page=".1f"),
+    ), "Local minima of the cost over the model's shift; the first is the solution.")  # fmt: skip
