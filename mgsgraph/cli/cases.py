@@ -3,8 +3,7 @@ projection or by relief.
 """
 
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -147,7 +146,7 @@ def _in_two_steps(
         steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
     # what took longest is safe, whatever becomes of the rest
     write_results(steps.fitted, out, figures=False, networks=read.networks)
-    with _solution_kept(out), stage_bar(2) as stages:
+    with stage_bar(2) as stages:
         with stages.stage("figures of merit"):
             statistics = two_step_statistics(steps)
         with stages.stage("tables and figures"):
@@ -155,20 +154,6 @@ def _in_two_steps(
     click.echo(two_steps_section(statistics).text(None))
     click.echo(f"Results are in {out}")
     return steps.converged and is_result(steps.fitted)
-
-
-@contextmanager
-def _solution_kept(out: Path) -> Iterator[None]:
-    """Say where the solution is, should what follows it fail or be interrupted."""
-    said = f"the solution of step 2 is in {out}, without figures of merit"
-    try:
-        yield
-    except KeyboardInterrupt:
-        click.echo(f"mgsgraph: interrupted; {said}", err=True)
-        raise click.exceptions.Exit(130) from None
-    except Exception:
-        click.echo(f"mgsgraph: {said}", err=True)
-        raise
 
 
 @click.command()

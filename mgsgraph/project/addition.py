@@ -344,7 +344,7 @@ def _profile(
         str(path), range_sigma_m=sigmas.shot_range_sigma_m, ground_sigma_m=sigmas.shot_ground_sigma_m,
         height_sigma_m=sigmas.shot_height_sigma_m,
     )  # fmt: skip
-    return laser_profile(taken, path.stem, wanted, pictures[owner])
+    return laser_profile(taken, path.stem, wanted, [(pictures[owner], slice(None))])
 
 
 # --- points that are there already

@@ -118,22 +118,27 @@ def made(folder: Path, shown: Path) -> Iterator[sqlite3.Connection]:
         connection.execute("COMMIT")
 
 
+_REFUSALS = (
+    (("SQLITE_READONLY_R",),  # ROLLBACK, RECOVERY: a journal that only a writer can play back
+     "a process was killed while it changed this, and the disk is read-only, so that it can't be put right",
+     "copy the folder to where you may write, or make it writable once"),
+    (("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH"), "can't be written or opened ({})",
+     "copy the folder to where you may write, or change its permissions"),
+    (("SQLITE_FULL",), "the disk is full; nothing was changed", "free some space and do it again"),
+    (("SQLITE_IOERR",), "the disk can't be read or written ({})", "look at the disk"),
+)  # fmt: skip
+"""How names of SQLite's errors begin, what is wrong, and what to do."""
+
+
 def _refusal(folder: Path, error: sqlite3.Error | UnicodeError) -> InputError:
     """What SQLite has to say, in one line."""
     name = getattr(error, "sqlite_errorname", "")
     shown = str(folder)
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
         return InputError(shown, f"another mgsgraph process is changing it{_who(folder)}", remedy="wait for it")
-    if name.startswith("SQLITE_READONLY_R"):  # ROLLBACK, RECOVERY: a journal that only a writer can play back
-        found = "a process was killed while it changed this, and the disk is read-only, so that it can't be put right"
-        return InputError(shown, found, remedy="copy the folder to where you may write, or make it writable once")
-    if name.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
-        remedy = "copy the folder to where you may write, or change its permissions"
-        return InputError(shown, f"can't be written or opened ({error})", remedy=remedy)
-    if name.startswith("SQLITE_FULL"):
-        return InputError(shown, "the disk is full; nothing was changed", remedy="free some space and do it again")
-    if name.startswith("SQLITE_IOERR"):
-        return InputError(shown, f"the disk can't be read or written ({error})", remedy="look at the disk")
+    for beginnings, found, remedy in _REFUSALS:
+        if name.startswith(beginnings):
+            return InputError(shown, found.format(error), remedy=remedy)
     said = "words that are not UTF-8" if isinstance(error, UnicodeError) else error
     return InputError(shown, f"{FILE} is damaged ({said})", remedy=ELSEWHERE)
 
