@@ -166,7 +166,7 @@ def threads() -> int:
     """Threads that compiled code may take: NUMBA_NUM_THREADS, by default one per processor."""
     from numba import config  # get_num_threads would start numba's own threads, whose lock a killed fork keeps for ever
 
-    return int(config.NUMBA_NUM_THREADS)
+    return int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 def in_threads(

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.packed_surface import PackedSurface
-from mgsgraph.geometry.stereo_surface import StereoSurface
+from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface
 from mgsgraph.record import meanings
 from mgsgraph.results.archive import FORMAT
 from mgsgraph.results.archive_arrays import array_scalar, kinds_of

@@ -23,8 +23,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import components_of
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.posterior import Pixel, Posterior
-from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.suspects import suspects
+from mgsgraph.analysis.reliability import reliability, suspects
 from mgsgraph.network import Network
 from mgsgraph.results.reliability import reliability_table
 

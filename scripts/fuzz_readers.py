@@ -61,7 +61,7 @@ def _cases() -> Iterator[Row]:
 
 
 def _images() -> Iterator[Row]:
-    from mgsgraph.files.cameras.hrsc_lines import read_line_times
+    from mgsgraph.files.cameras.hrsc import read_line_times
     from mgsgraph.files.cameras.label import read_line_scan_label
     from mgsgraph.files.labels.image_label import read_label
     from mgsgraph.files.labels.isis_cube import read_isis_cube
@@ -118,8 +118,7 @@ def _kernels() -> Iterator[Row]:
 
 def _pictures() -> Iterator[Row]:
     from mgsgraph.files.labels.image_label import read_label
-    from mgsgraph.files.rasters.moc_pixels import pixel_area
-    from mgsgraph.files.rasters.pictures import is_moc, read_moc_pixels, read_picture
+    from mgsgraph.files.rasters.pictures import is_moc, pixel_area, read_moc_pixels, read_picture
 
     tests = of_tests("files/rasters/test_pictures.py")
     grey = np.arange(300).reshape(15, 20)

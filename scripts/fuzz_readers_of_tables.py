@@ -23,9 +23,8 @@ _POINT = [
 
 
 def of_networks() -> Iterator[Row]:
-    from mgsgraph.files.networks.asp_gcp import read_ground_control_network
     from mgsgraph.files.networks.asp_match import read_match, read_match_text
-    from mgsgraph.files.networks.asp_nvm import read_nvm
+    from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
     from mgsgraph.files.networks.network_file import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
     from mgsgraph.files.place_table import read_places

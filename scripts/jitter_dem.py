@@ -23,7 +23,7 @@ import dem_truth
 import numpy as np
 from study import DOCS, at_least, command, show, status, table
 
-from mgsgraph.analysis.spacing.vibrations import residual_vibrations
+from mgsgraph.analysis.vibrations import residual_vibrations
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.archive import read_solution
 from mgsgraph.simulation.case_files import image_file, json_text, support_data
@@ -121,7 +121,7 @@ def polynomial(mine: SimulatedCtxPair) -> str:
 
 
 def process(mine: SimulatedCtxPair, frequencies: list[float]) -> str:
-    """A slow process and vibrations, strengths estimated; shapes as `analysis.spacing.jitter_model` has them."""
+    """A slow process and vibrations, strengths estimated."""
     angle, drift = mine.settings.jitter.angle / MRAD, mine.settings.jitter.drift * PIXEL / MRAD
     first, last = image_times(mine.network.images[0])
     plus = ", ".join(

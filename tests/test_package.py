@@ -145,7 +145,7 @@ DOOR = {
     "mgsgraph.files.rasters.raster_file": {"DatasetReader"},
     "mgsgraph.files.spice.kernels": {"spiceypy.furnsh"},
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
-    "mgsgraph.files.cameras.hrsc_lines": {"np.memmap"},  # the same
+    "mgsgraph.files.cameras.hrsc": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right

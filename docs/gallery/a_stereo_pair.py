@@ -19,9 +19,9 @@ print(solution)
 
 # %%
 # Where everything lies, and how well the tie points are known.
-from mgsgraph.results.figures.map import map_sheet
+from mgsgraph.results.figures.map import map_sheets
 
-ground_map = map_sheet(solution)
+ground_map = next(map_sheets(solution))
 
 # %%
 # What is left of every measure after the adjustment, magnified. No pattern, no image that differs from the other: that

@@ -31,9 +31,9 @@ print(*statements(solution), sep="\n")
 
 # %%
 # Where everything lies: outlines, tie points by their sigma, laser points. Look for holes.
-from mgsgraph.results.figures.map import map_sheet
+from mgsgraph.results.figures.map import map_sheets
 
-ground_map = map_sheet(solution)
+ground_map = next(map_sheets(solution))
 
 # %%
 # What is left of every measure. A pattern would mean that the model lacks something.

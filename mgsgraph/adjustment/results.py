@@ -8,13 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.covariances import explicit_covariances, orientation_covariance, point_covariances
-from mgsgraph.adjustment.driver_search import drivers_of
-from mgsgraph.adjustment.drivers import Drivers, driver_sentences
-from mgsgraph.adjustment.fit import Fit, fit
+from mgsgraph.adjustment.drivers import Drivers, driver_sentences, drivers_of
+from mgsgraph.adjustment.fit import Fit, fit, strained_orientations
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import Sweeper
 from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values
-from mgsgraph.adjustment.implausible import strained_orientations
 from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS, Linearity, linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.nominal import Nominal

@@ -11,8 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.covariances import orientation_covariance
-from mgsgraph.adjustment.driver_search import drivers_of
-from mgsgraph.adjustment.drivers import driver_sentences
+from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.parallel import nearly_parallel

@@ -9,8 +9,7 @@ import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.drivers import Drivers
-from mgsgraph.adjustment.fit import Fit
-from mgsgraph.adjustment.implausible import Strained, strained_orientations
+from mgsgraph.adjustment.fit import Fit, Strained, strained_orientations
 from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import Minima

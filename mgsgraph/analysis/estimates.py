@@ -14,10 +14,10 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.geometry.body import east_north_up, planetocentric
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
-from mgsgraph.record import Record, card
-from mgsgraph.units import DEG, MRAD
+from mgsgraph.record import Record
+from mgsgraph.units import MRAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,15 +126,6 @@ class Estimate(Record):
         """(m, m) correlation matrix; NaN where there is no variance."""
         return correlation(self.covariance)
 
-    def _repr_html_(self) -> str:
-        """HTML for notebooks."""
-        rows = [("", "value", "sigma", "unit")]
-        rows += [
-            (name, f"{value:.9g}", f"{sigma:.4g}", unit)
-            for name, value, sigma, unit in zip(self.names, self.values, self.sigmas, self.units, strict=True)
-        ]
-        return card(repr(self), (), rows, head=1)
-
     def __repr__(self) -> str:
         return f"Estimate({', '.join(self.names)})"
 
@@ -222,18 +213,6 @@ class PositionEstimate(Record):
     def ellipsoid(self, probability: float = 0.95) -> ErrorEllipsoid:
         """Error ellipsoid in the local frame."""
         return error_ellipsoid(self.east_north_up, probability)
-
-    def _repr_html_(self) -> str:
-        """HTML for notebooks."""
-        east, north, up = _roots(self.east_north_up)
-        longitude, latitude, radius = planetocentric(self.position)
-        rows = [
-            ("longitude, latitude", "radius", "sigma east", "north", "up"),
-            ("deg", "m", "m", "m", "m"),
-            (f"{longitude / DEG % 360.0:.6f}, {latitude / DEG:.6f}", f"{radius:.3f}", f"{east:.3g}", f"{north:.3g}",
-             f"{up:.3g}"),
-        ]  # fmt: skip
-        return card(repr(self), (), rows, head=2)
 
     def __repr__(self) -> str:
         east, north, up = _roots(self.east_north_up)

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.redundancy import UNCONTROLLED
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import PolynomialPrior
+from mgsgraph.network import Network, PolynomialPrior
 from mgsgraph.record import Record
 
 Small = NDArray[np.int8]
@@ -327,12 +327,11 @@ def _priors(layout: Layout, columns: Indices) -> list[tuple[str, str]]:
     first = layout.variables.first[adjusted]
     index = np.searchsorted(first, columns, side="right") - 1
     pairs = zip(adjusted[index].tolist(), (columns - first[index]).tolist(), strict=True)
-    return [(f"a-priori {name}", unit) for name, unit in (_unknown(layout, *pair) for pair in pairs)]
+    return [(f"a-priori {name}", unit) for name, unit in (unknown_name(layout.network, *pair) for pair in pairs)]
 
 
-def _unknown(layout: Layout, variable: int, inside: int) -> tuple[str, str]:
+def unknown_name(network: Network, variable: int, inside: int) -> tuple[str, str]:
     """Name and unit of one column of a variable."""
-    network = layout.network
     if variable < len(network.images):
         power, component = divmod(inside, len(COMPONENTS))
         term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"

@@ -4,21 +4,35 @@ found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts a
 print(found)
 
 Processes of the same part (position, attitude), kind and frequency have one strength, common to all passes: a pair of
-images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood
-(`strength_likelihood`); Fisher's scoring takes steps in log s.
+images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood:
+Fisher's scoring takes steps in log s.
 
 A strength that measures hardly see is not searched for, for it would run away: where the search begins, the expected
-standard deviation of its logarithm has to be less than 1. With `by_axis` it is taken over from the other axes of its
-process (what pitches may as well roll); where none is seen, departures are held at nothing. Both are said.
+standard deviation of its logarithm has to be less than 1. Its departures are held at nothing, which is said.
 
 Rays that scatter more or less than stated would be taken for a process: with `rays` their sigmas are multiplied by the
 factor of Foerstner's estimate, v'v / r over all tie rays, in the same rounds; that is its restricted maximum likelihood
 as well.
+
+The restricted likelihood of strengths follows from an adjustment with other strengths. With everything else eliminated
+the measures say y = x + e of the nodes x of all passes, x being normal with the covariance K = sum_i s_i^2 C_i + trend:
+linear in the variances s_i^2, C_i being the covariance functions' own matrices.
+Their likelihood is that of y, with covariance V = K + cov(e). Nothing of y and e has to be formed: an adjustment with
+K_0 gives W_0 = V_0^-1 = P_0 - P_0 S P_0 and u_0 = V_0^-1 y = P_0 x, S being the posterior covariance, x the estimate
+and P_0 = K_0^-1; then with D = K - K_0
+
+    W = W_0 (1 + D W_0)^-1,   u = (1 + W_0 D)^-1 u_0,
+    d(log likelihood) / d(s_i^2) = (u' C_i u - tr(W C_i)) / 2,   information F_ik = tr(W C_i W C_k) / 2
+
+(Patterson & Thompson 1971; Rasmussen & Williams 2006, eq. 5.9). Components know nothing of each other beforehand, and D
+is zero but for those whose strengths are sought: all else falls out of these equations exactly, and isn't formed.
+Passes are taken together: where one is seen against another alone, S has it.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,11 +45,185 @@ from mgsgraph.analysis.grouping import group_rows
 from mgsgraph.analysis.helmert import group_redundancy
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT, Inseparable, inseparable
-from mgsgraph.analysis.strength_likelihood import Evidence, Member
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
-from mgsgraph.network import Network, Process, ProcessPrior
+from mgsgraph.network import Network, Pass, Process, ProcessPrior
+from mgsgraph.network.conditioning import dense_covariance
 from mgsgraph.record import Record
+
+_INNER, _HALVINGS, _AT_REST = 30, 8, 1e-3
+"""Steps of scoring for one adjustment, and halvings of one; log strengths, in their standard deviations."""
+Block = tuple[slice, Array]
+"""Rows of a pass's component among all that are sought, and a covariance (k, k) of its nodes, m^2 or rad^2."""
+
+
+class Member(NamedTuple):
+    """A process of a pass along one axis."""
+
+    of_pass: int
+    """Number of the pass."""
+    number: int
+    """Of the process, within its part."""
+    component: int
+    """0 .. 5: X, Y, Z, x, y, z."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What an adjustment says of strengths: n components of nodes, p strengths."""
+
+    start: Array
+    """W_0 (n, n)."""
+    push: Array
+    """u_0 (n,)."""
+    parts: tuple[tuple[Block, ...], ...]
+    """Of each strength the covariances that it scales, as they are in the adjustment."""
+
+    @classmethod
+    def of(cls, solution: Solution, wanted: Sequence[Sequence[Member]]) -> "Evidence":
+        """Of strengths (p), each of some members."""
+        network = solution.network
+        pairs = sorted({(one.of_pass, one.component) for members in wanted for one in members})
+        sizes = [len(network.passes[k].nodes) for k, _ in pairs]
+        ends = np.concatenate([[0], np.cumsum(sizes)]).tolist()
+        rows = {pair: slice(ends[i], ends[i + 1]) for i, pair in enumerate(pairs)}
+        known = _known(solution, rows)
+        found, push = known.prior - known.prior @ known.posterior @ known.prior, known.prior @ known.values
+        parts = [
+            tuple(
+                (rows[one.of_pass, one.component], _process_covariance(network.passes[one.of_pass], one))
+                for one in members
+            )
+            for members in wanted
+        ]
+        return cls(0.5 * (found + found.T), push, tuple(parts))
+
+    def without(self, kept: Index) -> "Evidence":
+        """Of some strengths alone; the others stay as they are."""
+        parts = [self.parts[i] for i in kept.tolist()]
+        mine = sorted({(block.start, block.stop) for part in parts for block, _ in part})
+        rows = np.concatenate([np.arange(*one) for one in mine] or [np.zeros(0, dtype=np.int64)])
+        ends = np.concatenate([[0], np.cumsum([stop - start for start, stop in mine])]).tolist()
+        moved = {one: slice(ends[i], ends[i + 1]) for i, one in enumerate(mine)}
+        taken = tuple(tuple((moved[b.start, b.stop], matrix) for b, matrix in part) for part in parts)
+        return Evidence(self.start[np.ix_(rows, rows)], self.push[rows], taken)
+
+    def maximum(self, most: float) -> Array:
+        """(p,) change of the log strengths to the largest likelihood, by Fisher's scoring; `most` upward at most."""
+        steps = np.zeros(len(self.parts))
+        if not steps.size:
+            return steps
+        here = self.likelihood(steps)
+        for _ in range(_INNER):
+            move = np.clip(np.linalg.solve(here.information + 0.05 * np.eye(steps.size), here.score), -1.0, 1.0)
+            for _ in range(_HALVINGS):
+                trial = np.clip(steps + move, -3.0 * most, most)
+                there = self.likelihood(trial)
+                if there.logarithm >= here.logarithm:
+                    break
+                move = 0.5 * move  # scoring overshoots where the likelihood bends more than is expected
+            else:
+                break
+            steps, here = trial, there
+            if np.all(np.abs(move) * np.sqrt(1.0 + np.diagonal(here.information)) < _AT_REST):
+                break
+        return steps
+
+    def likelihood(self, steps: Array) -> "Likelihood":
+        """Where log strengths change by `steps` (p,)."""
+        from scipy.linalg import lu_factor, lu_solve  # slow to import
+
+        grown, change = np.exp(2.0 * steps), np.zeros_like(self.start)
+        for growth, part in zip(grown, self.parts, strict=True):
+            for mine, matrix in part:
+                change[mine, mine] += (growth - 1.0) * matrix
+        factored = lu_factor(np.eye(self.push.size) + self.start @ change)
+        within, pushed = lu_solve(factored, self.start), lu_solve(factored, self.push)
+        logarithm = 0.5 * float(self.push @ change @ pushed - np.sum(np.log(np.abs(np.diagonal(factored[0])))))
+        through = [
+            [(mine, within[:, mine] @ (growth * matrix)) for mine, matrix in part]
+            for growth, part in zip(grown, self.parts, strict=True)
+        ]
+        traces = np.array([sum(np.trace(product[mine]) for mine, product in part) for part in through])
+        squares = np.array([
+            growth * sum(pushed[mine] @ matrix @ pushed[mine] for mine, matrix in part)
+            for growth, part in zip(grown, self.parts, strict=True)
+        ])  # fmt: skip
+        information = np.array([
+            [2.0 * sum(np.sum(a[d] * b[c].T) for c, a in left for d, b in right) for right in through]
+            for left in through
+        ])  # fmt: skip
+        freedom = np.array([sum(np.trace(c) ** 2 / np.sum(c**2) for _, c in part) for part in self.parts])
+        return Likelihood(logarithm, squares - traces, information, np.minimum(traces / freedom, 1.0))
+
+
+class Known(NamedTuple):
+    """n components of nodes before and after an adjustment."""
+
+    prior: Array
+    """P_0 (n, n)."""
+    posterior: Array
+    """S (n, n)."""
+    values: Array
+    """x (n,)."""
+
+
+class Likelihood(NamedTuple):
+    """Of log strengths."""
+
+    logarithm: float
+    """Of the likelihood, over that of the strengths that the adjustment had."""
+    score: Array
+    """(p,) its derivatives."""
+    information: Array
+    """(p, p) that is expected."""
+    shares: Array
+    """(p,) of the a-priori variance, that measures take away: tr(W C) over the directions that C has, about
+    (tr C)^2 / tr(C^2)."""
+
+
+def _process_covariance(one: Pass, member: Member) -> Array:
+    assert isinstance(one.prior, ProcessPrior)
+    part = one.prior.position if member.component < 3 else one.prior.attitude
+    return dense_covariance((part[member.number],), member.component % 3, one.nodes)
+
+
+def _known(solution: Solution, rows: dict[tuple[int, int], slice]) -> Known:
+    """Of components of passes, (number, component) by the rows they have."""
+    network = solution.network
+    variables, columns, at = list[int](), list[Index](), 0
+    count = max(block.stop for block in rows.values())
+    prior, values = np.zeros((count, count)), np.zeros(count)
+    for k in sorted({k for k, _ in rows}):
+        one, marginal = network.passes[k], _marginal(network.passes[k])
+        first, nodes = int(network.first_of_passes[k]), len(one.nodes)
+        variables += range(first, first + nodes)
+        for c in [c for of, c in rows if of == k]:
+            mine = rows[k, c]
+            columns.append(at + 6 * np.arange(nodes) + c)
+            prior[mine, mine], values[mine] = marginal[c::6, c::6], solution.nodes[k][:, c]
+        at += 6 * nodes
+    order = np.concatenate(columns)
+    joint = at_solution(solution).of_estimator().joint.of(variables)
+    return Known(prior, joint[np.ix_(order, order)], values)
+
+
+def _marginal(one: Pass) -> Array:
+    """(6 k, 6 k) P_0: information of the prior's rows on the nodes, the trend eliminated."""
+    from scipy.linalg import cho_factor, cho_solve  # slow to import
+
+    edges = np.concatenate([[0], np.cumsum(one.widths)])
+    whole = np.zeros((edges[-1], edges[-1]))
+    for unknowns, blocks, _ in one.prior.factors(one.nodes):
+        for v, left in zip(unknowns, blocks, strict=True):
+            for w, right in zip(unknowns, blocks, strict=True):
+                whole[edges[v] : edges[v + 1], edges[w] : edges[w + 1]] += left.T @ right
+    size = 6 * len(one.nodes)
+    across = whole[:size, size:]
+    if not across.shape[1]:
+        return whole
+    return np.asarray(whole[:size, :size] - across @ cho_solve(cho_factor(whole[size:, size:]), across.T))
+
 
 _MOST = 600
 """Nodes of a pass: dense matrices of its components."""
@@ -45,7 +233,6 @@ _FLOOR = 1e-3
 """Of where the search began: a strength there can't be told from zero."""
 _SEEN = 1.0
 """Information on a log strength, where the search begins, for it to be searched for."""
-_AXES = ("X", "Y", "Z", "x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,27 +261,22 @@ class Strength(Record):
     """Share of the departures' a-priori variance that measures take away; 0: not observable."""
     searched: bool = True
     """Whether it was searched for; else hardly seen."""
-    source: str = ""
-    """Axis from which it was taken over, where it was hardly seen and another one was."""
 
     @property
     def name(self) -> str:
         """Part of the pose, kind of process and passes, for reports."""
-        axes = "" if len(self.axes) == 3 else f" {_AXES[self.axes[0]]}"
         kind = f"{self.kind} of {self.frequency:.4g} Hz" if self.frequency else self.kind
         of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
-        return f"{self.part}{axes}, {kind}, {of}"
+        return f"{self.part}, {kind}, {of}"
 
     @property
     def sentence(self) -> str:
         """The strength with its standard deviation, or why there is none, as one line of a report."""
         unit = "m" if self.part == "position" else "rad"
         unit += "/s^1.5" if self.kind == "integrated-wiener" else ""
-        hardly = f"{self.name}: hardly seen ({self.seen:.1g} of its variance)"
-        if self.source:
-            return f"{hardly}, taken over from {self.source}: {self.sigma:.4g} {unit}"
         if not self.searched:
-            return f"{hardly}, held at nothing ({self.sigma:.2g} {unit})"
+            hardly = f"hardly seen ({self.seen:.1g} of its variance)"
+            return f"{self.name}: {hardly}, held at nothing ({self.sigma:.2g} {unit})"
         if self.zero:
             return f"{self.name}: not to be seen (strength below {self.sigma:.2g} {unit})"
         return f"{self.name}: {self.sigma:.4g} +- {self.error:.2g} {unit}"
@@ -116,8 +298,6 @@ class EstimatedStrengths(Record):
     """Factor of the sigmas of tie rays, in total; 1 where it wasn't asked for."""
     rays_error: float
     """Its standard deviation; 0 where it wasn't asked for."""
-    evidence: float
-    """Log likelihood of the strengths that were searched for, over that of none of these processes, nats."""
     inseparable: tuple[Inseparable, ...]
     """Positions, rotations and shared unknowns of passes that can't be separated."""
     converged: bool
@@ -153,7 +333,6 @@ class EstimatedStrengths(Record):
 def estimated_strengths(
     network: Network,
     settings: SolverSettings,
-    by_axis: bool = False,
     rays: bool = True,
     most: int = 15,
     tolerance: float = 0.01,
@@ -165,11 +344,8 @@ def estimated_strengths(
     Parameters
     ----------
     network : Network
-        Of passes with `ProcessPrior`; the search begins with the sigmas that it has.
+        Of passes with `ProcessPrior`; the search begins with the sigmas of the first pass that has a process.
     settings : SolverSettings
-    by_axis : bool
-        Each axis by itself; otherwise a process has one factor for all three axes. A strength is common to all passes
-        that have the process (part, kind and frequency): the search begins with that of the first.
     rays : bool
         Estimate one factor of the sigmas of tie rays, too.
     most : int
@@ -187,7 +363,7 @@ def estimated_strengths(
     InputError
         Where nothing is to be estimated, or a pass has too many nodes; and what `adjust_network` raises.
     """
-    sought, total, begin = _sought(network, by_axis), 1.0, network
+    sought, total, begin = _sought(network), 1.0, network
     network = _with_changes(network, sought, np.zeros(len(sought)))
     left_in = unmarked(network) if settings.reject == 0.0 else None
     searched, shares = np.zeros(0, dtype=np.int64), np.zeros(0)
@@ -200,8 +376,9 @@ def estimated_strengths(
             searched, shares = np.flatnonzero(np.diagonal(start.information) > _SEEN), start.shares
         evidence = every.without(searched)
         covariance = _covariance(evidence, searched)
-        change, zero = _changes(sought, searched, evidence.maximum(_STEP), _sigmas(network, sought),
-                                _FLOOR * _sigmas(begin, sought))  # fmt: skip
+        change, zero = _changes(
+            searched, evidence.maximum(_STEP), _sigmas(network, sought), _FLOOR * _sigmas(begin, sought)
+        )
         # a strength that is known to a tenth only need not be at rest to a hundredth
         sizes = tolerance * np.maximum(1.0, 10.0 * np.minimum(np.sqrt(np.diagonal(covariance)), 1.0))
         converged = bool(np.all(np.abs(change[searched]) <= sizes)) and abs(factor - 1.0) <= tolerance
@@ -216,27 +393,26 @@ def estimated_strengths(
     errors = now * np.sqrt(np.diagonal(logs))
     strengths = tuple(
         replace(one, sigma=float(now[i]), error=float(errors[i]), zero=bool(zero[i]), seen=float(shares[i]),
-                searched=i in searched, source=_source(sought, searched, i, now))
+                searched=i in searched)
         for i, one in enumerate(sought)
     )  # fmt: skip
     joint = at_solution(solution).of_estimator().joint
     combined = inseparable(solution.network, joint, solution.settings.angles)
-    gained = evidence.over_nothing() if searched.size else 0.0
     return EstimatedStrengths(
-        network, solution, strengths, logs, total, total * spread, gained, combined, converged, done + 1
+        network, solution, strengths, logs, total, total * spread, combined, converged, done + 1
     )
 
 
-def _sought(network: Network, by_axis: bool) -> list[Strength]:
+def _sought(network: Network) -> list[Strength]:
     """What is to be found: processes alike in part, kind and frequency, and along the same axes, are one."""
     found = dict[tuple[str, str, float, int, tuple[int, ...]], list[Member]]()
     for k, one in enumerate(network.passes):
         for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
             first, alike = 0 if part == "position" else 3, list[tuple[str, float]]()
-            axes = [(c,) for c in range(first, first + 3)] if by_axis else [(first, first + 1, first + 2)]
+            own = first, first + 1, first + 2
             for number, process in enumerate(_processes(network, k, part)):
                 kind = process.kind, process.frequency
-                for own in axes if process.estimated else ():
+                if process.estimated:
                     members = found.setdefault((part, *kind, alike.count(kind), own), [])
                     members += [Member(k, number, c) for c in own]
                 alike.append(kind)
@@ -279,34 +455,13 @@ def _covariance(evidence: Evidence, searched: Index) -> Array:
     return np.asarray(np.linalg.solve(regular, np.eye(searched.size)))
 
 
-def _siblings(sought: list[Strength], searched: Index, i: int) -> list[int]:
-    """Strengths of other axes of the same processes, that are searched for."""
-    mine = {m[:2] for m in sought[i].members}
-    return [
-        k for k in searched.tolist()
-        if k != i and sought[k].part == sought[i].part and {m[:2] for m in sought[k].members} == mine
-    ]  # fmt: skip
-
-
-def _source(sought: list[Strength], searched: Index, i: int, now: Array) -> str:
-    """Axis that a strength is taken over from; none where it is searched for, or no other one is."""
-    others = [] if i in searched else _siblings(sought, searched, i)
-    return _AXES[sought[max(others, key=lambda k: now[k])].axes[0]] if others else ""
-
-
-def _changes(
-    sought: list[Strength], searched: Index, steps: Array, now: Array, floor: Array
-) -> tuple[Array, Index]:
+def _changes(searched: Index, steps: Array, now: Array, floor: Array) -> tuple[Array, Index]:
     """(p,) change of log strengths, and whether each is at its floor."""
     change = np.log(floor / now)  # of what nothing is seen
     change[searched] = np.maximum(np.clip(steps, -_STEP, _STEP), change[searched])
     zero = np.zeros(now.size, dtype=bool)
     zero[searched] = now[searched] * np.exp(steps) <= floor[searched]
     change[zero] = np.log(floor / now)[zero]
-    for i in range(len(sought)):
-        others = [] if i in searched else _siblings(sought, searched, i)
-        if others:
-            change[i] = np.log(max(now[k] * np.exp(change[k]) for k in others) / now[i])
     return change, zero
 
 

@@ -5,8 +5,17 @@ w-test of its residual, the minimal detectable blunder, and what a blunder of th
 and to any result (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Rejected rows don't take part. With a robust loss
 a row of weight p keeps its own sigma in its test, while the others keep their weights: the test is that of the
 residual against what the others predict. One without weight doesn't take part.
+
+Measures that may be blunders, and those that can't be separated from them.
+
+Tests of the same point are correlated. Where the modulus of a correlation is above 0.99, a blunder of one minimal
+detectable blunder (4.13 sigmas of its test) shifts the two tests by amounts that differ by 0.3 sigmas of their
+difference: the wrong one is the larger in four cases of ten, so both are named (Foerstner 1983 on separability). The
+four coordinates of a tie with two rays share a single redundancy, and always are one group. Measures of different
+points are not grouped, nor are a-priori values of the orientation with what they could be mistaken for.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -14,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.graph.leverage import BETWEEN, EFFECT, MISFIT, SHARE
-from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.redundancy import pair_tests, swept
+from mgsgraph.adjustment.linearised import Linearised, PointRows
+from mgsgraph.adjustment.redundancy import INSEPARABLE, pair_tests, residual_covariance, swept
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import PriorRows, at_solution, prior_rows
@@ -141,8 +150,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
 
     Examples
     --------
-    >>> from mgsgraph.analysis.reliability import reliability
-    >>> found = reliability(solution)
+    >>>     >>> found = reliability(solution)
     >>> print(found)
     Reliability(180 measures, 60.0 degrees of freedom, 0 tests over 3.29, 12 measures uncontrolled)
     >>> worst = np.argsort(-np.abs(found.measures.test))[:2]
@@ -161,12 +169,24 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     out = empty_measures(ends[-1])
     rays, ranges, apriori, surface, on_stereo, priors = (out.part(a, b) for a, b in pairwise(ends))
     squares = sum(_rays(rays, at, numbers, used, roots, levels))
-    squares += _ranges(ranges, at, numbers, shots, roots, levels)
+    network, index = at.network, at.layout.observation_rows
+    root = None if roots is None else roots.ranges[shots]
+    squares += _singles(
+        ranges, MeasureKind.RANGE, numbers, network.ranges.sigmas[shots], root, levels,
+        shots, network.ranges.point[shots], network.ranges.image[shots], index.ranges[shots],
+    )  # fmt: skip
     thrice = np.repeat(points, 3)
     apriori.say(MeasureKind.GROUND, np.tile(np.arange(3), points.size), thrice, thrice, -1, np.repeat(places, 3))
     squares += judge_ground_priors(apriori, at.network.points.covariances[points], ground, levels)
-    squares += _heights(surface, at, numbers, heights, levels) + _priors(priors, at, known, levels)
-    squares += _stereo(on_stereo, at, numbers, stereo, roots, levels)
+    if network.surface is not None:
+        point = index.on_terrain[heights]
+        sigmas, where = network.surface.sigmas[point], (point, point, -1, index.heights[heights])
+        squares += _singles(surface, MeasureKind.HEIGHT, numbers, sigmas, None, levels, *where)
+    squares += _priors(priors, at, known, levels)
+    if network.stereo is not None and at.layout.stereo is not None:
+        point, root = at.layout.stereo.points[stereo], None if roots is None else roots.stereo[stereo]
+        sigmas, where = network.stereo.sigmas[point], (point, point, -1, index.stereo[stereo])
+        squares += _singles(on_stereo, MeasureKind.STEREO, numbers, sigmas, root, levels, *where)
     degrees = float(out.redundancy.sum())
     sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
     if levels.scaled:
@@ -258,42 +278,16 @@ def _rays(
     return in_threads(part, pairwise(edges))
 
 
-def _ranges(
-    out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: _Roots | None, levels: Levels
-) -> float:
-    """Fill in the ranges; their sum of squares."""
-    ranges, index = at.network.ranges, at.layout.observation_rows.ranges[shots]
-    out.say(MeasureKind.RANGE, _zeros(shots), shots, ranges.point[shots], ranges.image[shots], index)
-    root = None if roots is None else roots.ranges[shots]
+def _singles(
+    out: ScalarMeasures, kind: MeasureKind, numbers: Array, sigmas: Array, root: Array | None, levels: Levels,
+    row: Index, point: Index, image: Index | int, index: Index,
+) -> float:  # fmt: skip
+    """Fill in observations of one row with a-priori `sigmas`; their sum of squares."""
+    out.say(kind, _zeros(row), row, point, image, index)
     misfit, share, effect = numbers[index][:, [0, 2, 4]].T
-    judge_scalars(out, ranges.sigmas[shots], misfit, share, effect, root, levels)
-    return float(misfit @ misfit)
-
-
-def _heights(out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, levels: Levels) -> float:
-    """Fill in the heights above the terrain; their sum of squares."""
-    if at.network.surface is None:
-        return 0.0
-    point, index = at.layout.observation_rows.on_terrain[chosen], at.layout.observation_rows.heights[chosen]
-    out.say(MeasureKind.HEIGHT, _zeros(point), point, point, -1, index)
-    misfit, share, effect = numbers[index][:, [0, 2, 4]].T
-    # the kernel's are heights of the points above the terrain: predicted, where 0 is measured
-    judge_scalars(out, at.network.surface.sigmas[point], -misfit, share, effect, None, levels)
-    return float(misfit @ misfit)
-
-
-def _stereo(
-    out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, roots: _Roots | None, levels: Levels
-) -> float:
-    """Fill in the heights above stereo surfaces; their sum of squares."""
-    if at.network.stereo is None or at.layout.stereo is None:
-        return 0.0
-    point, index = at.layout.stereo.points[chosen], at.layout.observation_rows.stereo[chosen]
-    out.say(MeasureKind.STEREO, _zeros(point), point, point, -1, index)
-    misfit, share, effect = numbers[index][:, [0, 2, 4]].T
-    # as of the terrain, the kernel's are heights: predicted, where 0 is measured
-    root = None if roots is None else roots.stereo[chosen]
-    judge_scalars(out, at.network.stereo.sigmas[point], -misfit, share, effect, root, levels)
+    # the kernel's heights are those of the points above the model: predicted, where 0 is measured
+    sign = 1.0 if kind == MeasureKind.RANGE else -1.0
+    judge_scalars(out, sigmas, sign * misfit, share, effect, root, levels)
     return float(misfit @ misfit)
 
 
@@ -319,3 +313,115 @@ def _used(at: Linearised, places: Index | Indices, points: Index, root: Array | 
 
 def _zeros(like: Index) -> Small:
     return np.zeros(like.size, dtype=np.int8)
+
+
+_NOTHING = 1e-12
+"""Redundancy that is rounding: it has no direction."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """A measure with a large test, and those that can't be separated from it."""
+
+    measures: Index
+    """(k,) in `Reliability.measures`: the one with the largest test, then the others, by the size of theirs."""
+    point: int
+    """Network point; -1 for an a-priori value of what points share."""
+    test: float
+    """Largest test, with its sign."""
+    over: bool
+    """Whether it exceeds the critical value."""
+
+
+def suspects(found: Reliability, most: int = 20) -> tuple[Suspect, ...]:
+    """The `most` suspicious measures, or groups of such as can't be separated, worst first."""
+    groups, listed = list[Suspect](), set[int]()
+    index = PointIndex(found.measures.point, len(found.at.network.points))
+    correlations: dict[int, tuple[Index, Array]] = {}
+    for k in _worst_first(found, most):
+        if len(groups) == most:
+            break
+        if k in listed:
+            continue
+        point, together = int(found.measures.point[k]), np.array([k])
+        if point >= 0:
+            if point not in correlations:
+                correlations[point] = correlations_of_tests(found, index, point)
+            mine, matrix = correlations[point]
+            row = np.abs(matrix[np.flatnonzero(mine == k)[0]])
+            others = mine[(row > INSEPARABLE) & (mine != k)]
+            size = np.nan_to_num(np.abs(found.measures.test[others]), nan=-1.0)
+            together = np.append(together, others[np.argsort(-size, kind="stable")])
+        listed.update(together.tolist())
+        test = float(found.measures.test[k])
+        groups.append(Suspect(together, point, test, abs(test) > found.critical))
+    return tuple(groups)
+
+
+def _worst_first(found: Reliability, most: int) -> Iterator[int]:
+    """Controlled measures by the size of their tests; all are sorted only where the first few don't do."""
+    seen, count = 0, 16 * most
+    while seen < len(found):
+        order = found.order(count)
+        for k in order[seen:].tolist():
+            if np.isnan(found.measures.test[k]):
+                return
+            yield k
+        seen, count = order.size, len(found)
+
+
+class PointIndex:
+    """Which rows each point has.
+
+    Parameters
+    ----------
+    points : (m,)
+        Point of each row; -1 for rows of none.
+    count : int
+        Number of points.
+    """
+
+    def __init__(self, points: Index | Indices, count: int) -> None:
+        self._order = np.argsort(points, kind="stable")
+        self._first = np.searchsorted(points[self._order], np.arange(count + 1))
+
+    def of(self, point: int) -> Index:
+        """(q,) rows of a point, ascending."""
+        return self._order[self._first[point] : self._first[point + 1]]
+
+
+def correlations_of_tests(found: Reliability, index: PointIndex, point: int) -> tuple[Index, Array]:
+    """Measures (q,) of a network point, and the correlations (q, q) of their tests; NaN where they have no test."""
+    mine = index.of(point)
+    rows = found.at.rows_of(point)
+    chosen = combinations(found, mine, rows)
+    covariance = chosen.T @ residual_covariance(found.at, rows)[0][0] @ chosen
+    variance, size = np.diagonal(covariance), np.einsum("rq,rq->q", chosen, chosen)
+    sigma = np.sqrt(np.where(variance > _NOTHING * size, variance, np.nan))
+    return mine, np.asarray(covariance / sigma[:, None] / sigma)
+
+
+def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:
+    """(r, q) whitened rows of a point that an error of one sigma in each of its measures goes into.
+
+    A ray's coordinates are rows; errors of an a-priori place go through the square root of its information.
+    """
+    table, at = found.measures, found.at
+    point = int(table.point[measures[0]])
+    index = int(at.layout.patterns.point_index[point])
+    _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(index)].tolist()
+    slot = (table.observation[measures] - observation - (index - first)) // count
+    chosen = np.zeros((rows.row.size, measures.size))
+    for q, k in enumerate(measures.tolist()):
+        here = np.flatnonzero(rows.observation == slot[q])
+        if table.kind[k] == MeasureKind.GROUND:
+            chosen[here, q] = _root(at.network.points.covariances[point])[:, table.component[k]] * table.sigma[k]
+        else:
+            chosen[here[table.component[k]], q] = 1.0
+    return chosen
+
+
+def _root(covariance: Array) -> Array:
+    """Upper triangular U with U'U the inverse."""
+    information = np.linalg.inv(covariance)
+    return np.asarray(np.linalg.cholesky(0.5 * (information + information.T)).T)

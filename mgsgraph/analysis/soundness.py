@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.fit import ABSURD
-from mgsgraph.adjustment.implausible import Strained
+from mgsgraph.adjustment.fit import ABSURD, Strained
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import ray_statistics, rejected_points
 from mgsgraph.network import PointClass

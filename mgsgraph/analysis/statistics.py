@@ -1,6 +1,10 @@
 """Statistics of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
+
+Ground points that two solutions have in common: how far they are apart, and how well each solution knows them.
+
+Medians of groups of many values, without a loop, and robust ends of scales; by them, how well each image fits.
 """
 
 from dataclasses import dataclass
@@ -13,6 +17,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.names import Names
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.text import root_mean_square
@@ -251,3 +256,131 @@ def solution_connectivity(solution: Solution) -> Connectivity:
         footprints = network_footprints(solution.network, solution.places, solution.correction)
         found = _CONNECTED[solution] = connectivity(solution.network, footprints, solution.rays_used)
     return found
+
+
+@dataclass(frozen=True)
+class CommonPoints:
+    """Determined ground points that two solutions have under the same name."""
+
+    solution: Solution
+    """The later one."""
+    earlier: Solution
+    """The earlier one."""
+
+    @cached_property
+    def _pairs(self) -> Index:
+        """(n, 2) numbers of every common name in the later and in the earlier solution."""
+        found = Names.of(self.earlier.network.points.ids).find(self.solution.network.points.ids)
+        here = np.flatnonzero(found >= 0)
+        return np.stack([here, found[here]], axis=1)
+
+    @property
+    def shared(self) -> int:
+        """Points of the same name, determined or not."""
+        return len(self._pairs)
+
+    @cached_property
+    def rows(self) -> tuple[Index, Index]:
+        """(n,) numbers in the later and in the earlier solution, of those that both determine."""
+        here, there = self._pairs.T
+        sound = self.solution.determined[here] & self.earlier.determined[there]
+        return here[sound], there[sound]
+
+    @cached_property
+    def places(self) -> Array:
+        """(n, 3) m, body-fixed, of the later solution."""
+        return np.asarray(self.solution.places[self.rows[0]])
+
+    @cached_property
+    def moved(self) -> Array:
+        """(n, 3) m east, north and up, later minus earlier."""
+        there = self.earlier.places[self.rows[1]]
+        return np.asarray(np.einsum("nij,nj->ni", east_north_up(self.places), self.places - there))
+
+    @cached_property
+    def sigmas(self) -> tuple[Array, Array]:
+        """(n,) m, 3-D sigmas of the earlier and of the later solution."""
+        here, there = self.rows
+        one, other = (np.trace(solution.covariances[k], axis1=1, axis2=2)
+                      for solution, k in ((self.earlier, there), (self.solution, here)))  # fmt: skip
+        return np.sqrt(np.maximum(one, 0.0)), np.sqrt(np.maximum(other, 0.0))
+
+    @property
+    def in_sigmas(self) -> Array:
+        """(n,) distance over the larger of both 3-D sigmas; NaN for points without any."""
+        sigma = np.maximum(*self.sigmas)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(sigma > 0.0, np.linalg.norm(self.moved, axis=1) / sigma, np.nan)
+
+    @property
+    def ratio(self) -> Array:
+        """(n,) later 3-D sigma over the earlier one; NaN where a point has none in either."""
+        earlier, later = self.sigmas
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where((earlier > 0.0) & (later > 0.0), later / earlier, np.nan)
+
+
+SHARE = 0.98
+"""Share of the values that a colour scale covers, on either side."""
+
+
+def counts(groups: Index, number: int) -> Index:
+    """(number,) how many of `groups` (n,), from 0 on, are each one."""
+    return np.bincount(groups, minlength=number)
+
+
+def medians(values: Array, groups: Index, number: int) -> Array:
+    """(number,) median of the finite values (n,) of each group (n,), counted from 0; NaN where there are none.
+
+    Values are rounded to float32, enough for any picture: group and value then fit into one integer of 64 bits, which
+    is sorted at once, some ten times faster than by two keys.
+    """
+    sound = np.isfinite(values)
+    values, groups = values[sound], groups[sound]
+    bits = values.astype(np.float32).view(np.uint32)
+    rising = np.where(bits >> 31 == 1, ~bits, bits | np.uint32(1 << 31))  # in the order of the values they stand for
+    packed = np.sort(groups.astype(np.uint64) << np.uint64(32) | rising)
+    of = counts(groups, number)
+    first = np.cumsum(of) - of
+    some = of > 0
+    found = np.full(number, np.nan)
+    middle = [_unpacked(packed[(first + shift)[some]]) for shift in ((of - 1) // 2, of // 2)]
+    found[some] = 0.5 * (middle[0] + middle[1])
+    return found
+
+
+def _unpacked(packed: np.ndarray) -> Array:
+    rising = (packed & np.uint64(0xFFFFFFFF)).astype(np.uint32)
+    bits = np.where(rising >> 31 == 1, rising & np.uint32(0x7FFFFFFF), ~rising)
+    return np.asarray(bits.view(np.float32), dtype=np.float64)
+
+
+def used_rays(solution: Solution) -> Mask:
+    """(k,) rays that took part and whose point is determined."""
+    return np.asarray(
+        solution.rays_used & np.isfinite(solution.residuals[:, 0]) & np.isfinite(solution.residuals[:, 1])
+    )
+
+
+def median_residuals(solution: Solution) -> Array:
+    """(images,) median residual of each image's rays that took part, in units of their sigmas, of a ray the larger one
+    of line and sample; NaN where there are none. Blunders hardly change it.
+    """
+    rays = solution.network.rays
+    mine = np.flatnonzero(used_rays(solution))
+    size = np.max(np.abs(solution.residuals[mine]) / rays.sigmas[mine], axis=1)
+    return medians(size, rays.image[mine], len(solution.network.images))
+
+
+def worst_first(solution: Solution) -> Index:
+    """(images,) images by their median residuals, largest first; those without any come last."""
+    return np.argsort(-np.nan_to_num(median_residuals(solution), nan=-1.0), kind="stable")
+
+
+def span(values: Array) -> tuple[float, float]:
+    """Ends of a colour scale from the 2 % to the 98 % quantile of the finite values; 0 and 1 where there are none."""
+    sound = values[np.isfinite(values)]
+    if not sound.size:
+        return 0.0, 1.0
+    low, high = np.quantile(sound, [1.0 - SHARE, SHARE]).tolist()
+    return low, max(high, low + 1e-12 + 1e-6 * abs(low))

@@ -17,8 +17,7 @@ from mgsgraph.files.labels.image_kinds import ImageKind, image_kind, image_name
 from mgsgraph.files.labels.image_label import instrument_of
 from mgsgraph.files.opening import read_text
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.duplicate_images import require_distinct
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage, require_distinct
 from mgsgraph.geometry.plausibility import require_plausible
 
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")

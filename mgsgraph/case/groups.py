@@ -13,8 +13,8 @@ from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import MATCH
 from mgsgraph.files.records import read_record
 from mgsgraph.files.tie_points import PointKind, TiePoints
-from mgsgraph.geometry.common_errors import overlap_variances
 from mgsgraph.geometry.records import Index, chosen_rows, concatenated
+from mgsgraph.geometry.terrain import overlap_variances
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.text import many, some
 

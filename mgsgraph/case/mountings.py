@@ -12,10 +12,9 @@ import numpy as np
 from mgsgraph.case.motion import Sigmas, three
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
+from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable, Trajectory
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.units import DEG, MRAD
 

@@ -24,7 +24,7 @@ from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.labels.image_label import instrument_of
-from mgsgraph.files.networks.asp_gcp import read_ground_control
+from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud

@@ -14,8 +14,7 @@ from mgsgraph.geometry.body import Ellipsoid, east_north, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, areoid_grid
-from mgsgraph.geometry.terrain_grids import above_areoid, mosaic
-from mgsgraph.geometry.track_gaps import track_gaps
+from mgsgraph.geometry.terrain_grids import above_areoid, mosaic, track_gaps
 from mgsgraph.network.terrain_control import box_of, in_degrees
 from mgsgraph.units import DEG, KM
 

@@ -206,8 +206,8 @@ def campaign(
     help="Share of the points with three rays or more of which one ray is held out.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draw of these rays.")
-@click.option("--densify", is_flag=True, help="Give nodes to the widest spacing where residuals ask for them.")
-@click.option("--out", type=PATH, help="Folder for nodes.json, tables and figures; made anew.")
+@click.option("--densify", is_flag=True, hidden=True)
+@click.option("--out", type=PATH, help="Folder for nodes.json, its table and figure; made anew.")
 @TIES
 @NO_FIGURES
 def nodes(
@@ -215,27 +215,31 @@ def nodes(
     ties: Path | None, no_figures: bool,
 ) -> None:
     """Adjust CASE (a TOML file with [[passes]]) with orientation images at several spacings, without some of its rays,
-    and choose the coarsest that predicts these no worse than the best one; with that, look for vibrations.
+    and choose the coarsest that predicts these no worse than the best one. (Vibrations: `mgsgraph analyze`.)
 
     Exit status: 0, whatever is found; 2 bad input.
     """
-    from mgsgraph.analysis.spacing.study import study_nodes
+    from mgsgraph.analysis.spacing import choose_spacing
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.files.output.folders import NODES, require_replaceable
     from mgsgraph.results.analysis import require_used
-    from mgsgraph.results.spacing import nodes_section, seconds_of, write_nodes
+    from mgsgraph.results.section import write_sections
+    from mgsgraph.results.spacing import nodes_section, seconds_of
 
+    if densify:
+        raise click.UsageError("--densify is gone: give closer --spacings, of which rays held out choose one")
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     wanted = seconds_of(spacings)
     if out is not None:
         require_replaceable(out, NODES)
     read = read_case(case, ties=ties)
     with counting_bar("adjusting", "step") as bar:
-        study = study_nodes(read.network, read.settings, read.name, wanted, hold_out, seed, densify, progress=bar)
+        choice = choose_spacing(read.network, read.settings, wanted, hold_out, seed, progress=bar)
+    section = nodes_section(choice, read.name)
     if out is not None:
-        write_nodes(study, out, figures=not no_figures)
-    click.echo(nodes_section(study).text())
+        write_sections([section], section.numbers, out, NODES, not no_figures)
+    click.echo(section.text())
     if out is not None:
         click.echo(f"The study is in {out}")
 

@@ -14,8 +14,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export.csm import STATE, file_stems
 from mgsgraph.export.isis import adjusted_network
-from mgsgraph.files.networks.asp_gcp import ground_control_text
 from mgsgraph.files.networks.asp_match import match_files
+from mgsgraph.files.networks.asp_text import ground_control_text
 from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, PointType
 from mgsgraph.files.writing import write_files
 from mgsgraph.units import KM

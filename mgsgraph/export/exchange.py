@@ -18,10 +18,17 @@ from mgsgraph.export import Format
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.files.kinds import Kind, kind_of
-from mgsgraph.files.networks.asp_gcp import ground_control_text, read_ground_control_network
 from mgsgraph.files.networks.asp_match import MatchFile, joined, match_files, prefix_of, read_match, read_match_text
 from mgsgraph.files.networks.asp_match import images_of as named_images
-from mgsgraph.files.networks.asp_nvm import half_sizes, nvm_files, offsets_path, read_nvm, read_offsets
+from mgsgraph.files.networks.asp_text import (
+    ground_control_text,
+    half_sizes,
+    nvm_files,
+    offsets_path,
+    read_ground_control_network,
+    read_nvm,
+    read_offsets,
+)
 from mgsgraph.files.networks.binary import binary_network
 from mgsgraph.files.networks.editing import images_of, in_images, thinned, united, used_images
 from mgsgraph.files.networks.network_file import read_network

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.export import Format
-from mgsgraph.files.networks.asp_gcp import keeps_ids
 from mgsgraph.files.networks.asp_match import one_sigma, stem
-from mgsgraph.files.networks.asp_measures import PixelMeasures, measures_of, takes_part
+from mgsgraph.files.networks.asp_text import PixelMeasures, keeps_ids, measures_of, takes_part
 from mgsgraph.files.networks.pvl import CONSTRAINTS, HEAD_TEXTS, LOCKS, LOG_NAMES, NAME_TEXTS
 from mgsgraph.files.networks.record import (
     AprioriSource,

@@ -7,7 +7,7 @@ geodetic_latitude_deg, height_m; or longitude_deg, latitude_deg alone, of the su
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -39,33 +39,30 @@ class PlaceTable:
     """Texts of all columns by their names, as the file has them, empty ones too."""
     sort: Sort
     """What its places are."""
-    isis: bool | None
+    isis: bool | None = None
     """Whether its columns of image places count from 1; None where it has none."""
-    pixels: Array
+    pixels: Array = field(default_factory=partial(np.zeros, (0, 2)))
     """(n, 2) line and sample, first pixel's centre at (0.5, 0.5); (0, 2) of ground places."""
-    heights: Array | None
+    heights: Array | None = None
     """(n,) m above the ellipsoid, of the ground of each image place; None where the table has none."""
-    radii: Array | None
+    radii: Array | None = None
     """(n,) m, the same as distance from the body's centre."""
-    points: Array
+    points: Array = field(default_factory=partial(np.zeros, (0, 3)))
     """(n, 3) m, body-fixed, of ground places; (0, 3) of those on the surface."""
-    directions: Array
+    directions: Array = field(default_factory=partial(np.zeros, (0, 2)))
     """(n, 2) rad, planetocentric longitude and latitude of ground places on the surface; (0, 2) of others."""
 
     @classmethod
     def of_pixels(cls, places: Array, isis: bool) -> "PlaceTable":
         """Image places (n, 2) that stand in no file; counted from 1 or not."""
         pixels = frozen(places, "--pixel", (None, 2)) - (ISIS_OFFSET if isis else 0.0)
-        none = np.zeros((0, 3)), np.zeros((0, 2))
-        return cls("--pixel", dict(zip(ISIS if isis else OURS, _texts(places), strict=True)), "image", isis, pixels,
-                   None, None, *none)  # fmt: skip
+        return cls("--pixel", _texts(ISIS if isis else OURS, places), "image", isis, pixels)
 
     @classmethod
     def of_surface(cls, places: Array) -> "PlaceTable":
         """Planetocentric longitudes and latitudes (n, 2) in degrees that stand in no file."""
         require_degrees(_SURFACE, frozen(places, "--place", (None, 2)), lambda _, name: f"--place, {name}")
-        none = np.zeros((0, 2)), None, None, np.zeros((0, 3))
-        return cls("--place", dict(zip(_SURFACE, _texts(places), strict=True)), "ground", None, *none, places * DEG)
+        return cls("--place", _texts(_SURFACE, places), "ground", directions=places * DEG)
 
 
 def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceTable:
@@ -112,7 +109,7 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
             raise InputError(where(row, wanted[column]), "nothing", "a finite number")
         return np.column_stack(columns)
 
-    isis, none, plane = pixel == ISIS if pixel else None, np.zeros((0, 3)), np.zeros((0, 2))
+    isis = pixel == ISIS if pixel else None
     columns = {name: column.to_pylist() for name, column in table.values.items()}
     if sort == "image" or (sort is None and pixel):
         pixels = numbers(*pixel) - (ISIS_OFFSET if isis else 0.0)
@@ -120,13 +117,13 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
         if radii is not None:
             heights = None
             require_near(radii, body, partial(where, name=PLANETOCENTRIC[2]))
-        return PlaceTable(str(path), columns, "image", isis, pixels, heights, radii, none, plane)
+        return PlaceTable(str(path), columns, "image", isis, pixels, heights, radii)
     given = numbers(*ground)
     if ground == _SURFACE:
         require_degrees(ground, given, where)
-        return PlaceTable(str(path), columns, "ground", isis, plane, None, None, none, given * DEG)
-    return PlaceTable(str(path), columns, "ground", isis, plane, None, None, on_body(ground, given, body, where), plane)
+        return PlaceTable(str(path), columns, "ground", isis, directions=given * DEG)
+    return PlaceTable(str(path), columns, "ground", isis, points=on_body(ground, given, body, where))
 
 
-def _texts(places: Array) -> list[list[str]]:
-    return [[repr(value) for value in column] for column in places.T.tolist()]
+def _texts(names: tuple[str, ...], places: Array) -> dict[str, list[str]]:
+    return dict(zip(names, ([repr(value) for value in column] for column in places.T.tolist()), strict=True))

@@ -181,23 +181,10 @@ def inner_blocks(document: Document) -> Iterator[tuple[Block, Block]]:
         Where the text is no PVL, a keyword stands twice in a block, or blocks are not closed, at the latest when the
         text is exhausted.
     """
-    stack: list[Block] = []
-    for keyword, entry in _statements(document):
-        if keyword in _BEGIN:
-            block = Block(document, _BEGIN[keyword], str(entry.value).lower(), entry.position)
-            if len(stack) > 1:
-                stack[-1].blocks.append(block)
-            stack.append(block)
-        elif keyword in _CLOSE:
-            closed = _closed(document, stack, _CLOSE[keyword], entry)
-            if len(stack) == 1:
-                yield stack[0], closed
-        elif keyword == "end":
-            break
-        elif stack:
-            _enter(stack[-1], keyword, entry)
-    if stack:
-        raise _never_closed(stack[-1])
+    root = Block(document, "label", "label", 0)
+    for around, closed in _closed_blocks(root, 1):
+        if len(around) == 2:
+            yield around[1], closed
 
 
 def whole_label(document: Document) -> Block:
@@ -209,21 +196,36 @@ def whole_label(document: Document) -> Block:
         Where the text is no PVL, a keyword stands twice in a block, or blocks are not closed.
     """
     root = Block(document, "label", "label", 0)
-    stack = [root]
+    for _ in _closed_blocks(root, None):
+        pass
+    return root
+
+
+def _closed_blocks(root: Block, left_out: int | None) -> Iterator[tuple[list[Block], Block]]:
+    """Every block, once it is closed, with those around it, the outermost first; blocks at a depth that is left out are
+    not kept in the one around them.
+    """
+    stack, document = [root], root.document
     for keyword, entry in _statements(document):
         if keyword in _BEGIN:
             block = Block(document, _BEGIN[keyword], str(entry.value).lower(), entry.position)
-            stack[-1].blocks.append(block)
+            if len(stack) - 1 != left_out:
+                stack[-1].blocks.append(block)
             stack.append(block)
         elif keyword in _CLOSE:
-            _closed(document, stack, _CLOSE[keyword], entry)
+            closed = _closed(document, stack, _CLOSE[keyword], entry)
+            yield stack, closed
         elif keyword == "end":
             break
+        elif keyword in stack[-1].entries:
+            raise InputError(document.where(entry.position), f"{keyword} twice in one {stack[-1].kind}", "it once")
         else:
-            _enter(stack[-1], keyword, entry)
+            stack[-1].entries[keyword] = entry
     if len(stack) > 1:
-        raise _never_closed(stack[-1])
-    return root
+        raise InputError(
+            document.where(stack[-1].position), f"the {stack[-1].kind} that begins here is never closed",
+            f"End_{stack[-1].kind.capitalize()}", "the file is cut short: write it anew",
+        )  # fmt: skip
 
 
 def flat_label(text: str, source: str) -> Block:
@@ -239,23 +241,9 @@ def flat_label(text: str, source: str) -> Block:
     return flat
 
 
-def _enter(block: Block, keyword: str, entry: Entry) -> None:
-    """Put a keyword into its block, once."""
-    if keyword in block.entries:
-        raise InputError(block.document.where(entry.position), f"{keyword} twice in one {block.kind}", "it once")
-    block.entries[keyword] = entry
-
-
-def _never_closed(block: Block) -> InputError:
-    return InputError(
-        block.document.where(block.position), f"the {block.kind} that begins here is never closed",
-        f"End_{block.kind.capitalize()}", "the file is cut short: write it anew",
-    )
-
-
 def _closed(document: Document, stack: list[Block], kind: str, entry: Entry) -> Block:
     """Take the innermost block off the stack; it has to be the one that the entry closes."""
-    block = stack.pop() if stack else None
+    block = stack.pop() if len(stack) > 1 else None
     if block is None or block.kind != kind or entry.value not in ("", block.name):
         expected = f"the end of {block.kind} {block.name}" if block else "no block to close"
         raise InputError(document.where(entry.position), f"the end of {kind} {entry.value}".rstrip(), expected)

@@ -281,7 +281,7 @@ class AltimeterShots(Record):
             Sigma of a range's further error, in standard deviations of its echo. The footprint follows from the range
             and has the same error along the beam.
         ranged : bool
-            Both are used: then either has twice its variance (`common_errors`), for together they tell no more.
+            Both are used: then either has twice its variance (`terrain`), for together they tell no more.
 
         Raises
         ------

@@ -1,10 +1,17 @@
 """One pushbroom image: when each line was taken, from where, and how image and ground places belong together.
 
 Ground to image is Newton's method on the line (the papers' five steps find the same place: Shan et al. 2005).
+
+Ground to image as Shan et al. (2004) do it: a frame image of the central line, corrected line by line.
+
+`PushbroomImage.ground_to_image` finds the same place by Newton's method, under any orientation; this is for comparison.
+
+Images that are one and the same: taken at the same times from the same places in the same directions.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -307,3 +314,143 @@ def _solve(matrix: Array, right: Array) -> Array:
     determinant = a * d - b * c
     adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
     return np.asarray(adjugate @ right / np.where(determinant == 0.0, np.nan, determinant)[:, None, None])
+
+
+# --- ground to image as Shan et al. (2004) do it
+
+_STEPS = 50
+_THRESHOLD = 1e-4
+"""lines, at which the steps end."""
+
+
+def five_steps(image: PushbroomImage, points: Array, correction: OrientationCorrection | None = None) -> Array:
+    """Image places of ground points by the five steps of Shan et al. (2004), under linear orientation.
+
+    1. Take the orientation of the central line. 2. Project as into a frame image (Eq. 5). 3. Take the orientation of
+    the line found (Eq. 3: elements linear in the line, their rates from the first and the last line). 4. Project again:
+    what is left is a correction of the line. 5. Add it; go back to 3 until it vanishes.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        Its orientation is replaced by the linear one through its first, central and last line.
+    points : (n, 3)
+        m, body-fixed.
+    correction : OrientationCorrection, optional
+        of the nominal orientation; none when absent.
+
+    Returns
+    -------
+    places : (n, 2)
+        line and sample; NaN behind the camera or more than half an image length before or after the image.
+    """
+    middle = 0.5 * image.lines
+    pose = image.pose(np.array([0.0, middle, float(image.lines)]), correction)
+    angles = np.unwrap(rotation.omega_phi_kappa(pose.matrix), axis=0)
+    elements = np.column_stack([pose.position, angles])
+    rate = (elements[2] - elements[0]) / image.lines
+
+    def project(lines: Array) -> Array:
+        moved = elements[1] + rate * (lines - middle)[:, None]
+        camera = rotation.from_omega_phi_kappa(moved[:, 3:])
+        ray = np.einsum("nij,nj->ni", camera, points - moved[:, :3])
+        depth = np.where(ray[:, 2] > 0.0, ray[:, 2], np.nan)
+        return np.asarray(image.interior.focal_length * ray[:, :2] / depth[:, None])
+
+    lines = np.full(points.shape[0], middle)
+    # the paper's x counts lines of the frame image: metres of the focal plane per line, once for each point
+    per_line = project(lines + 1.0)[:, 0] - project(lines)[:, 0]
+    samples = np.full(points.shape[0], 0.5 * image.samples)
+    for _ in range(_STEPS):
+        place = project(lines)
+        samples, detector = _sample_of(image.interior, place[:, 1], samples)
+        step = -(place[:, 0] - detector) / per_line
+        lines = np.clip(lines + step, -middle, 3.0 * middle)
+        if not np.any(np.abs(step) > _THRESHOLD):
+            break
+    places = np.column_stack([lines, samples])
+    places[~(np.abs(step) < 1e2 * _THRESHOLD)] = np.nan
+    return places
+
+
+def _sample_of(interior: InteriorOrientation, y: Array, start: Array) -> tuple[Array, Array]:
+    """Samples (n,) whose focal-plane place along the detector is y (n,) in m, and the detector's x (n,) there."""
+    samples = start
+    for _ in range(4):  # one step without distortion
+        place, slope = interior.focal_plane(samples)
+        samples = samples - (place[:, 1] - y) / slope[:, 1]
+    return samples, interior.focal_plane(samples)[0][:, 0]
+
+
+# --- images that are one and the same
+
+_LINES = 0.5
+"""Lines by which the times of their first and last edges may differ."""
+_PIXELS = 1.0
+"""By which what they see may differ: one image read by two roads differs by thousandths."""
+
+
+class ImageTimes(NamedTuple):
+    """When the lines of an image were taken."""
+
+    epoch: float
+    """s TDB past J2000, that of the image's trajectory."""
+    timing: LineTiming
+    """Times of the lines past it."""
+
+    @classmethod
+    def of(cls, image: PushbroomImage) -> "ImageTimes":
+        """Of an image."""
+        return cls(image.trajectory.epoch, image.timing)
+
+    @property
+    def start(self) -> float:
+        """Time of the first line's first edge, s TDB past J2000."""
+        return self.epoch + float(self.timing.at(np.zeros(1))[0][0])
+
+
+def begun_together(times: Sequence[ImageTimes]) -> list[tuple[int, int]]:
+    """Pairs of images, by their numbers, whose first lines were taken at the same time; they alone can be twins."""
+    starts = [one.start for one in times]
+    order, found = np.argsort(starts, kind="stable").tolist(), []
+    for k, first in enumerate(order):
+        for second in order[k + 1 :]:
+            if starts[second] - starts[first] > _LINES * float(times[first].timing.periods.max()):
+                break
+            found.append((first, second))
+    return found
+
+
+def twins(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
+    """Pairs of images, by their numbers, that are the same image under two names.
+
+    Cameras that take images at the same time (LROC's left and right one, the channels of HRSC) look elsewhere, and are
+    told apart by that: the ground on the ellipsoid under a grid of pixels is compared.
+    """
+    near = begun_together([ImageTimes.of(image) for image in images])
+    return sorted((min(pair), max(pair)) for pair in near if _same(images[pair[0]], images[pair[1]]))
+
+
+def require_distinct(images: Sequence[PushbroomImage], where: str) -> None:
+    """Raise InputError for one image under two names; `where` they stand."""
+    for first, second in twins(images)[:1]:
+        both = f"{images[first].name} and {images[second].name}"
+        found = f"{both}, which are one image: the same times, the same trajectory"
+        raise InputError(where, found, "each image once", "take one of the two out")
+
+
+def _same(one: PushbroomImage, other: PushbroomImage) -> bool:
+    if (one.lines, one.samples, one.body.equatorial) != (other.lines, other.samples, other.body.equatorial):
+        return False
+    end = np.array([float(one.lines)])
+    stops = [image.trajectory.epoch + image.timing.at(end)[0][0] for image in (one, other)]
+    if abs(stops[0] - stops[1]) > _LINES * one.timing.periods.max():
+        return False
+    lines, samples = (axis.ravel() for axis in np.meshgrid(
+        np.linspace(0.0, one.lines, 3), np.linspace(0.0, one.samples, 3)
+    ))  # fmt: skip
+    ground, slopes = one.image_to_ground(lines, samples)
+    apart = np.linalg.norm(other.image_to_ground(lines, samples)[0] - ground, axis=1)
+    pixel = np.linalg.norm(slopes, axis=1).max(axis=1)
+    seen = np.isfinite(apart)
+    return bool(np.any(seen) and np.all(apart[seen] < _PIXELS * pixel[seen]))

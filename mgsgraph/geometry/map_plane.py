@@ -1,4 +1,7 @@
-"""A plane on which a block is drawn: azimuthal equidistant about its middle, on the sphere through it."""
+"""A plane on which a block is drawn: azimuthal equidistant about its middle, on the sphere through it.
+
+Error ellipses in a plane: what holds a place with a probability of 95 %.
+"""
 
 import numpy as np
 
@@ -40,3 +43,18 @@ def places_at(plane: Array, centre: Array) -> Array:
     angle = length / radius
     flat = plane * np.where(length > 0.0, np.sin(angle) / np.where(length > 0.0, length, 1.0), 0.0)[:, None]
     return np.asarray(radius * (np.cos(angle)[:, None] * up + flat @ np.stack([east, np.cross(up, east)])))
+
+
+# --- error ellipses
+
+PROBABILITY = 0.95
+_SIGMAS = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
+"""Semi-axes of such an ellipse in sigmas: chi-square of two degrees of freedom is exponentially distributed."""
+
+
+def error_ellipses(covariances: Array) -> tuple[Array, Array]:
+    """Semi-axes (..., 2), the smaller first, and their directions (..., 2, 2), one in each column, of the ellipses that
+    hold places of covariances (..., 2, 2) with that probability; in the unit whose square these are in.
+    """
+    values, axes = np.linalg.eigh(covariances)
+    return _SIGMAS * np.sqrt(np.maximum(values, 0.0)), axes

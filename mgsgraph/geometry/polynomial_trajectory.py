@@ -6,17 +6,14 @@ J2000, fitted to the records of its attitude table (ISIS SpiceRotation::SetPolyn
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory
-
-if TYPE_CHECKING:
-    from mgsgraph.geometry.image import PushbroomImage
 
 _NODES = 2049
 """Records at which polynomials of the attitude are laid out again; the great arc between two is then on the curve."""
@@ -75,7 +72,7 @@ class PolynomialTrajectory:
         return pose
 
 
-def fit_polynomials(image: "PushbroomImage", order: int = 2, samples: int = 31) -> "PushbroomImage":
+def fit_polynomials(image: PushbroomImage, order: int = 2, samples: int = 31) -> PushbroomImage:
     """The same image with polynomials in place of its trajectory.
 
     Parameters
@@ -114,7 +111,7 @@ def fit_polynomials(image: "PushbroomImage", order: int = 2, samples: int = 31) 
     return replace(image, trajectory=trajectory)
 
 
-def fit_attitude(image: "PushbroomImage", order: int = 2) -> "PushbroomImage":
+def fit_attitude(image: PushbroomImage, order: int = 2) -> PushbroomImage:
     """The same image with polynomials in place of its attitude, as jigsaw's CKDEGREE fits them.
 
     Parameters

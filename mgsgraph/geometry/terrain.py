@@ -4,11 +4,19 @@ Values are read between the posts by bilinear interpolation. The surface row of 
 above the cubic B-spline of the posts (`factors.surface.cubic`), along its normal: with F = r - R(lon, lat), the
 distance F / |grad F|, which is exact to first order in the height (its error is the square of the height times the
 curvature, and it vanishes with the residual).
+
+Errors that neighbours have in common, as rows that count as independent.
+
+Where errors with the covariance C, none of it negative, are given the variances D_i = sum_j C_ij and count as
+independent, no stated sigma of what is estimated from them is too small: D - C is diagonally dominant, and so
+D >= C. The sigma of their mean is right where all have as many neighbours; one without neighbours keeps its own.
+
+Bilinear interpolation between the nodes of a regular grid.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +25,88 @@ from mgsgraph.errors import InputError
 from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
-from mgsgraph.geometry.common_errors import Gaps, common_variances
 from mgsgraph.geometry.records import Array, Index, Mask, assign
 from mgsgraph.record import Record
+
+
+def between_nodes(nodes: NDArray[Any], at: Array) -> Array:
+    """Values (n, ...) of nodes (rows, columns, ...) at fractional rows and columns `at` (n, 2).
+
+    Outside the grid the outermost cells are extrapolated; NaN beside nodes that are NaN.
+    """
+    i, j = np.clip(np.floor(at), 0, np.maximum(np.array(nodes.shape[:2]) - 2, 0)).astype(np.int64).T
+    shape = (-1,) + (1,) * (nodes.ndim - 2)
+    down, across = (part.reshape(shape) for part in (at[:, 0] - i, at[:, 1] - j))
+    below, right = np.minimum(i + 1, nodes.shape[0] - 1), np.minimum(j + 1, nodes.shape[1] - 1)
+    upper = (1.0 - across) * nodes[i, j] + across * nodes[i, right]
+    lower = (1.0 - across) * nodes[below, j] + across * nodes[below, right]
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def refined(nodes: NDArray[Any], step: int) -> NDArray[Any]:
+    """Nodes (rows, columns) and `step` - 1 values between neighbours: ((rows - 1) step + 1, (columns - 1) step + 1)."""
+    part = (np.arange(step) / step).astype(nodes.dtype)
+    across = nodes[:, :-1, None] + np.diff(nodes, axis=1)[:, :, None] * part
+    full = np.column_stack([across.reshape(nodes.shape[0], -1), nodes[:, -1]])
+    down = full[:-1, None, :] + np.diff(full, axis=0)[:, None, :] * part[:, None]
+    return np.concatenate([down.reshape(-1, full.shape[1]), full[-1:]])
+
+
+# --- errors of neighbors
+
+_CHUNK = 1024
+"""Places whose neighbours are looked for at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaps(Record):
+    """What a terrain model's interpolation between tracks adds to the errors of its posts."""
+
+    sigmas: Array
+    """(rows, columns) m, of each post's height; 0 for a post that shots made."""
+    reaches: Array
+    """(rows, columns) m, within which these errors are one: half the distance between the tracks."""
+
+    def __iter__(self) -> Iterator[Array]:
+        """Sigmas, then reaches."""
+        yield from (self.sigmas, self.reaches)
+
+
+def common_variances(places: Array, sigmas: Array, reaches: Array) -> Array:
+    """Variances (n,) with which errors count as independent that places (n, d) have in common where both of two are
+    within the other's reach (n,), with sigmas (n,): each is its sigma times the sum of its own and its neighbours'.
+    """
+    from scipy.spatial import cKDTree  # slow to import
+
+    found = sigmas**2
+    some = np.flatnonzero((sigmas > 0.0) & (reaches > 0.0))
+    if not some.size:
+        return np.asarray(found)
+    tree, farthest = cKDTree(places[some]), float(reaches[some].max())
+    for first in range(0, some.size, _CHUNK):
+        mine = some[first : first + _CHUNK]
+        pairs = cKDTree(places[mine]).sparse_distance_matrix(tree, farthest, output_type="ndarray")
+        one, other = mine[pairs["i"]], some[pairs["j"]]
+        near = (pairs["v"] <= np.minimum(reaches[one], reaches[other])) & (one != other)
+        found += sigmas * np.bincount(one[near], sigmas[other[near]], sigmas.size)
+    return np.asarray(found)
+
+
+def overlap_variances(places: Array, sigmas: Array, side: float) -> Array:
+    """Variances (n, c) with which errors of sigmas (n, c) count as independent at places (n, 2) that are the middles of
+    square windows, whose overlap is how far two of them are correlated.
+    """
+    from scipy.spatial import cKDTree  # slow to import
+
+    first, second = cKDTree(places).query_pairs(side, p=np.inf, output_type="ndarray").T
+    shares = np.prod(1.0 - np.abs(places[first] - places[second]) / side, axis=1)
+    found = sigmas**2
+    for one, other in ((first, second), (second, first)):
+        np.add.at(found, one, sigmas[one] * sigmas[other] * shares[:, None])
+    return np.asarray(found)
+
+
+# --- terrain models
 
 TerrainKind = Literal["radius", "topography", "areoid", "counts"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid; shots."""

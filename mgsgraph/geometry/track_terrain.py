@@ -21,9 +21,8 @@ from scipy.spatial import Delaunay, KDTree, QhullError
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
-from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import DEG, KM
 

@@ -3,22 +3,237 @@
 Both pictures are resampled to the ground grid, turned so that height displaces along its rows; there semi-global
 matching says how high the ground is, to a pixel or so. From that every post is matched by least squares in the pictures
 themselves, which are not resampled, and each match has a covariance.
+
+One tile of dense matching: from two ortho patches to a match, in the pictures themselves, near each of its posts.
+
+The tile's rows run along the parallax (see `dense`): what lies in column c of the first picture's patch lies in column
+c - d of the second's, and d pixels of the tile are d * step / rate metres of height above the ground's model.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array
-from mgsgraph.matching.measuring import SharpPictures
+from mgsgraph.errors import InputError, require
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.terrain import between_nodes
+from mgsgraph.matching.coarse import robust_sigma
+from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
+from mgsgraph.matching.measuring import FINEST, SharpPictures, half_window
 from mgsgraph.matching.pairs import Pair, boxes, pairs_of
-from mgsgraph.matching.patches import MOST, Tile
-from mgsgraph.matching.posts import DenseSettings, PostMatches, View, matches_on, no_matches
-from mgsgraph.matching.scene import GroundChart, Scene
+from mgsgraph.matching.patches import MOST, NODE, Tile, disparities, node_pixels, opencv, ortho_patch
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
+from mgsgraph.matching.spline import SplinePicture
 from mgsgraph.matching.tiles import tiling
 from mgsgraph.progress import Progress, no_progress
+
+_SMOOTH = 9
+"""pixels of the tile over which slopes are taken."""
+_STEEPEST = 0.6
+"""Change of the displacement per m: a window cannot follow ground that is foreshortened more."""
+_LEAST_SQUARES = LeastSquaresSettings(tolerance=5e-3, reach=2.5)
+_LIMIT = 4.0
+"""Robust standard deviations by which displacements may differ: across the parallax from zero, along it from those of
+the neighbours."""
+_ACROSS, _ALONG = 0.3, 1.0
+"""pixels of the tile: lower bounds of these two limits."""
+_AROUND = 2
+"""Posts on each side that count as neighbours."""
+_FEWEST = 6
+"""Least number of neighbours with which a post is compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class DenseSettings:
+    """How posts are matched."""
+
+    spacing: float | None = None
+    """m between posts; five pixels of the ground grid when None."""
+    half_window: int = 8
+    """pixels of the ground grid from the middle of a window of least-squares matching to its edge."""
+    least_correlation: float = 0.5
+    """Least correlation of the two windows."""
+    largest_sigma: float = 0.5
+    """pixels, in any direction."""
+
+    def __post_init__(self) -> None:
+        checks = {
+            "spacing": (self.spacing is None or 0.0 < self.spacing < np.inf, "a positive number of metres"),
+            "half_window": (self.half_window >= 4, "at least 4"),
+            "least_correlation": (0.0 < self.least_correlation < 1.0, "a number between 0 and 1"),
+            "largest_sigma": (0.0 < self.largest_sigma < np.inf, "a positive number"),
+        }
+        for name, (good, expected) in checks.items():
+            require(good, f"dense matching, {name}", str(getattr(self, name)), expected)
+
+
+class View(NamedTuple):
+    """Two pictures over the ground, on a chart turned so that height displaces along x."""
+
+    numbers: tuple[int, int]
+    """Of the pictures in the scene."""
+    pictures: tuple[Picture, Picture]
+    """Their pixels and orientations."""
+    ground: Ground
+    """With the turned chart."""
+    rate: float
+    """m per m of height, displacement of the second picture's rays against the first's, towards larger x."""
+
+
+class PostMatches(NamedTuple):
+    """Matches of n posts."""
+
+    anchors: Array
+    """(n, 2) line and sample in the first picture, middles of pixels."""
+    pixels: Array
+    """(n, 2) line and sample in the second."""
+    covariances: Array
+    """(n, 2, 2) pixels^2 of the second, the anchor given."""
+    correlation: Array
+    """(n,)"""
+
+
+class _Start(NamedTuple):
+    """Where posts lie in both pictures, as far as semi-global matching knows; n of them."""
+
+    row: Index
+    """(n,) of the post, counted through the tile's posts."""
+    column: Index
+    """(n,) the same."""
+    disparity: Array
+    """(n,) pixels of the tile."""
+    first: Array
+    """(n, 2) line and sample."""
+    second: Array
+    """(n, 2) line and sample."""
+    affine: Array
+    """(n, 2, 2) d second / d first."""
+    by_plane: Array
+    """(n, 2, 2) d(line, sample) / d(x, y) of the second picture, pixels per m."""
+
+
+def matches_on(
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, reach: int, spacing: float,
+    settings: DenseSettings, step: float, threads: int | None,
+) -> tuple[int, PostMatches]:
+    """Match the posts of a tile without its margin; their number on ground that both pictures show, and the matches.
+
+    The tile is one of the view's chart, with a margin of `reach` pixels at least: by so many the true ground may
+    displace one picture against the other. `splines` are both pictures between their pixels; `spacing` lies between
+    posts, and `step` between pixels of the ground grid, in m.
+    """
+    one, two = (ortho_patch(picture, view.ground, tile) for picture in view.pictures)
+    if one is None or two is None:
+        return 0, no_matches()
+    shift = disparities(one, two, reach)
+    rows, columns = tile.nodes(spacing)
+    plane = tile.plane(*(axis.ravel().astype(np.float64) for axis in np.meshgrid(columns, rows)))
+    row, column = (axis.ravel() for axis in np.meshgrid(np.arange(rows.size), np.arange(columns.size), indexing="ij"))
+    both = (one.valid > 0) & (two.valid > 0)
+    mine = tile.owns(plane) & both[rows[row], columns[column]]
+    sought = mine & np.isfinite(shift[rows[row], columns[column]])
+    start = _start(view, tile, shift, (row[sought], column[sought]), (rows, columns))
+    return int(mine.sum()), _measured(view, splines, tile, start, settings, step, threads)
+
+
+def no_matches() -> PostMatches:
+    """Matches of no posts."""
+    return PostMatches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
+
+
+def _start(
+    view: View, tile: Tile, shift: Array, post: tuple[Index, Index], pixels: tuple[Index, Index]
+) -> _Start:
+    """Posts by row and column, of which the tile's rows and columns are `pixels`."""
+    down, across = pixels[0][post[0]], pixels[1][post[1]]
+    disparity = shift[down, across]
+    nodes = [node_pixels(picture, view.ground, tile) for picture in view.pictures]
+    here = np.column_stack([down, across]).astype(np.float64)
+    there = here - np.column_stack([np.zeros(disparity.size), disparity])
+    first, second = between_nodes(nodes[0], here / NODE), between_nodes(nodes[1], there / NODE)
+    by_plane = [_by_plane(lattice, at, tile.step) for lattice, at in zip(nodes, (here, there), strict=True)]
+    turn = np.zeros((disparity.size, 2, 2))
+    slopes = np.clip([slope[down, across] for slope in _slopes(shift)], -_STEEPEST, _STEEPEST)
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 1] = 1.0 - slopes[1], -slopes[0], 1.0
+    affine = by_plane[1] @ turn @ np.linalg.inv(by_plane[0])
+    good = np.isfinite(np.concatenate([first, second, affine.reshape(-1, 4)], axis=1)).all(axis=1)
+    whole = _Start(post[0], post[1], disparity, first, second, affine, by_plane[1])
+    return _Start(*(column[good] for column in whole))
+
+
+def _by_plane(nodes: Array, at: Array, step: float) -> Array:
+    """(n, 2, 2) d(line, sample) / d(x, y) in pixels per m there."""
+    ways = 0.5 * NODE * np.eye(2)[::-1]
+    moved = [between_nodes(nodes, (at + way) / NODE) - between_nodes(nodes, (at - way) / NODE) for way in ways]
+    return np.stack(moved, axis=2) / (NODE * step)
+
+
+def _slopes(shift: Array) -> tuple[Array, Array]:
+    """Change of the disparity from row to row and from column to column, of its mean over a window."""
+    cv2 = opencv()
+    known = np.isfinite(shift)
+    size = (_SMOOTH, _SMOOTH)
+    weight = cv2.blur(known.astype(np.float64), size)
+    mean = cv2.blur(np.where(known, shift, 0.0), size) / np.maximum(weight, 1e-9)
+    down, across = np.gradient(mean)
+    return down, across
+
+
+def _measured(
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, start: _Start,
+    settings: DenseSettings, step: float, threads: int | None,
+) -> PostMatches:
+    anchors = np.floor(start.first) + 0.5
+    begin = start.second + np.einsum("nij,nj->ni", start.affine, anchors - start.first)
+    half = half_window(view.ground, view.pictures[0], settings.half_window * step)
+    found = match_least_squares(
+        *splines, anchors, begin, start.affine, half, settings=_LEAST_SQUARES, threads=threads
+    )
+    along = -start.by_plane[:, :, 0]
+    covariances = found.covariance_with_relief(along) + FINEST**2 * np.eye(2)
+    moved = np.full(begin.shape, np.nan)
+    good = np.flatnonzero(found.converged)
+    moved[good] = np.linalg.solve(start.by_plane[good], (found.pixels - begin)[good, :, None])[:, :, 0] / tile.step
+    sigma = np.sqrt(np.linalg.eigvalsh(covariances[good])[:, 1])
+    sound = np.zeros(found.status.size, dtype=bool)
+    sound[good] = (found.correlation[good] >= settings.least_correlation) & (sigma <= settings.largest_sigma)
+    kept = sound & _coplanar(moved[:, 1], sound)
+    kept &= _like_neighbours(start, start.disparity - moved[:, 0], kept)
+    return PostMatches(anchors[kept], found.pixels[kept], covariances[kept], found.correlation[kept])
+
+
+def _coplanar(across: Array, sound: Mask) -> Mask:
+    """(n,) whether both rays meet: displacements across the parallax, pixels of the tile, are as the others'."""
+    if not sound.any():
+        return sound
+    middle = np.median(across[sound])
+    limit = max(_LIMIT * robust_sigma(across[sound]), _ACROSS)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(across - middle) <= limit)
+
+
+def _like_neighbours(start: _Start, disparity: Array, sound: Mask) -> Mask:
+    """(n,) whether the disparity is that of the posts around, nearly."""
+    if not sound.any():
+        return sound
+    shape = start.row.max() + 1 + 2 * _AROUND, start.column.max() + 1 + 2 * _AROUND
+    grid = np.full(shape, np.nan)
+    row, column = start.row + _AROUND, start.column + _AROUND
+    grid[row[sound], column[sound]] = disparity[sound]
+    ways = [way for way in np.ndindex(2 * _AROUND + 1, 2 * _AROUND + 1) if way != (_AROUND, _AROUND)]
+    beside = np.stack([grid[row + i - _AROUND, column + j - _AROUND] for i, j in ways], axis=1)
+    count = np.isfinite(beside).sum(axis=1)
+    several = sound & (count >= _FEWEST)
+    off = np.full(disparity.size, np.inf)
+    off[several] = np.abs(disparity[several] - np.nanmedian(beside[several], axis=1))
+    limit = max(_LIMIT * robust_sigma(off[several]), _ALONG)
+    return np.asarray(off <= limit)
+
+
+# --- pairs of pictures
+
 
 _SPACING = 5.0
 """pixels of the ground grid between posts."""

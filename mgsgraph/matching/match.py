@@ -14,19 +14,26 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.checks import cell_numbers, checked_measures, spread
+from mgsgraph.matching.checks import cell_numbers, checked_measures, pair_signs, spread
 from mgsgraph.matching.coarse import Agreement, Together, brought_together, window
-from mgsgraph.matching.compression import require_unblocked
-from mgsgraph.matching.features import Window
 from mgsgraph.matching.least_squares import MatchStatus
 from mgsgraph.matching.matches import Losses, Matches, matches_of
 from mgsgraph.matching.measuring import Measured, SharpPictures, joined_measures, measured
-from mgsgraph.matching.pair_checks import pair_signs
 from mgsgraph.matching.pairs import Pair, boxes, joined, pairs_of
 from mgsgraph.matching.patches import Tile, opencv
-from mgsgraph.matching.scene import Scene
+from mgsgraph.matching.scene import Scene, require_unblocked
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.tiles import Links, TileStore, features_on, kept_links, links_on, tiling, together
+from mgsgraph.matching.tiles import (
+    Links,
+    TileStore,
+    Window,
+    features_on,
+    kept_links,
+    links_on,
+    links_on_grid,
+    tiling,
+    together,
+)
 from mgsgraph.progress import Progress, no_progress
 from mgsgraph.text import listed
 
@@ -159,8 +166,6 @@ def _on_tile(
     high = low + tile.step * np.array([tile.columns, tile.rows])
     near = [j for j, (least, largest) in enumerate(shown) if np.all(least <= high) and np.all(largest >= low)]
     if settings.method == "grid":
-        from mgsgraph.matching.correlation import links_on_grid
-
         return links_on_grid(scene, tile, near, windows, settings)
     found = features_on(scene, tile, near, settings.features)
     return links_on(found, tile, windows, settings.ratio)

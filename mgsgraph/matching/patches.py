@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.geometry.bilinear import refined
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.terrain import refined
 from mgsgraph.libraries import library
 from mgsgraph.matching.scene import Ground, Picture
 

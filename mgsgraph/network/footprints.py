@@ -28,8 +28,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.five_steps import five_steps
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage, five_steps
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS, footprint_covariances
-from mgsgraph.geometry.common_errors import common_variances
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.terrain import PostLattice
+from mgsgraph.geometry.terrain import PostLattice, common_variances
 from mgsgraph.names import Names
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import GroundPoints, PointClass, ProfileShifts

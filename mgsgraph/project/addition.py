@@ -20,8 +20,7 @@ from mgsgraph.files.labels.image_kinds import image_kind, image_name
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
-from mgsgraph.geometry.duplicate_images import ImageTimes, begun_together, require_distinct
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.definitions import Definitions, definitions, joining, united, with_definitions

@@ -18,8 +18,7 @@ from mgsgraph.atomic_write import made_beside, resolved
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import sha256_of, understood
 from mgsgraph.files.writing import writing_to
-from mgsgraph.geometry.duplicate_images import ImageTimes
-from mgsgraph.geometry.image import LineTiming
+from mgsgraph.geometry.image import ImageTimes, LineTiming
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore

@@ -9,8 +9,7 @@ from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
-from mgsgraph.analysis.neighbors import posterior_of, stands_alone
-from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.posterior import Posterior, posterior_of, stands_alone
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import understood

@@ -15,8 +15,8 @@ from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.snooping import snoop
-from mgsgraph.analysis.spacing.vibrations import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
+from mgsgraph.analysis.vibrations import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
@@ -330,7 +330,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
     seen = [
         {
             "image": one.image, "turn": one.turn, "share_shown": one.share, "named_from_px": None if one.blind else
-            one.limit, "highest_frequency_hz": one.spectrum.nyquist,
+            one.limit, "highest_frequency_hz": float(one.frequencies[-1]),
         }
         for one in found.spectra
     ]  # fmt: skip

@@ -23,13 +23,11 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import json_object, understood
 from mgsgraph.geometry.distortion import MODELS, Distortion
-from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import ExteriorOrientation
-from mgsgraph.geometry.packed_surface import PackedSurface, packed
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
-from mgsgraph.geometry.stereo_surface import StereoSurface
-from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
+from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory
 from mgsgraph.names import Names
 from mgsgraph.network import JointNodePrior, NodePrior, PolynomialPrior, ProcessPrior
 

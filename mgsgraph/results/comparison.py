@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.common_points import CommonPoints
-from mgsgraph.analysis.statistics import PLACES
+from mgsgraph.analysis.statistics import PLACES, CommonPoints
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import COMPARISON

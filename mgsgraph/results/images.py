@@ -6,9 +6,15 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_fits import ODDS
-from mgsgraph.analysis.group_medians import worst_first
-from mgsgraph.analysis.statistics import ORIENTATION, PLACES, RayStatistics, orientation_statistics, ray_statistics
+from mgsgraph.analysis.residual_tests import ODDS
+from mgsgraph.analysis.statistics import (
+    ORIENTATION,
+    PLACES,
+    RayStatistics,
+    orientation_statistics,
+    ray_statistics,
+    worst_first,
+)
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.network import PointClass
 from mgsgraph.results.section import ROWS, Section

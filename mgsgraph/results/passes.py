@@ -12,8 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_reports
-from mgsgraph.analysis.separability import mixtures, separations
-from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
+from mgsgraph.analysis.separability import SharedEstimate, separations, shared_estimates
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
@@ -137,14 +136,13 @@ def shared_table(solution: Solution) -> Table:
 
 
 def shared_section(solution: Solution) -> Section:
-    """Verdict on each column, and a sentence about each mixture of them that is determined."""
+    """Verdict on each column."""
     table, both = shared_table(solution), zip(shared_estimates(solution), separations(solution), strict=True)
     said = [
         f"{one.name[0].upper()}{one.name[1:]}{f', axis {one.axis}' if one.axis else ''}: "
         + " ".join([apart.sentence, *_warnings(one)])
         for one, apart in both
     ]  # fmt: skip
-    said += [f"Of shared unknowns together is determined: {one.words}." for one in mixtures(solution)]
     return Section("shared", sentences=said, tables=[table], csv=[table] if solution.network.shared else [],
                    numbers=table.drop("unit").records())  # fmt: skip
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mgsgraph.analysis.reliability import Reliability
+from mgsgraph.analysis.reliability import Reliability, Suspect, suspects
 from mgsgraph.analysis.snooping import Snooping
-from mgsgraph.analysis.suspects import Suspect, suspects
 from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Index

@@ -10,13 +10,12 @@ from statistics import NormalDist
 import numpy as np
 
 from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
-from mgsgraph.adjustment.fit import ABSURD
-from mgsgraph.adjustment.implausible import IMPOSSIBLE
+from mgsgraph.adjustment.fit import ABSURD, IMPOSSIBLE
 from mgsgraph.adjustment.linearity import Linearity
+from mgsgraph.adjustment.nominal import unexplained_ranges, unexplained_residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
-from mgsgraph.analysis.group_fits import ODDS, GroupFit, group_fits
-from mgsgraph.analysis.nominal_residuals import unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.residual_tests import ODDS, GroupFit, group_fits
 from mgsgraph.analysis.soundness import MOST, Loss, soundness
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.image import PushbroomImage
@@ -149,7 +148,7 @@ def drivers_table(solution: Solution) -> Table:
     return Table("drivers", "What drives the adjustment", (
         Column("quantity", [str(one.quantity) for one, _ in rows], page="s",
                meaning="cost; lost points: without a place where it stopped; blocking points: without one after the "
-               "next step; rise: of the cost by that step; step: its square in sigmas"),
+               "next step"),
         Column("kind", [str(one.kind) for one, _ in rows], page="s", meaning="image or point"),
         Column("name", list(chain.from_iterable(_names(solution, one) for one in every)), page="s",
                meaning="of the image, or id of the point"),
@@ -157,7 +156,7 @@ def drivers_table(solution: Solution) -> Table:
                meaning="of the quantity; of points without a place the share that the image has measured"),
         Column("stands_out", ["yes" if rank < one.outstanding else "" for one, rank in rows], head="stands out",
                page="s", meaning="yes: far beyond the median of all others"),
-    ), "Shares of the cost where it stopped, and of the step that would be next; up to 100 images and points of each. ",
+    ), "Shares of the cost where it stopped; up to 100 images and points of each. ",
     )  # fmt: skip
 
 

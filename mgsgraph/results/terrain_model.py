@@ -19,8 +19,8 @@ from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder,
 from mgsgraph.files.output.geotiff import MEDIA_TYPE, geotiff
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.body import Ellipsoid, naif_id, planetocentric, target_name
+from mgsgraph.geometry.footprint import geojson, map_bounds, map_polygon
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.map_shapes import geojson, map_bounds, map_polygon
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.matching.scene import Ground, Picture, Scene

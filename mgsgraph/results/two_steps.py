@@ -6,8 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.height_cells import HeightCells, height_cells
-from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, GroupStatistics, TwoStepStatistics
+from mgsgraph.analysis.two_step_statistics import (
+    POINT_AXES,
+    POSE_AXES,
+    STAGES,
+    GroupStatistics,
+    HeightCells,
+    TwoStepStatistics,
+    height_cells,
+)
 from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import fresh_folder
 from mgsgraph.files.output.table import Column, Table

@@ -30,7 +30,7 @@ from mgsgraph.simulation.mars import GRAVITY, MARS, body_matrix
 from mgsgraph.simulation.observations import MARGIN, project, tie_network, well_inside
 from mgsgraph.simulation.orbit import HEADING, CentralBody, CircularPass
 from mgsgraph.simulation.rig import MountedCamera
-from mgsgraph.simulation.strip_truth import correction_at, strip_correction
+from mgsgraph.simulation.strip_truth import strip_correction
 from mgsgraph.simulation.world import World, common_errors
 from mgsgraph.units import DEG, MM
 
@@ -386,17 +386,3 @@ def ripple(truth: DenseTruth, heights: Array, frequency: float) -> float:
     phase = 2.0 * np.pi * band[:, None] * times
     amounts = 2.0 / times.size * np.stack([np.cos(phase) @ mean, np.sin(phase) @ mean])
     return float(np.sqrt(np.sum(amounts**2)))
-
-
-def attitude_errors(
-    pair: SimulatedCtxPair, corrections: Sequence[OrientationCorrection], number: int, count: int = 2000
-) -> tuple[Array, Array]:
-    """Times (n,) in s past the epoch, and by how much pitch and roll (n, 2) in rad of one image's adjusted orientation
-    exceed the true ones.
-    """
-    image = pair.network.images[number]
-    times = np.linspace(*image_times(image), count)
-    found, true = (
-        correction_at(one, times, image.trajectory.epoch) for one in (corrections[number], pair.corrections[number])
-    )
-    return times, (found - true)[:, [4, 3]]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.bilinear import refined
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import refined
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.simulation.ground import SiteTerrain
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.error_ellipse import PROBABILITY, error_ellipses
+from mgsgraph.geometry.map_plane import PROBABILITY, error_ellipses
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import designs

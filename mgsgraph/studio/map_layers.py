@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mgsgraph.analysis.group_medians import span
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid, sigma_grid
+from mgsgraph.analysis.statistics import span
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import digits
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.group_medians import counts, medians, span
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.statistics import counts, medians, span
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import digits, plain
 from mgsgraph.geometry.body import east_north_up

@@ -11,8 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.neighbors import posterior_of_points
-from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.posterior import Posterior, posterior_of_points
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case

@@ -8,8 +8,7 @@ import numpy as np
 from PIL import Image
 
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.neighbors import cross_covariances
-from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.posterior import Posterior, cross_covariances
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import plain, vector

@@ -11,13 +11,11 @@ import pytest
 from once import once
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.driver_search import drivers_of, outstanding
-from mgsgraph.adjustment.drivers import Drivers, Kind, driver_sentences
+from mgsgraph.adjustment.drivers import Drivers, Kind, driver_sentences, drivers_of, outstanding
 from mgsgraph.adjustment.fit import ABSURD, fit
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.residuals import residuals
+from mgsgraph.adjustment.residuals import residuals, squares_of
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.squares import squares_of
 from mgsgraph.analysis.soundness import is_result, soundness
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import SolverError

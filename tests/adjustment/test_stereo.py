@@ -18,8 +18,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.packed_surface import packed
-from mgsgraph.geometry.stereo_surface import heights_above
+from mgsgraph.geometry.stereo_surface import heights_above, packed
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
 from mgsgraph.planning.state import CurrentState, state_of_solution
 from mgsgraph.planning.targets import Targets, TargetSigmas

@@ -11,8 +11,8 @@ from scipy.stats import chi2
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis import group_fits as module
-from mgsgraph.analysis.group_fits import group_fits
+from mgsgraph.analysis import residual_tests as module
+from mgsgraph.analysis.residual_tests import group_fits
 from mgsgraph.network import ImageRays, Network, PointClass
 from mgsgraph.results.results import solution_json
 from mgsgraph.results.soundness import fits_section, group_fits_table, weight_unit

@@ -13,8 +13,7 @@ from mgsgraph.adjustment.marginals import dense_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.neighbors import cross_covariances, posterior_of_points, stands_alone
-from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.posterior import Posterior, cross_covariances, posterior_of_points, stands_alone
 from mgsgraph.analysis.reliability import reliability
 
 

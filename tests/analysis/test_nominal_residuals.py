@@ -7,9 +7,8 @@ import pytest
 from networks import network, pair
 from rigs import adjusted_rig, rig
 
-from mgsgraph.adjustment.nominal import predict
+from mgsgraph.adjustment.nominal import predict, unexplained_ranges, unexplained_residuals
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.nominal_residuals import unexplained_ranges, unexplained_residuals
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements

@@ -22,11 +22,12 @@ from mgsgraph.adjustment.redundancy import UNCONTROLLED, pair_tests, residual_co
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import Levels, MeasureKind, inverse
-from mgsgraph.analysis.reliability import Reliability, reliability
-from mgsgraph.analysis.suspects import (
+from mgsgraph.analysis.reliability import (
     PointIndex,
+    Reliability,
     combinations,
     correlations_of_tests,
+    reliability,
     suspects,
 )
 from mgsgraph.errors import InputError

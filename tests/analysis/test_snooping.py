@@ -13,9 +13,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import components_of, iterated_components
 from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.measures import Levels, MeasureKind
-from mgsgraph.analysis.rejection import Removal, nothing_rejected, readmissible, selection
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.snooping import Snooping, snoop
+from mgsgraph.analysis.snooping import Removal, Snooping, nothing_rejected, readmissible, selection, snoop
 from mgsgraph.errors import InputError
 from mgsgraph.network import Network
 from mgsgraph.simulation.observations import NoiseSettings

@@ -9,8 +9,7 @@ from networks import network, pair
 from sharing import shared
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.fit import ABSURD
-from mgsgraph.adjustment.implausible import IMPOSSIBLE
+from mgsgraph.adjustment.fit import ABSURD, IMPOSSIBLE
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.soundness import MOST, Kind, is_result, soundness

@@ -10,11 +10,10 @@ from sites import plain_site
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.correlated import tail
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
+from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows, tail
 from mgsgraph.analysis.systematic import EffectKind
 from mgsgraph.analysis.unexplained import named_effects, unexplained
 from mgsgraph.case.reading import Case, read_case

@@ -15,7 +15,7 @@ from mgsgraph.export.exchange import Lossy, convert, format_of, read_networks
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, setting_of
 from mgsgraph.files.networks.asp_match import read_match, read_match_text
-from mgsgraph.files.networks.asp_nvm import read_offsets
+from mgsgraph.files.networks.asp_text import read_offsets
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.network_file import read_network
 from mgsgraph.files.networks.record import (

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.duplicate_images import require_distinct, twins
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.image import LineTiming, PushbroomImage, require_distinct, twins
 from mgsgraph.geometry.trajectory import PositionTable, Trajectory
 from mgsgraph.simulation.pair import simulate_pair
 

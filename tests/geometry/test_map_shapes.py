@@ -14,8 +14,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.export.gis import write_gis
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
-from mgsgraph.geometry.footprint import Footprint
-from mgsgraph.geometry.map_shapes import map_lines, map_polygons
+from mgsgraph.geometry.footprint import Footprint, map_lines, map_polygons
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair

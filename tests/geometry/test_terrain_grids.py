@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic
 from mgsgraph.units import DEG
 

@@ -6,10 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.common_errors import common_variances, overlap_variances
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.track_gaps import track_gaps
+from mgsgraph.geometry.terrain import TerrainGrid, common_variances, overlap_variances
+from mgsgraph.geometry.terrain_grids import track_gaps
 from mgsgraph.units import DEG
 
 STEP = DEG / 128.0

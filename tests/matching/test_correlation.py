@@ -8,10 +8,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from mgsgraph.matching.coarse import window
-from mgsgraph.matching.correlation import correlation_peaks, links_on_grid, matched_nodes
 from mgsgraph.matching.patches import Patch, Tile
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.tiles import tiling
+from mgsgraph.matching.tiles import correlation_peaks, links_on_grid, matched_nodes, tiling
 
 SETTINGS = MatchSettings(method="grid", half_window=8)
 

@@ -194,7 +194,7 @@ class Absent:
             raise {raised}
 sys.meta_path.insert(0, Absent())
 import mgsgraph.matching.match
-from mgsgraph.matching.features import detect
+from mgsgraph.matching.tiles import detect
 from mgsgraph.matching.measuring import sharpened
 from mgsgraph.matching.patches import ortho_patch
 for use in (lambda: detect(None, None, 1), lambda: sharpened(None), lambda: ortho_patch(None, None, None)):

@@ -11,13 +11,12 @@ from scipy.stats import binom
 
 from mgsgraph.errors import InputError
 from mgsgraph.matching import match as module
+from mgsgraph.matching.checks import PairSigns, _from_neighbours, pair_signs
 from mgsgraph.matching.coarse import NoAgreement, chance_agreements, corrected_scene
-from mgsgraph.matching.compression import STEEP, STEPPED, block_steps, require_unblocked
 from mgsgraph.matching.match import match_scene
-from mgsgraph.matching.pair_checks import PairSigns, _from_neighbours, pair_signs
 from mgsgraph.matching.pairs import Pair
 from mgsgraph.matching.patches import opencv
-from mgsgraph.matching.scene import Pixels, Scene
+from mgsgraph.matching.scene import STEEP, STEPPED, Pixels, Scene, block_steps, require_unblocked
 from mgsgraph.matching.tiles import Links
 from mgsgraph.results.matching import match_statements
 

@@ -8,10 +8,7 @@ import pytest
 
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.matching.checks import checked_measures
-from mgsgraph.matching.match import checked_matches, ground_cells
-from mgsgraph.matching.measuring import Measured
-from mgsgraph.matching.pairs import Pair, first_picture, next_pair, pairs_of
-from mgsgraph.matching.relative import (
+from mgsgraph.matching.coarse import (
     Displacements,
     apart,
     consensus,
@@ -19,6 +16,9 @@ from mgsgraph.matching.relative import (
     increased,
     sigmas_between,
 )
+from mgsgraph.matching.match import checked_matches, ground_cells
+from mgsgraph.matching.measuring import Measured
+from mgsgraph.matching.pairs import Pair, first_picture, next_pair, pairs_of
 
 PLANTED = OrientationCorrection(np.array([[40.0, 90.0, -30.0, 3e-4, -2e-4, 3e-4], [5.0, -8.0, 3.0, 3e-5, 4e-5, 0.0]]))
 

@@ -12,8 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.five_steps import five_steps
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage, five_steps
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network.footprints import discrepancy, footprints_in_images, misregistration

@@ -9,9 +9,8 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.network import PointClass, SharedKind
 from mgsgraph.network.posts import TerrainModel, posts_of, with_posts
 from mgsgraph.units import DEG

@@ -10,7 +10,7 @@ from projects import StopHere, four_images, images
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry.duplicate_images import ImageTimes
+from mgsgraph.geometry.image import ImageTimes
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.parts import KnownImage, bundles, joined, part, without_images

@@ -22,13 +22,11 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.distortion import CahvorDistortion, KaguyaDistortion, LrocNacDistortion, RadialDistortion
-from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
-from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
+from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.network import ImageRays
 from mgsgraph.results.archive import FORMAT, read_solution, write_archive
 from mgsgraph.results.archive_arrays import pack, unpack, unpack_parts

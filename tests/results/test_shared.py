@@ -15,7 +15,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.shared_unknowns import pitch_axis, shared_estimates
+from mgsgraph.analysis.separability import pitch_axis, shared_estimates
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
 from mgsgraph.results.archive import read_solution, write_archive

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.square_root import SquareRoot
-from mgsgraph.analysis.group_medians import worst_first
+from mgsgraph.analysis.statistics import worst_first
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges

@@ -14,9 +14,8 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
-from mgsgraph.analysis.height_cells import height_cells
-from mgsgraph.analysis.spacing.corrections import correction_series
-from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, owners, two_step_statistics
+from mgsgraph.analysis.flight import node_times, strip_corrections
+from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, height_cells, owners, two_step_statistics
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
@@ -122,14 +121,15 @@ def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
 
 
 def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
-    """As `analysis.spacing.corrections` has them at the nodes, between which they hardly change."""
+    """As `analysis.flight.strip_corrections` has them at the nodes, between which they hardly change."""
     found, net = merit("block"), networks("block")
     means = np.empty((2, len(net.passes), 6))
     for step, solution in enumerate((found.steps.free, found.steps.fitted)):
         for k, strip in enumerate(net.passes):
             image = net.images[int(strip.images[2])]
-            nodes, at = correction_series(solution, k), image.moments(np.linspace(0.0, float(image.lines), 101))
-            times = at.times + (at.epoch - nodes.epoch)
+            nodes = strip_corrections(solution, k, node_times(solution, k))
+            at = image.moments(np.linspace(0.0, float(image.lines), 101))
+            times = at.times + at.epoch
             means[step, k] = [np.interp(times, nodes.times, nodes.sigmas[:, axis]).mean() for axis in range(6)]
             np.testing.assert_allclose(found.groups[k].poses[step + 1], means[step, k], rtol=0.01)
     np.testing.assert_allclose(found.whole.poses[1:], means.mean(axis=1), rtol=0.01)

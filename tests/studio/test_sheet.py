@@ -10,7 +10,7 @@ from click.testing import CliRunner
 pytest.importorskip("starlette")
 
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.neighbors import cross_covariances
+from mgsgraph.analysis.posterior import cross_covariances
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError

@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory
 
 
 class AttitudeTables(NamedTuple):

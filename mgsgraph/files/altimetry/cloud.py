@@ -18,8 +18,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shot_values import by_pauses, positions, require_radii, unit_of_radii
 from mgsgraph.files.altimetry.shots import shots_of, unpacked
-from mgsgraph.files.altimetry.tables import is_archive_table, table_of
-from mgsgraph.files.altimetry.text_table import TextTable
+from mgsgraph.files.altimetry.tables import TextTable, is_archive_table, table_of
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lola import RECORD, lola_shots
 from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
-from mgsgraph.files.altimetry.text_table import plain_name
+from mgsgraph.files.altimetry.tables import plain_name
 from mgsgraph.files.opening import number_of, read_bytes
 from mgsgraph.files.pvl import Block, Document, whole_label
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, Altimeter

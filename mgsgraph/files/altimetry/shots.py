@@ -12,8 +12,7 @@ from mgsgraph.files.altimetry.lola import is_lola_rdr, lola_shots
 from mgsgraph.files.altimetry.pds_table import is_label, read_labelled_shots, require_whole
 from mgsgraph.files.altimetry.pedr import FRAME, pedr_shots
 from mgsgraph.files.altimetry.shot_values import require_possible_shots
-from mgsgraph.files.altimetry.tables import is_archive_table, shots_of_table, table_of
-from mgsgraph.files.altimetry.text_table import TextTable
+from mgsgraph.files.altimetry.tables import TextTable, is_archive_table, shots_of_table, table_of
 from mgsgraph.files.opening import read_bytes, unpacked_gzip
 from mgsgraph.geometry.altimetry import AltimeterShots
 

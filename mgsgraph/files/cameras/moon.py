@@ -22,13 +22,14 @@ from mgsgraph.files.cameras.camera import (
     LabelBlock,
     LabelKeys,
     LineScanLabel,
+    LineTimes,
     by_addendum,
     interior_by_addendum,
     number,
     pds3_keys,
     scaled_interior,
+    uniform,
 )
-from mgsgraph.files.cameras.line_times import LineTimes, uniform
 from mgsgraph.files.opening import number_of
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import Four, KaguyaDistortion, KaguyaMiDistortion, LrocNacDistortion

@@ -13,9 +13,8 @@ import numpy as np
 import spiceypy
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel
+from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel, LineTimes, LineTimesSource
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.cameras.line_times import LineTimes, LineTimesSource
 from mgsgraph.files.opening import understood
 from mgsgraph.files.spice.kernels import (
     INTERVAL,
@@ -85,7 +84,7 @@ def read_strip(
     names : sequence of str or None
         By which networks call the images; product ids when absent.
     line_times : sequence of Path, "mean" or None
-        of HRSC (`hrsc_lines.read_line_times`), one for each label; other labels have their line rate in them.
+        of HRSC (`cameras.hrsc.read_line_times`), one for each label; other labels have their line rate in them.
     focal_length : float, optional
         m; that of the kernels when absent.
     constants : "iak" or "ik"

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_measures import (
+from mgsgraph.files.networks.asp_text import (
     FROM_ASP,
     RENAME,
     UNSTATED_SIGMA,

@@ -33,7 +33,7 @@ from mgsgraph.files.networks.messages import (
 )
 from mgsgraph.files.networks.pvl_writing import Value, keyword_lines, text_value
 from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, MeasureType, PointType, of_mars, with_names
-from mgsgraph.files.networks.tie_points import FARTHEST, PointArrays, require_usable
+from mgsgraph.files.networks.tie_points import PointArrays
 from mgsgraph.files.opening import name_of
 from mgsgraph.files.pvl import Block, Document, whole_label
 from mgsgraph.files.tie_points import TiePoints
@@ -275,16 +275,12 @@ def binary_tie_points(data: bytes, source: str, body: Ellipsoid | None = None) -
     content = binary_content(data, source)
     with_names(content.head)
     arrays = _decoded(content)
-    try:
-        return arrays.tie_points(body)
-    except InputError:  # of an image twice it knows the point's id, not its byte
-        point = np.repeat(np.arange(arrays.ignored.size), np.diff(arrays.first))
-        code = point * len(arrays.image.distinct) + arrays.image.numbers
-        unused = arrays.left_out | arrays.ignored[point]
-        order = np.argsort(np.where(unused, -1 - np.arange(code.size), code), kind="stable")
-        for measure in np.sort(order[1:][(np.diff(code[order]) == 0) & ~unused[order[1:]]])[:1].tolist():
-            raise _refusal(content, int(point[measure])) from None
-        raise
+
+    def where(number: int, measure: int | None, key: str) -> str:
+        image = "" if measure is None else f"image {arrays.image[int(arrays.first[number]) + measure]}"
+        return ", ".join(filter(None, (f"{content.where(number)} ({arrays.ids[number][:60]})", image, key)))
+
+    return arrays.tie_points(where, body)
 
 
 def _decoded(content: BinaryContent) -> PointArrays:
@@ -311,15 +307,11 @@ def _decoded(content: BinaryContent) -> PointArrays:
         raise InputError(where, f"the id twice, first at point {earlier + 1}", "each id once")
     point, types = np.repeat(np.arange(n), count), _OF_OLD[types]
     sound = _shown(distinct)[image] & (kinds >= 0) & (kinds < len(MeasureType)) & ~np.any(np.isinf(measures), axis=1)
-    unmeasured = np.any(np.isnan(measures[:, :2]), axis=1) | np.any(measures[:, 2:] <= 0.0, axis=1)
-    _require(np.bincount(point[~sound | (unmeasured & ~out & ~ignored[point])], minlength=n) == 0, content)
+    _require(np.bincount(point[~sound], minlength=n) == 0, content)
     free, missing = types == PointType.FREE, np.isnan(both).reshape(n, 2, 3)
     in_part = np.any(missing.any(axis=2) != missing.all(axis=2), axis=1)
     _require(~(in_part | np.any(np.isinf(both) | np.isinf(covariances), axis=1)), content)
     places = np.where((free & missing[:, 0, 0])[:, None], both[:, 3:], both[:, :3])
-    unknown = ~free & np.isnan(places[:, 0]) | np.any(np.abs(places) > FARTHEST, axis=1)
-    unknown |= (types == PointType.CONSTRAINED) & ~np.all(covariances[:, [0, 3, 5]] > 0.0, axis=1)
-    _require(~unknown | ignored, content)
     return PointArrays(content.head, names, types, ignored, places, covariances, first,
                        RepeatedNames(tuple(distinct), image), measures, out)  # fmt: skip
 
@@ -357,15 +349,9 @@ def _refusal(content: BinaryContent, number: int) -> InputError:
         name_of(point.id, where, "an id")
         for measure in point.measures:
             name_of(measure.serial_number, where, "an image's name")
-        if not point.ignore:
-            require_usable(point, 0, lambda _, k, key: ", ".join(filter(None, (where, _image(point, k), key))))
     except InputError as error:
         return error
     return InputError(where, "a message with fields of other kinds", "those of ISIS's networks", _ANEW)
-
-
-def _image(point: ControlPoint, measure: int | None) -> str:
-    return "" if measure is None else f"image {point.measures[measure].serial_number}"
 
 
 # --- writing

@@ -14,10 +14,9 @@ file stays as it is there. Source: DOI-USGS/ISIS3, isis/src/control/apps/cnetmer
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -104,19 +103,6 @@ _GOODNESS = 2
 _UNSTATED = 1.0
 """px, for a sigma that is not stated."""
 
-Cell = tuple[str, int, int]
-"""Image, row and column."""
-
-
-class _Grid(NamedTuple):
-    """Cells of an image."""
-
-    first: tuple[float, float]
-    """Line and sample."""
-    step: tuple[float, float]
-    """Lines and samples of a cell."""
-    shape: tuple[int, int]
-
 
 def thinned(
     network: ControlNetwork, cells: int, sizes: Mapping[str, tuple[int, int]] | None = None
@@ -144,10 +130,8 @@ def thinned(
     if not useful:
         raise InputError(network.source, "no point in two images", "some that connect images")
     ties = sorted((i for i in useful if i not in always), key=lambda i: _badness(network.points[i], len(images[i])))
-    grids = _grids([network.points[i] for i in ties], cells, sizes or {})
-    kept, taken = set[int](), set[Cell]()
-    for i in ties:
-        occupied = _cells(network.points[i], grids)
+    kept, taken = set[int](), set[tuple[str, int, int]]()
+    for i, occupied in zip(ties, _cells([network.points[i] for i in ties], cells, sizes or {}), strict=True):
         if not taken.issuperset(occupied):
             kept.add(i)
             taken |= occupied
@@ -179,37 +163,28 @@ def _goodness(measure: ControlMeasure) -> float:
     return max((value for kind, value in measure.log if kind == _GOODNESS), default=0.0)
 
 
-def _grids(points: Sequence[ControlPoint], cells: int, sizes: Mapping[str, tuple[int, int]]) -> dict[str, _Grid]:
-    """Cells as nearly square as so many can be."""
-    places: dict[str, list[tuple[float, float]]] = {}
-    for point in points:
+def _cells(
+    points: Sequence[ControlPoint], cells: int, sizes: Mapping[str, tuple[int, int]]
+) -> list[set[tuple[str, int, int]]]:
+    """Image, row and column of the cells in which each point has measures; cells are as nearly square as can be."""
+    occupied = [set[tuple[str, int, int]]() for _ in points]
+    of_image: dict[str, list[tuple[int, float, float]]] = {}
+    for i, point in enumerate(points):
         for one in point.measures:
             if not one.ignore:
-                places.setdefault(one.serial_number, []).append((one.line or 0.0, one.sample or 0.0))
-    grids = {}
-    for name, found in places.items():
-        low, high = np.min(found, axis=0), np.max(found, axis=0)
+                of_image.setdefault(one.serial_number, []).append((i, one.line or 0.0, one.sample or 0.0))
+    for name, rows in of_image.items():
+        places = np.array(rows)[:, 1:]
+        low, high = places.min(axis=0), places.max(axis=0)
         if name in sizes:
             low, high = np.full(2, 0.5), np.array(sizes[name]) + 0.5
         height, width = np.maximum(high - low, 1.0).tolist()
         columns = int(np.clip(round((cells * width / height) ** 0.5), 1, cells))
-        rows = max(1, cells // columns)
-        grids[name] = _Grid((float(low[0]), float(low[1])), (height / rows, width / columns), (rows, columns))
-    return grids
-
-
-def _cells(point: ControlPoint, grids: Mapping[str, _Grid]) -> set[Cell]:
-    """Cells in which a point has measures."""
-    found = set[Cell]()
-    for one in point.measures:
-        if not one.ignore:
-            first, step, shape = grids[one.serial_number]
-            row, column = (
-                min(max(int(((value or 0.0) - low) / size), 0), count - 1)
-                for value, low, size, count in zip((one.line, one.sample), first, step, shape, strict=True)
-            )
-            found.add((one.serial_number, row, column))
-    return found
+        shape = np.array([max(1, cells // columns), columns])
+        found = np.clip(((places - low) / ([height, width] / shape)).astype(int), 0, shape - 1)
+        for (i, _, _), (row, column) in zip(rows, found.tolist(), strict=True):
+            occupied[i].add((name, row, column))
+    return occupied
 
 
 def _said(
@@ -244,39 +219,22 @@ _KNOWN = (
 """Fields that say what is known of a point beforehand."""
 
 
-@dataclass(slots=True)
-class _Counts:
-    """What was met in uniting."""
-
-    points: int = 0
-    """In several files."""
-    added: int = 0
-    """Measures that came to points of earlier files."""
-    repeated: int = 0
-    """Measures of one point and image in several files."""
-    moved: int = 0
-    """Of these, those at other places."""
-    largest: float = 0.0
-    """px, between two such places."""
-    otherwise: int = 0
-    """Points of another type, or with another a-priori place or covariance."""
-    locked: int = 0
-    """Points that would have been changed, and measures that would have been replaced, but for their lock."""
-
-    def notes(self, rule: Duplicates) -> list[str]:
-        """In sentences; none where no point is in several files."""
-        if not self.points:
-            return []
-        said = [f"United: {many(self.points, 'point')} of several files, with {many(self.added, 'more measure')}"]
-        kept = f"the {rule.value} file counts"
-        if self.repeated:
-            far = f", {self.moved} of them elsewhere (up to {self.largest:.3g} px)" if self.moved else ""
-            said.append(f"In several files: {many(self.repeated, 'measure')}{far}; {kept}")
-        if self.otherwise:
-            said.append(f"Of another type or a-priori place in another file: {many(self.otherwise, 'point')}; {kept}")
-        if self.locked:
-            said.append(f"Locked, and left as the earlier file has them: {self.locked} points and measures")
-        return said
+def _notes(counts: Counter[str], largest: float, rule: Duplicates) -> list[str]:
+    """What was met in uniting, in sentences; none where no point is in several files."""
+    if not counts["points"]:
+        return []
+    said, kept = [], f"the {rule.value} file counts"
+    far = f", {counts['moved']} of them elsewhere (up to {largest:.3g} px)" if counts["moved"] else ""
+    for key, sentence in (
+        ("points", f"United: {{}} of several files, with {many(counts['added'], 'more measure')}"),
+        ("measures", f"In several files: {{}}{far}; {kept}"),
+        ("other points", f"Of another type or a-priori place in another file: {{}}; {kept}"),
+    ):
+        if counts[key]:
+            said.append(sentence.format(many(counts[key], key.removeprefix("other ").removesuffix("s"))))
+    if counts["locked"]:
+        said.append(f"Locked, and left as the earlier file has them: {counts['locked']} points and measures")
+    return said
 
 
 def united(
@@ -291,7 +249,7 @@ def united(
     """
     files: dict[str, str] = {}
     points: dict[str, ControlPoint] = {}
-    counts = _Counts()
+    counts, far = Counter[str](), [0.0]
     for network in networks:
         for point in network.points:
             if (first := files.setdefault(point.id, network.source)) == network.source:
@@ -301,23 +259,25 @@ def united(
                 where = f"{network.source}, point {point.id}"
                 remedy = "unite them (--duplicates first, or last), or rename one of the two"
                 raise InputError(where, f"an id that {first} has, too", "each id in one file", remedy)
-            points[point.id] = _one(points[point.id], point, duplicates == Duplicates.LAST, counts)
-    return tuple(points.values()), counts.notes(duplicates)
+            points[point.id] = _one(points[point.id], point, duplicates == Duplicates.LAST, counts, far)
+    return tuple(points.values()), _notes(counts, max(far), duplicates)
 
 
-def _one(early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: _Counts) -> ControlPoint:
+def _one(
+    early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: Counter[str], far: list[float]
+) -> ControlPoint:
     """Two points of one id as one."""
-    counts.points += 1
+    counts["points"] += 1
     if early.edit_lock:
-        counts.locked += 1
+        counts["locked"] += 1
         return early
     first, second = (late, early) if prefer_late else (early, late)
     known: dict[str, Any] = {}
     if first.type == PointType.FREE and first.apriori is None:  # what the other knows contradicts nothing
         known = {name: getattr(second, name) for name in _KNOWN}
     elif (second.type, second.apriori) != (PointType.FREE, None):
-        counts.otherwise += any(getattr(first, name) != getattr(second, name) for name in _KNOWN[:3])
-    measures = _measures(early, late, prefer_late, counts)
+        counts["other points"] += any(getattr(first, name) != getattr(second, name) for name in _KNOWN[:3])
+    measures = _measures(early, late, prefer_late, counts, far)
     reference = None
     for one in (second, first):
         if one.reference is not None:
@@ -326,7 +286,9 @@ def _one(early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: _Co
     return structs.replace(first, measures=tuple(measures), reference=reference, **known)
 
 
-def _measures(early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: _Counts) -> list[ControlMeasure]:
+def _measures(
+    early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: Counter[str], far: list[float]
+) -> list[ControlMeasure]:
     """Those of the earlier point, then others; of the same image the one that counts."""
     measures = list(early.measures)
     number = {measure.serial_number: k for k, measure in reversed(list(enumerate(measures)))}
@@ -334,14 +296,14 @@ def _measures(early: ControlPoint, late: ControlPoint, prefer_late: bool, counts
         k = number.get(measure.serial_number)
         if k is None:
             measures.append(measure)
-            counts.added += 1
+            counts["added"] += 1
             continue
         off = apart(measures[k], measure)
-        counts.repeated += 1
-        counts.moved += off > SAME_PLACE
-        counts.largest = max(counts.largest, off)
+        counts["measures"] += 1
+        counts["moved"] += off > SAME_PLACE
+        far.append(off)
         if prefer_late and measures[k].edit_lock:
-            counts.locked += 1
+            counts["locked"] += 1
         elif prefer_late:
             measures[k] = measure
     return measures

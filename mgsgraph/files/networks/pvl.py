@@ -53,8 +53,6 @@ CONSTRAINTS = {
     "RadiusConstrained": "radius_constrained",
 }  # fmt: skip
 REJECTED = {"JigsawRejected": "jigsaw_rejected"}
-APRIORI_SOURCES = {"AprioriXYZSource": "apriori_source", "AprioriRadiusSource": "apriori_radius_source"}
-MATRICES = {"AprioriCovarianceMatrix": "apriori_covariance", "AdjustedCovarianceMatrix": "adjusted_covariance"}
 PLACES = {"Sample": "sample", "Line": "line", "Diameter": "diameter", "AprioriSample": "apriori_sample",
           "AprioriLine": "apriori_line"}  # fmt: skip
 """Numbers of a measure that ISIS writes without a unit."""
@@ -63,7 +61,7 @@ PIXELS = {
     "LineResidual": "line_residual",
 }  # fmt: skip
 """Numbers of a measure that ISIS writes in <pixels>."""
-POINT_TYPES = {PointType.FREE: "Free", PointType.CONSTRAINED: "Constrained", PointType.FIXED: "Fixed"}
+POINT_TYPES = {kind: kind.name.title() for kind in PointType}
 MEASURE_TYPES = {
     MeasureType.CANDIDATE: "Candidate", MeasureType.MANUAL: "Manual",
     MeasureType.REGISTERED_PIXEL: "RegisteredPixel", MeasureType.REGISTERED_SUBPIXEL: "RegisteredSubPixel",
@@ -248,25 +246,39 @@ def _place(block: Block, stage: str) -> tuple[float, float, float] | None:
     return x, y, z
 
 
-def _known(names: Mapping[str, str], read: Callable[[Block, str], Any]) -> dict[str, _Known]:
-    return {key.lower(): (key, attribute, read) for key, attribute in names.items()}
-
-
 def _matrix(block: Block, key: str) -> tuple[float, ...]:
     return tuple(block.numbers(key, 6))
 
 
-_POINT_KEYS = {
-    **_known(NAME_TEXTS | {f"{key}File": f"{attribute}_file" for key, attribute in APRIORI_SOURCES.items()}, _text),
-    **_known(LOCKS | CONSTRAINTS | REJECTED, Block.flag),
-    **_known(APRIORI_SOURCES, partial(_chosen, choices=WORDS_OF_SOURCE)),
-    **_known(MATRICES, _matrix),
+def _of(kind: str, names: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    return {key: (attribute, kind) for key, attribute in names.items()}
+
+
+POINT_KEYS = {
+    **_of("text", NAME_TEXTS), **_of("flag", LOCKS | REJECTED),
+    "AprioriXYZSource": ("apriori_source", "source"), "AprioriXYZSourceFile": ("apriori_source_file", "text"),
+    "AprioriRadiusSource": ("apriori_radius_source", "source"),
+    "AprioriRadiusSourceFile": ("apriori_radius_source_file", "text"),
+    "Apriori": ("apriori", "place"), "AprioriCovarianceMatrix": ("apriori_covariance", "matrix"),
+    **_of("flag", CONSTRAINTS),
+    "Adjusted": ("adjusted", "place"), "AdjustedCovarianceMatrix": ("adjusted_covariance", "matrix"),
 }  # fmt: skip
-_MEASURE_KEYS = {
-    **_known({"SerialNumber": "serial_number"}, Block.text), **_known(NAME_TEXTS, _text),
-    **_known({"MeasureType": "type"}, partial(_chosen, choices=WORDS_OF_MEASURE_TYPE)),
-    **_known(LOCKS | REJECTED, Block.flag), **_known(PLACES | PIXELS, partial(Block.number, units=PIXEL_UNITS)),
+MEASURE_KEYS = {
+    "SerialNumber": ("serial_number", "name"), "MeasureType": ("type", "type"), **_of("text", NAME_TEXTS),
+    **_of("flag", LOCKS), **_of("number", PLACES), **_of("pixels", PIXELS), **_of("flag", REJECTED),
 }  # fmt: skip
+"""Keywords in ISIS's order, what they are in the record, and how they are read and written; places, of three keywords
+each, by how these begin.
+"""
+_READ: dict[str, Callable[[Block, str], Any]] = {
+    "text": _text, "name": Block.text, "flag": Block.flag, "source": partial(_chosen, choices=WORDS_OF_SOURCE),
+    "type": partial(_chosen, choices=WORDS_OF_MEASURE_TYPE), "number": partial(Block.number, units=PIXEL_UNITS),
+    "pixels": partial(Block.number, units=PIXEL_UNITS), "matrix": _matrix,
+}  # fmt: skip
+_POINT_KEYS, _MEASURE_KEYS = (
+    {key.lower(): (key, attribute, _READ[kind]) for key, (attribute, kind) in keys.items() if kind in _READ}
+    for keys in (POINT_KEYS, MEASURE_KEYS)
+)
 """How keywords are read, by keyword in lower case."""
 
 

@@ -11,22 +11,21 @@ quotes.
 """
 
 import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.pvl import (
-    CONSTRAINTS,
     HEAD_TEXTS,
-    LOCKS,
     LOG_NAMES,
+    MEASURE_KEYS,
     MEASURE_TYPES,
-    NAME_TEXTS,
-    PIXELS,
-    PLACES,
+    POINT_KEYS,
     POINT_TYPES,
+    REJECTED,
     SOURCES,
 )
-from mgsgraph.files.networks.record import AprioriSource, ControlMeasure, ControlNetwork, ControlPoint
+from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint
 from mgsgraph.files.writing import write_file
 
 _COLUMNS = 80
@@ -78,25 +77,8 @@ def network_text(network: ControlNetwork) -> str:
 
 
 def _point_lines(point: ControlPoint) -> list[str]:
-    keywords: _Keywords = [
-        ("PointType", POINT_TYPES[point.type]),
-        ("PointId", _name(point.id, "PointId")),
-        *_texts(point, NAME_TEXTS),
-        *_flags(point, LOCKS),
-    ]
-    if point.jigsaw_rejected:
-        keywords.append(("JigsawRejected", "Yes"))
-    for key, source, file in (
-        ("AprioriXYZSource", point.apriori_source, point.apriori_source_file),
-        ("AprioriRadiusSource", point.apriori_radius_source, point.apriori_radius_source_file),
-    ):
-        if source != AprioriSource.NONE:
-            keywords.append((key, SOURCES[source]))
-        keywords += _text(f"{key}File", file)
-    keywords += _place("Apriori", point.apriori, point.apriori_covariance)
-    keywords += _flags(point, CONSTRAINTS)
-    keywords += _place("Adjusted", point.adjusted, point.adjusted_covariance)
-    lines = ["", "  Object = ControlPoint", *keyword_lines(keywords, 4)]
+    keywords: _Keywords = [("PointType", POINT_TYPES[point.type]), ("PointId", _name(point.id, "PointId"))]
+    lines = ["", "  Object = ControlPoint", *keyword_lines([*keywords, *_keywords(point, POINT_KEYS)], 4)]
     for k, measure in enumerate(point.measures):
         try:
             lines += _measure_lines(measure, k == point.reference)
@@ -106,19 +88,7 @@ def _point_lines(point: ControlPoint) -> list[str]:
 
 
 def _measure_lines(measure: ControlMeasure, reference: bool) -> list[str]:
-    keywords: _Keywords = [
-        ("SerialNumber", _name(measure.serial_number, "SerialNumber")),
-        ("MeasureType", MEASURE_TYPES[measure.type]),
-        *_texts(measure, NAME_TEXTS),
-        *_flags(measure, LOCKS),
-    ]
-    for unit, names in (("", PLACES), (" <pixels>", PIXELS)):
-        for key, attribute in names.items():
-            value = getattr(measure, attribute)
-            if value is not None:
-                keywords.append((key, _number(value, key) + unit))
-    if measure.jigsaw_rejected:
-        keywords.append(("JigsawRejected", "Yes"))
+    keywords = list(_keywords(measure, MEASURE_KEYS))
     keywords += _logged(measure)
     if reference:
         keywords.append(("Reference", "True"))
@@ -134,34 +104,37 @@ def _logged(measure: ControlMeasure) -> _Keywords:
     return [(LOG_NAMES[kind], _number(value, LOG_NAMES[kind])) for kind, value in measure.log]
 
 
-def _texts(record: ControlPoint | ControlMeasure, names: dict[str, str]) -> _Keywords:
-    return [keyword for key, attribute in names.items() for keyword in _text(key, getattr(record, attribute))]
-
-
-def _text(key: str, text: str) -> _Keywords:
-    """The keyword, unless there is nothing to say."""
-    return [(key, text_value(text, key))] if text and text.lower() != "null" else []
+def _keywords(
+    record: ControlPoint | ControlMeasure, keys: Mapping[str, tuple[str, str]]
+) -> Iterator[tuple[str, Value]]:
+    """Keywords with their values, but for those of which there is nothing to say."""
+    for key, (attribute, kind) in keys.items():
+        value = getattr(record, attribute)
+        if kind == "name":
+            yield key, _name(value, key)
+        elif kind == "type":
+            yield key, MEASURE_TYPES[value]
+        elif value is None or not (value or kind in ("number", "pixels")):
+            continue
+        elif kind == "text":
+            yield from [(key, text_value(value, key))] if value.lower() != "null" else []
+        elif kind == "flag":
+            yield key, "Yes" if key in REJECTED else "True"
+        elif kind == "source":
+            yield key, SOURCES[value]
+        elif kind == "matrix":
+            yield key, _numbers(value, key, 6)
+        elif kind == "place":
+            for axis, one in zip("XYZ", value, strict=True):
+                yield key + axis, _number(one, key + axis) + " <meters>"
+        else:
+            yield key, _number(value, key) + (" <pixels>" if kind == "pixels" else "")
 
 
 def _name(text: str, key: str) -> str:
     if not text or text.lower() == "null":
         raise InputError(key, repr(text), "a name that PVL can hold", "change it, or write another format")
     return text_value(text, key)
-
-
-def _flags(record: ControlPoint | ControlMeasure, names: dict[str, str]) -> _Keywords:
-    return [(key, "True") for key, attribute in names.items() if getattr(record, attribute)]
-
-
-def _place(stage: str, place: tuple[float, float, float] | None, covariance: tuple[float, ...]) -> _Keywords:
-    keywords: _Keywords = []
-    if place is not None:
-        for axis, value in zip("XYZ", place, strict=True):
-            keywords.append((stage + axis, _number(value, stage + axis) + " <meters>"))
-    if covariance:
-        key = f"{stage}CovarianceMatrix"
-        keywords.append((key, _numbers(covariance, key, 6)))
-    return keywords
 
 
 def _numbers(values: tuple[float, ...], key: str, count: int) -> tuple[str, ...]:

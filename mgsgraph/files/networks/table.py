@@ -108,7 +108,8 @@ def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints
     """
     ending = path.suffix.lower()
     if ending in TABLES:
-        return _read(path, ellipsoid)[0].tie_points(ellipsoid)
+        points = _read(path, ellipsoid)[0]
+        return points.tie_points(lambda k, *_: f"{path}, point {points.ids[k]}", ellipsoid)
     if ending in _OF_OTHERS:
         expected = "a control network (.pvl, .net) or a table (.csv, .parquet)"
         raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {path.name} network.net")

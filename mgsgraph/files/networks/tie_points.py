@@ -53,8 +53,9 @@ class PointArrays:
     left_out: Mask
     """(k,) measures that are ignored."""
 
-    def tie_points(self, body: Ellipsoid | None = None) -> TiePoints:
+    def tie_points(self, where: Where, body: Ellipsoid | None = None) -> TiePoints:
         """What an adjustment takes from them; see `tie_points`."""
+        self._require_usable(where)
         source, used, taken = self.head.source or "network", ~self.ignored, ~self.left_out
         if not np.any(used):
             found = "no control point, or only ignored ones"
@@ -74,13 +75,57 @@ class PointArrays:
         kinds = _KIND_OF_TYPE[types]
         for array in (kinds, places, point, measures, sigmas, full):
             array.flags.writeable = False
-        ties = TiePoints(
-            source=source, ids=names, kinds=kinds, places=places, covariances=full, measure_point=point,
-            measure_image=image, measures=measures, measure_sigmas=sigmas,
-        )  # fmt: skip
+        try:
+            ties = TiePoints(
+                source=source, ids=names, kinds=kinds, places=places, covariances=full, measure_point=point,
+                measure_image=image, measures=measures, measure_sigmas=sigmas,
+            )  # fmt: skip
+        except InputError:
+            self._require_once(where)
+            raise
         if body is not None:
             require_body(self.head, ties, body)
         return ties
+
+    def _require_usable(self, where: Where) -> None:
+        """Raise InputError unless an adjustment can take all points and measures that are not ignored."""
+        point = np.repeat(np.arange(self.ignored.size), np.diff(self.first))
+        places, unknown = self.places, np.isnan(self.places).any(axis=1)
+        constrained = self.types == PointType.CONSTRAINED
+        variances = self.covariances[:, [0, 3, 5]]
+        for bad, key, found, expected, remedy in (
+            (np.any(np.abs(places) > FARTHEST, axis=1), "", "a place at {place} m", "one on the body", ""),
+            (unknown & (self.types != PointType.FREE), "", "{kind} without an a-priori place",
+             "AprioriX, AprioriY, AprioriZ", ""),
+            (constrained & np.isnan(variances).any(axis=1), "", "constrained without AprioriCovarianceMatrix",
+             "xx, xy, xz, yy, yz, zz in m^2", "add it, or make the point Free or Fixed"),
+            (constrained & np.any(variances <= 0.0, axis=1), "AprioriCovarianceMatrix", "variances {variances} m^2",
+             "positive variances", ""),
+        ):  # fmt: skip
+            for i in np.flatnonzero(bad & ~self.ignored)[:1].tolist():
+                said = found.format(
+                    place=tuple(places[i].tolist()), kind=PointType(self.types[i]).name.lower(),
+                    variances=", ".join(f"{one:g}" for one in variances[i]),
+                )  # fmt: skip
+                raise InputError(where(i, None, key), said, expected, remedy)
+        taken = ~self.left_out & ~self.ignored[point]
+        for column, key in enumerate(("Line", "Sample", "LineSigma", "SampleSigma")):
+            values = self.measures[:, column]
+            for k in np.flatnonzero(taken & (np.isnan(values) if column < 2 else values <= 0.0))[:1].tolist():
+                i, measure = int(point[k]), int(k - self.first[point[k]])
+                if column < 2:
+                    raise InputError(where(i, measure, ""), f"no {key}", f"{key} of the measure")
+                raise InputError(where(i, measure, key), f"{values[k]:g} px", "a positive sigma")
+
+    def _require_once(self, where: Where) -> None:
+        """Raise InputError for an image twice in a point."""
+        point = np.repeat(np.arange(self.ignored.size), np.diff(self.first))
+        rows = np.flatnonzero(~self.left_out & ~self.ignored[point])
+        code = (point * len(self.image.distinct) + self.image.numbers)[rows]
+        order = np.argsort(code, kind="stable")
+        for k in np.sort(rows[order[1:][np.diff(code[order]) == 0]])[:1].tolist():
+            place = where(int(point[k]), int(k - self.first[point[k]]), "")
+            raise InputError(place, "a second measure in this image", "one per point", "remove the worse one")
 
     def network(self, measure_types: Index, references: Index) -> ControlNetwork:
         """The network: types of its measures (k,), and number of each point's reference (n,) among its measures, -1 for
@@ -140,22 +185,20 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
         twice in a point; no point that is not ignored; a network of another body, by its name, its radii or where its
         points lie.
     """
-    points = [(k, point) for k, point in enumerate(network.points) if not point.ignore]
-    for index, point in points:
-        require_usable(point, index, where or network.where)
-    counts = [len(point.measures) for _, point in points]
-    measures = [one for _, point in points for one in point.measures]
+    points = network.points
+    measures = [one for point in points for one in point.measures]
     rows = [(m.line, m.sample, m.line_sigma, m.sample_sigma) for m in measures]
     return PointArrays(
-        head=structs.replace(network, points=()), ids=Names.of([point.id for _, point in points]),
-        types=np.array([point.type for _, point in points], dtype=np.int64),
-        ignored=np.zeros(len(points), dtype=bool),
-        places=np.array([_place(point) for _, point in points]).reshape(-1, 3),
-        covariances=np.array([point.apriori_covariance or _UNKNOWN * 2 for _, point in points]).reshape(-1, 6),
-        first=np.cumsum([0, *counts]), image=RepeatedNames.of([one.serial_number for one in measures]),
+        head=structs.replace(network, points=()), ids=Names.of([point.id for point in points]),
+        types=np.array([point.type for point in points], dtype=np.int64),
+        ignored=np.array([point.ignore for point in points], dtype=bool),
+        places=np.array([_place(point) for point in points]).reshape(-1, 3),
+        covariances=np.array([point.apriori_covariance or _UNKNOWN * 2 for point in points]).reshape(-1, 6),
+        first=np.cumsum([0, *(len(point.measures) for point in points)]),
+        image=RepeatedNames.of([one.serial_number for one in measures]),
         measures=np.array(rows, dtype=np.float64).reshape(-1, 4),
         left_out=np.array([one.ignore for one in measures], dtype=bool),
-    ).tie_points(body)  # fmt: skip
+    ).tie_points(where or network.where, body)  # fmt: skip
 
 
 def require_body(network: ControlNetwork, ties: TiePoints, body: Ellipsoid) -> None:
@@ -219,47 +262,6 @@ def control_network(
         ties.measure_image[order], np.hstack([places, ties.measure_sigmas[order]]), np.zeros(order.size, dtype=bool),
     )  # fmt: skip
     return arrays.network(np.full(order.size, measure_type), np.where(np.diff(first) > 0, 0, -1))
-
-
-def require_usable(point: ControlPoint, index: int, where: Where) -> None:
-    """Raise InputError unless an adjustment can take the point and its measures."""
-    if max(map(abs, _place(point))) > FARTHEST:
-        raise InputError(where(index, None, ""), f"a place at {_place(point)} m", "one on the body")
-    if point.type != PointType.FREE and point.apriori is None:
-        found = f"{point.type.name.lower()} without an a-priori place"
-        raise InputError(where(index, None, ""), found, "AprioriX, AprioriY, AprioriZ")
-    if point.type == PointType.CONSTRAINED:
-        _require_covariance(point, index, where)
-    images: set[str] = set()
-    for k, measure in enumerate(point.measures):
-        if measure.ignore:
-            continue
-        if measure.serial_number in images:
-            found = "a second measure in this image"
-            raise InputError(where(index, k, ""), found, "one per point", "remove the worse one")
-        images.add(measure.serial_number)
-        _require_measured(measure, index, k, where)
-
-
-def _require_covariance(point: ControlPoint, index: int, where: Where) -> None:
-    if not point.apriori_covariance:
-        raise InputError(
-            where(index, None, ""), "constrained without AprioriCovarianceMatrix", "xx, xy, xz, yy, yz, zz in m^2",
-            "add it, or make the point Free or Fixed",
-        )
-    xx, _, _, yy, _, zz = point.apriori_covariance
-    if min(xx, yy, zz) <= 0.0:
-        found = f"variances {xx:g}, {yy:g}, {zz:g} m^2"
-        raise InputError(where(index, None, "AprioriCovarianceMatrix"), found, "positive variances")
-
-
-def _require_measured(measure: ControlMeasure, point: int, k: int, where: Where) -> None:
-    for key, value in (("Line", measure.line), ("Sample", measure.sample)):
-        if value is None:
-            raise InputError(where(point, k, ""), f"no {key}", f"{key} of the measure")
-    for key, sigma in (("LineSigma", measure.line_sigma), ("SampleSigma", measure.sample_sigma)):
-        if sigma is not None and sigma <= 0.0:
-            raise InputError(where(point, k, key), f"{sigma:g} px", "a positive sigma")
 
 
 def _place(point: ControlPoint) -> tuple[float, float, float]:

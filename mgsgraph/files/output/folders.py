@@ -49,7 +49,7 @@ TABLES = (
     PLAN, "plan.csv",
     ANALYSIS, "unexplained.csv", "vibrations.csv", "components.csv", "components_iterated.csv", "reliability.csv",
     "likelihood.csv", "sigmas.tif",
-    NODES, "spacings.csv", "course.csv", "spectra.csv",
+    NODES, "spacings.csv", "course.csv", "spectra.csv",  # the last two of versions up to 0.2
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
     DEM, "dem.tif", "ortho.tif", "shots.csv", STAC_ITEM,
     COMPARISON, "merit_compared.csv", "sigmas_compared.csv", "settings_compared.csv", "input_compared.csv",

@@ -12,9 +12,9 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.coordinate_systems import equal_area_crs, wkt2
-from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.scene import GroundChart
 from mgsgraph.record import Record
 from mgsgraph.units import DEG

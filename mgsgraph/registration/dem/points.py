@@ -22,8 +22,8 @@ import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.network import ImageRays
 

@@ -37,8 +37,10 @@ def densely_matched(
     scene: Scene, spacing: float | None, workers: int | None, progress: Progress
 ) -> tuple[tuple["DenseMatches", ...], float]:
     """Dense matches, and the width of the windows in m."""
-    from mgsgraph.matching.dense import dense_matches  # OpenCV and numba take their time to load
-    from mgsgraph.matching.posts import DenseSettings
+    from mgsgraph.matching.dense import (
+        DenseSettings,
+        dense_matches,  # OpenCV and numba take their time to load
+    )
 
     choices = DenseSettings(spacing=spacing)
     return dense_matches(scene, choices, workers, progress), (2 * choices.half_window + 1) * scene.step

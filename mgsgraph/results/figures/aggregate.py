@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import SHARE, counts
+from mgsgraph.analysis.statistics import SHARE, counts
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.results.figures.sheet import short
 

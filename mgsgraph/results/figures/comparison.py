@@ -9,8 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
-from mgsgraph.analysis.common_points import CommonPoints
-from mgsgraph.analysis.group_medians import span
+from mgsgraph.analysis.statistics import CommonPoints, span
 from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.results.figures.aggregate import limit

@@ -7,8 +7,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from mgsgraph.analysis.height_cells import HeightCells, turned
-from mgsgraph.analysis.two_step_statistics import TwoStepStatistics, owners
+from mgsgraph.analysis.two_step_statistics import HeightCells, TwoStepStatistics, owners, turned
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.records import Array

@@ -17,11 +17,9 @@ from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import medians, span
-from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.analysis.statistics import medians, solution_connectivity, span
 from mgsgraph.geometry.body import east_north_up, planetocentric
-from mgsgraph.geometry.error_ellipse import error_ellipses
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.map_plane import centre_of, east_north, error_ellipses
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity

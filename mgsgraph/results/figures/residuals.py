@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.group_medians import medians, used_rays
+from mgsgraph.analysis.statistics import medians, used_rays
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.results.figures.aggregate import Rows, limit, means

@@ -242,11 +242,6 @@ def sheet_name(kind: str, number: int, sheets: int) -> str:
     return kind if sheets == 1 else f"{kind}_{number}"
 
 
-def in_sheets(images: Sequence[int], per_sheet: int) -> list[list[int]]:
-    """Images by sheet."""
-    return [list(images[k : k + per_sheet]) for k in range(0, len(images), per_sheet)]
-
-
 def left_out(images: int, shown: int, which: str, what: str = "images") -> str:
     """Words for a caption when not all images (or strips) are drawn; `which` says which ones are."""
     return "" if shown >= images else f"; of {images} {what} the {which} are drawn, the tables have all"

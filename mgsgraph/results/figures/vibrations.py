@@ -6,9 +6,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
-from mgsgraph.analysis.spacing.residual_spectrum import TURNS
-from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS
-from mgsgraph.analysis.spacing.vibrations import ImageSpectrum, ResidualVibrations
+from mgsgraph.analysis.residual_spectrum import FALSE_ALARMS, TURNS
+from mgsgraph.analysis.vibrations import ImageSpectrum, ResidualVibrations
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 
 _MOST_IMAGES = 4
@@ -49,9 +48,8 @@ def vibrations_sheet(found: ResidualVibrations, name: str) -> Sheet:
 
 
 def _draw(panel: Axes, one: ImageSpectrum) -> None:
-    spectrum = one.spectrum
     panel.set_xscale("log")
-    panel.set_xlim(spectrum.frequencies[0], spectrum.frequencies[-1])
+    panel.set_xlim(one.frequencies[0], one.frequencies[-1])
     panel.xaxis.set_major_formatter("{x:g}")
     panel.xaxis.set_minor_formatter(NullFormatter())
     if one.blind:
@@ -61,15 +59,15 @@ def _draw(panel: Axes, one: ImageSpectrum) -> None:
             ha="center", va="center", color=INK,
         )  # fmt: skip
         return
-    bottom = 0.1 * float(np.median(spectrum.floor))
-    panel.fill_between(spectrum.frequencies, bottom, spectrum.floor, color=SOFT, alpha=0.45, lw=0.0)
-    panel.plot(spectrum.frequencies, spectrum.level, color=INK, ls="--", lw=0.7)
-    panel.plot(spectrum.frequencies, np.maximum(spectrum.amplitudes, bottom), color=AFTER, lw=0.8)
+    bottom = 0.1 * float(np.median(one.floor))
+    panel.fill_between(one.frequencies, bottom, one.floor, color=SOFT, alpha=0.45, lw=0.0)
+    panel.plot(one.frequencies, one.level, color=INK, ls="--", lw=0.7)
+    panel.plot(one.frequencies, np.maximum(one.amplitudes, bottom), color=AFTER, lw=0.8)
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter("{x:g}")
     panel.yaxis.set_minor_formatter(NullFormatter())
-    top = max(float(spectrum.amplitudes.max()), float(np.quantile(spectrum.level, 0.9)))
-    for peak in spectrum.peaks:
+    top = max(float(one.amplitudes.max()), float(np.quantile(one.level, 0.9)))
+    for peak in one.peaks:
         height = _ABOVE * peak.amplitude
         panel.plot([peak.frequency], [height], color=BEFORE, marker="v", ms=6.0)
         panel.annotate(f"   {number(peak.frequency)} Hz, {number(peak.amplitude, 2)} px", (peak.frequency, height),

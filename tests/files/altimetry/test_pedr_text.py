@@ -7,8 +7,7 @@ import pytest
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.files.altimetry.tables import shots_of_table
-from mgsgraph.files.altimetry.text_table import TextTable
+from mgsgraph.files.altimetry.tables import TextTable, shots_of_table
 
 HEADS = (
     "long_East lat_North topography MOLArange  planet_rad c A", "  SC_long   SC_lat     SC_radius",

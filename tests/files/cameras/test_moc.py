@@ -14,8 +14,7 @@ from mgsgraph.files.cameras.camera import NaifKeywords
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.image_label import read_label
 from mgsgraph.files.labels.labelled_image import read_labelled_image
-from mgsgraph.files.rasters.moc_pixels import PixelArea, pixel_area, require_fragments
-from mgsgraph.files.rasters.pictures import read_moc_pixels, read_picture
+from mgsgraph.files.rasters.pictures import PixelArea, pixel_area, read_moc_pixels, read_picture, require_fragments
 from mgsgraph.files.spice.kernels import clock_time, loaded
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.results.figures.overlay import pixels_of

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_gcp import ground_control_text, read_ground_control, read_ground_control_network
+from mgsgraph.files.networks.asp_text import ground_control_text, read_ground_control, read_ground_control_network
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic
 from mgsgraph.units import DEG

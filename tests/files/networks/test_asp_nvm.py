@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_nvm import half_sizes, nvm_files, offsets_path, read_nvm
+from mgsgraph.files.networks.asp_text import half_sizes, nvm_files, offsets_path, read_nvm
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 
 SIZES = dict(zip(IMAGES, [(4864, 672), (5001, 1023), (10_000, 2048), (1, 1)], strict=True))

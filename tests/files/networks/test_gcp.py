@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_gcp import read_ground_control
+from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import Ellipsoid
 

@@ -9,8 +9,7 @@ import pytest
 from rasters import FLAT, PROJECTIONS, RADIUS, SPHERE, STEP, ground, on_sphere, pixels, raster, sinusoidal
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.rasters.map_projection import map_projection
-from mgsgraph.files.rasters.terrain_file import TerrainRaster, read_terrain
+from mgsgraph.files.rasters.terrain_file import TerrainRaster, map_projection, read_terrain
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid

@@ -9,8 +9,7 @@ from strip_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.group_medians import medians, span
-from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.analysis.statistics import medians, solution_connectivity, span
 from mgsgraph.network import PointClass
 from mgsgraph.results.figures.aggregate import Rows, cell_means, image_rows, limit, means
 from mgsgraph.results.figures.connectivity import adjacency, joints, links_sheet

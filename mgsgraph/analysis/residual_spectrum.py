@@ -36,8 +36,7 @@ from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.spacing.rays import known_besides_rays, point_covariances, ray_slopes
-from mgsgraph.analysis.spacing.spectrum import FINE, ZOOM, Peak
+from mgsgraph.analysis.spacing import known_besides_rays, point_covariances, ray_slopes
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
@@ -180,6 +179,12 @@ def _of_image(
         yield Series(image, one.name, turn, own, times, moves, shares[own, c], weights[own, c])
 
 
+FALSE_ALARMS = 0.01
+"""Share of turns without any vibration in which one is named all the same."""
+_FINE = 6.0
+"""Frequencies per reciprocal of the time that an image takes."""
+_ZOOM = 41
+"""Places on either side of a peak where its frequency is looked for."""
 _LOWEST = 4.0
 """Periods in that time, of the lowest frequency: what is slower is a drift."""
 _PER_WAVE = 4.0
@@ -195,6 +200,22 @@ _BINS = 32.0
 _DEGREE = 7
 """Of the polynomials of time beside the waves: adjustments have taken up the cubic ones, and may leave more of drifts.
 """
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """A wave of the camera: a peak of the spectrum."""
+
+    frequency: float
+    """Hz."""
+    amplitude: float
+    """px."""
+    sigma: float
+    """px, of the amplitude."""
+    test: float
+    """Chi-square of two degrees of freedom, were it noise."""
+    probability: float
+    """That noise alone shows one like it at any frequency."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,9 +263,9 @@ class SeriesSpectrum:
         # times are put into bins so short that a wave of the highest frequency keeps its amplitude to 0.2 %
         bins = int(_BINS * highest)
         self._bin = np.minimum((series.times / series.duration + 0.5) * bins, bins - 1).astype(np.int64)
-        self._length = round(FINE * bins)
-        self._numbers = np.arange(round(_LOWEST * FINE), round(highest * FINE))
-        self.grid: Array = np.asarray(self._numbers * once / FINE, dtype=np.float64)
+        self._length = round(_FINE * bins)
+        self._numbers = np.arange(round(_LOWEST * _FINE), round(highest * _FINE))
+        self.grid: Array = np.asarray(self._numbers * once / _FINE, dtype=np.float64)
         self.width = float(self.grid[-1] - self.grid[0]) * math.sqrt(4.0 * math.pi * float(np.var(series.times)))
         u = series.times / (0.5 * series.duration)
         polynomials = np.polynomial.legendre.legvander(u, _DEGREE) * series.moves[:, None]
@@ -268,7 +289,7 @@ class SeriesSpectrum:
         """(f, 2) sums of values (k,) times cosine and sine at multiples (f,) of the grid's step."""
         binned = np.bincount(self._bin, values, self._length)
         # a bin's time from the middle, in periods of the grid's step
-        ahead = 0.5 * (1.0 - self._length / FINE) / self._length
+        ahead = 0.5 * (1.0 - self._length / _FINE) / self._length
         found = np.fft.rfft(binned)[numbers] * np.exp(-2j * np.pi * numbers * ahead)
         return np.stack([found.real, -found.imag], axis=1)
 
@@ -299,16 +320,16 @@ class SeriesSpectrum:
         """(f,) running median of the tests over that of chi-square with two degrees of freedom, and its own freedom."""
         from scipy.ndimage import median_filter  # slow to import
 
-        size = min(2 * round(_ROUND_ABOUT * FINE) + 1, tests.size)
+        size = min(2 * round(_ROUND_ABOUT * _FINE) + 1, tests.size)
         floor = median_filter(tests, size=size, mode="reflect") / (2.0 * math.log(2.0))
-        freedom = max(2.0 * _EFFICIENCY * size / FINE, 4.0)
+        freedom = max(2.0 * _EFFICIENCY * size / _FINE, 4.0)
         return np.maximum(floor, 1e-12 * max(float(tests.max()), 1e-300)), freedom
 
     def wave(self, residuals: Array, fits: WaveFits) -> Wave:
         """The largest of fits, its frequency refined; how sure it is by the floor that it leaves, being taken out."""
         best = int(np.argmax(fits.tests))
-        step = self.resolution / FINE
-        near = fits.frequencies[best] + step * np.linspace(-1.0, 1.0, ZOOM)
+        step = self.resolution / _FINE
+        near = fits.frequencies[best] + step * np.linspace(-1.0, 1.0, _ZOOM)
         values, covariance, tests = self._directly(residuals, near)
         k = int(np.argmax(tests))
         phase = 2.0 * np.pi * near[k] * self.series.times
@@ -323,7 +344,6 @@ class SeriesSpectrum:
             sigma=math.sqrt(floor * float(along @ covariance[k] @ along)),
             test=test,
             probability=chance(test, self.width, fits.freedom),
-            beyond_prior=True,
         )
         return Wave(peak, moved)
 

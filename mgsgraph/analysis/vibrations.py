@@ -14,7 +14,9 @@ import numpy as np
 
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.spacing.residual_spectrum import (
+from mgsgraph.analysis.residual_spectrum import (
+    FALSE_ALARMS,
+    Peak,
     Residuals,
     Series,
     SeriesSpectrum,
@@ -23,7 +25,7 @@ from mgsgraph.analysis.spacing.residual_spectrum import (
     level_of_test,
     residual_series,
 )
-from mgsgraph.analysis.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
+from mgsgraph.geometry.records import Array
 from mgsgraph.record import Record
 from mgsgraph.text import some
 
@@ -87,8 +89,16 @@ class ImageSpectrum:
     """pitch, roll or yaw."""
     share: float
     """Of a move along it that residuals show, mean over the rays."""
-    spectrum: Spectrum
-    """Amplitudes in px, before anything was taken out; peaks are the vibrations named here."""
+    frequencies: Array
+    """(f,) Hz, increasing."""
+    amplitudes: Array
+    """(f,) px, before anything was taken out."""
+    floor: Array
+    """(f,) px, rms of what noise alone shows."""
+    level: Array
+    """(f,) px, amplitude that counts as a vibration, of the phase found there."""
+    peaks: tuple[Peak, ...]
+    """Vibrations that are named here."""
 
     @property
     def blind(self) -> bool:
@@ -98,7 +108,7 @@ class ImageSpectrum:
     @property
     def limit(self) -> float:
         """px, amplitude from which on a vibration would be named, median over the frequencies."""
-        return float(np.median(self.spectrum.level))
+        return float(np.median(self.level))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +145,8 @@ def residual_vibrations(
     Parameters
     ----------
     of : Solution or Linearised
-        With orientation that can't follow the vibrations looked for (polynomials, wide nodes); what close nodes have
-        followed is no longer in residuals, but in the corrections (`analysis.spacing.spectrum`).
+        With orientation that can't follow the vibrations looked for (polynomials, wide nodes): what close nodes have
+        followed is no longer in residuals.
     false_alarms : float
         Share of images and turns without any vibration in which one is named.
     progress : callable
@@ -204,16 +214,9 @@ class _Found:
         """Before anything was taken out."""
         named = {(one.image, one.turn, one.frequency) for one in self.vibrations}
         return tuple(
-            ImageSpectrum(one.series.name, one.series.turn, one.series.share, _spectrum(
-                one, self._first[k],
-                tuple(
-                    wave.peak for j, wave in self.waves
-                    if j == k and (one.series.name, one.series.turn, wave.peak.frequency) in named
-                ),
-                self._false_alarms,
-            ))
+            _spectrum(one, self._first[k], [wave.peak for j, wave in self.waves if j == k], named, self._false_alarms)
             for k, one in enumerate(self._able)
-        )  # fmt: skip
+        )
 
 
 def _vibration(series: Series, peak: Peak, alternatives: tuple[str, ...]) -> Vibration:
@@ -223,21 +226,13 @@ def _vibration(series: Series, peak: Peak, alternatives: tuple[str, ...]) -> Vib
     )
 
 
-def _spectrum(one: SeriesSpectrum, fits: WaveFits, peaks: tuple[Peak, ...], false_alarms: float) -> Spectrum:
-    amplitudes = np.hypot(*fits.values.T)
+def _spectrum(
+    one: SeriesSpectrum, fits: WaveFits, peaks: Sequence[Peak], named: set[tuple[str, str, float]], false_alarms: float
+) -> ImageSpectrum:
+    amplitudes, (image, turn) = np.hypot(*fits.values.T), (one.series.name, one.series.turn)
     needed = level_of_test(false_alarms, one.width, fits.freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
         level = np.where(fits.tests > 0.0, amplitudes * np.sqrt(needed / fits.tests), np.inf)
-    return Spectrum(
-        strip=one.series.name,
-        axis=one.series.turn,
-        unit="px",
-        frequencies=one.grid,
-        amplitudes=amplitudes,
-        floor=np.sqrt(fits.floor * np.trace(fits.covariance, axis1=1, axis2=2)),
-        level=level,
-        wander=np.full(one.grid.size, np.nan),
-        nyquist=float(one.grid[-1]),
-        independent=one.width,
-        peaks=peaks,
-    )
+    floor = np.sqrt(fits.floor * np.trace(fits.covariance, axis1=1, axis2=2))
+    mine = tuple(peak for peak in peaks if (image, turn, peak.frequency) in named)
+    return ImageSpectrum(image, turn, one.series.share, one.grid, amplitudes, floor, level, mine)

@@ -6,6 +6,12 @@ closest nodes that the rays support: wider ones would take what they can't follo
 the error of the orientation there and are not independent; standard errors are those of sums over stretches of time. Of
 all spacings that are not worse than the best one by more than one standard error of the difference, the coarsest is
 chosen (the rule of one standard error, Breiman et al. 1984): it predicts as well, with fewer unknowns.
+
+*Held out* is one ray of a point that other rays determine. Its misfit, measured minus predicted, is divided by what it
+would scatter were the orientation known: the ray's own noise, and that of the point as its other rays determine it.
+These numbers are the same for all candidates, whatever nodes they have. The covariance of the orientation stays out on
+purpose: it grows with the number of nodes, and dividing by it would reward a candidate for not knowing. So a misfit of
+1 is noise, and what is above comes from the orientation.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,20 +21,22 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.rounds import unmarked
+from mgsgraph.adjustment.rounds import Selection, unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, whitening
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
+from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 from mgsgraph.network import Network, NodePrior
-from mgsgraph.network.support import LEAST, require_supported
+from mgsgraph.network.support import LEAST, pass_rays, require_supported
 
 _STRETCHES = 10
 """Stretches of time that a strip has at least, whose sums count as independent."""
 _BLUNDER = 6.0
 """Robust standard deviations beyond which a ray held out is a blunder, if it is so for every candidate."""
+_RAYS = 3
+"""Of a point of which one may be held out."""
 _MEDIAN = 1.1774100225154747
 """Median norm of two standard normal numbers."""
 
@@ -59,6 +67,139 @@ def require_respaceable(network: Network) -> None:
         if not isinstance(strip.prior, NodePrior):
             found = "a joint prior of just its nodes"
             raise InputError(f"strip {strip.name!r}", found, "one of any nodes (bias, drift and sigmas)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Which rays are held out."""
+
+    rays: Index
+    """(h,) of the network, of different points, ascending."""
+    strip: Index
+    """(h,) strip of each."""
+    times: Array
+    """(h,) s past the epoch of that strip's nodes."""
+
+    def __post_init__(self) -> None:
+        assign(self, rays=frozen_index(self.rays, "rays held out", np.size(self.rays), 2**62))
+
+    def taken(self, network: Network) -> Mask:
+        """(rays,) those that take part: neither held out nor marked as blunders."""
+        taken = unmarked(network).rays
+        taken[self.rays] = False
+        return taken
+
+    def left_in(self, network: Network) -> Selection:
+        """What takes part in an adjustment."""
+        return replace(unmarked(network), rays=self.taken(network))
+
+
+def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOut:
+    """Draw rays to hold out.
+
+    Parameters
+    ----------
+    network : Network
+        With strips.
+    share : float
+        Of the points with three rays or more; of each of them one ray, of a strip's image, is held out.
+    """
+    if not (np.isfinite(share) and 0.0 < share <= 1.0):
+        raise InputError("rays held out", f"a share of {share}", "more than 0, and 1 at the most")
+    good, in_strip = unmarked(network).rays, network.pass_of[network.rays.image] >= 0
+    counts = np.bincount(network.rays.point, good, len(network.points))
+    able = np.flatnonzero(good & in_strip & (counts[network.rays.point] >= _RAYS))
+    shuffled = rng.permutation(able)
+    points, first = np.unique(network.rays.point[shuffled], return_index=True)
+    number = round(share * points.size)
+    if number < 2:
+        found = f"{points.size} points with {_RAYS} rays or more, of which {number} would be held out"
+        raise InputError("rays held out", found, "two at least", "hold out a larger share, or match more points")
+    rays = np.sort(shuffled[rng.choice(first, number, replace=False)])
+    times, strip = np.empty(rays.size), network.pass_of[network.rays.image[rays]]
+    for k in np.unique(strip).tolist():
+        mine = pass_rays(network, k)
+        times[strip == k] = mine.times[np.searchsorted(mine.rays, rays[strip == k])]
+    return HeldOut(rays, strip, times)
+
+
+def misfits(solution: Solution, held: HeldOut) -> Array:
+    """(h, 2) px, measured minus predicted line and sample of rays held out, their points where the solution's other
+    rays place them; NaN where these don't, or the point isn't seen.
+    """
+    network = solution.network
+    found = np.full((held.rays.size, 2), np.nan)
+    points, images = network.rays.point[held.rays], network.rays.image[held.rays]
+    for j in np.unique(images).tolist():
+        mine = np.flatnonzero((images == j) & solution.determined[points])
+        measured = network.rays.places[held.rays[mine]]
+        predicted, _ = solution.image(j).ground_to_image(
+            solution.places[points[mine]], solution.correction(j), start=measured[:, 0]
+        )
+        found[mine] = measured - predicted
+    return found
+
+
+def whitening(network: Network, held: HeldOut, places: Array) -> Array:
+    """(h, 2, 2) per px, inverse roots of the covariances that misfits have when orientation is known; NaN where the
+    other rays of a point place it nowhere.
+
+    Parameters
+    ----------
+    places : (n, 3)
+        m, of the points, about.
+    """
+    points = network.rays.point[held.rays]
+    chosen = np.full(len(network.points), -1)
+    chosen[points] = np.arange(points.size)
+    taken = np.flatnonzero(held.taken(network) & (chosen[network.rays.point] >= 0))
+    owner, known = chosen[network.rays.point[taken]], known_besides_rays(network, points, places)
+    slopes = ray_slopes(network, taken, places) / network.rays.sigmas[taken][:, :, None]
+    seen = np.isfinite(slopes).all(axis=(1, 2))
+    np.add.at(known, owner[seen], np.swapaxes(slopes[seen], 1, 2) @ slopes[seen])
+    own = ray_slopes(network, held.rays, places)
+    spread = own @ point_covariances(known) @ np.swapaxes(own, 1, 2)
+    spread[network.points.kinds[points] == PointKind.FIXED] = 0.0
+    spread[:, [0, 1], [0, 1]] += network.rays.sigmas[held.rays] ** 2
+    found = np.full_like(spread, np.nan)
+    good = np.isfinite(spread).all(axis=(1, 2))
+    found[good] = np.linalg.inv(np.linalg.cholesky(spread[good]))
+    return found
+
+
+def known_besides_rays(network: Network, points: Index, places: Array) -> Array:
+    """(h, 3, 3) per m^2, what is known of points without their rays: a-priori place, and height above the terrain."""
+    known = np.zeros((points.size, 3, 3))
+    constrained = network.points.kinds[points] == PointKind.CONSTRAINED
+    known[constrained] = np.linalg.inv(network.points.covariances[points[constrained]])
+    if network.surface is not None:
+        above, normal = network.surface.grid.height_above(places[points])
+        weight = np.where(np.isfinite(above), network.surface.sigmas[points] ** -2.0, 0.0)
+        normal = np.where(np.isfinite(above)[:, None], normal, 0.0)  # NaN off the model, even of no weight
+        known += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    return known
+
+
+def ray_slopes(network: Network, rays: Index, places: Array) -> Array:
+    """(m, 2, 3) px per m, how the line and sample of rays follow their points, nominally."""
+    found = np.full((rays.size, 2, 3), np.nan)
+    points, images = network.rays.point[rays], network.rays.image[rays]
+    for j in np.unique(images).tolist():
+        mine = np.flatnonzero((images == j) & np.isfinite(places[points]).all(axis=1))
+        start = network.rays.places[rays[mine], 0]
+        found[mine] = network.images[j].ground_to_image(places[points[mine]], start=start)[1]
+    return found
+
+
+def point_covariances(matrices: Array) -> Array:
+    """Inverses of (h, 3, 3); NaN where one is singular, as of a point that nothing places."""
+    found = np.full_like(matrices, np.nan)
+    scale = np.trace(matrices, axis1=1, axis2=2) / 3.0
+    good = np.isfinite(scale) & (scale > 0.0)
+    values = np.linalg.eigvalsh(matrices[good] / scale[good, None, None])
+    good[good] = values[:, 0] > 1e-10
+    found[good] = np.linalg.inv(matrices[good])
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,22 +268,14 @@ class Choice:
     """Rays held out that count for none, as nothing else places their points well enough."""
     closest: int
     """Closest candidate that can be adjusted with all rays."""
-    closest_solution: Solution
-    """Of all rays, with its nodes: what it rejected took part with no candidate."""
-    scatter: Scatter
-    """Of the rays in it."""
+    rejected: int
+    """Rays that took part with no candidate, as blunders of the adjustment of all rays with its nodes."""
 
     def __post_init__(self) -> None:
         for name in ("rms_errors", "worse", "worse_errors"):
             value = np.array(getattr(self, name), dtype=np.float64)
             value.flags.writeable = False
             assign(self, **{name: value})
-
-    @property
-    def rejected(self) -> int:
-        """Rays that took part with no candidate, as blunders."""
-        marks = self.closest_solution.rays_rejected
-        return 0 if marks is None else int(np.count_nonzero(marks))
 
     @property
     def spacing(self) -> float:
@@ -206,19 +339,16 @@ def choose_spacing(
     return _choice(network, _judged(clean, trials, held), closest, whole)
 
 
-def adjust_unmarked(network: Network, settings: SolverSettings, name: str) -> Solution:
-    """Adjust a network without what it marks as blunders; a blunder limit judges all anew."""
-    return adjust_network(network, settings, name, left_in=None if settings.reject > 0.0 else unmarked(network))
-
-
 def _closest(tried: Sequence[tuple[float, Network]], settings: SolverSettings, least: int) -> tuple[int, Solution]:
-    """The closest spacing that all rays support, and the adjustment with it."""
+    """The closest spacing that all rays support, and the adjustment with it; without a blunder limit known blunders, as
+    the network marks them, take no part.
+    """
     said = ""
     for k, (spacing, one) in enumerate(tried):
         name = f"nodes every {spacing:g} s"
         try:
             require_supported(one, least)
-            return k, adjust_unmarked(one, settings, name)
+            return k, adjust_network(one, settings, name, left_in=None if settings.reject > 0.0 else unmarked(one))
         except (InputError, WeakNetwork, SolverError) as error:
             said = f"0 of {len(tried)} that can be adjusted, two needed; of {spacing:g} s: {error}"
     raise InputError("candidate spacings", said)
@@ -338,8 +468,7 @@ def _choice(network: Network, judged: _Judged, closest: int, whole: Solution) ->
         blunders=judged.blunders,
         unjudged=judged.unjudged,
         closest=closest,
-        closest_solution=whole,
-        scatter=ray_scatter(whole),
+        rejected=0 if whole.rays_rejected is None else int(np.count_nonzero(whole.rays_rejected)),
     )
 
 

@@ -1,24 +1,28 @@
-"""How close orientation images should stand: what rays support, what those held out say, where residuals ask."""
+"""How close orientation images should stand: what rays support, and what those held out say."""
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi2
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.spacing.choice import choose_spacing, error_of_mean, respaced, with_nodes
-from mgsgraph.analysis.spacing.densify import ResidualPattern, densify, halved, pattern
-from mgsgraph.analysis.spacing.rays import hold_out, misfits, whitening
+from mgsgraph.analysis.spacing import (
+    choose_spacing,
+    error_of_mean,
+    hold_out,
+    misfits,
+    respaced,
+    whitening,
+    with_nodes,
+)
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.records import Array
 from mgsgraph.network import JointNodePrior
 from mgsgraph.network.support import (
     LEAST,
@@ -257,7 +261,7 @@ def test_rays_that_nothing_else_predicts_are_counted(monkeypatch: pytest.MonkeyP
         found[:7] = np.nan
         return found
 
-    monkeypatch.setattr("mgsgraph.analysis.spacing.choice.whitening", some)
+    monkeypatch.setattr("mgsgraph.analysis.spacing.whitening", some)
     choice = choose_spacing(block().network, SolverSettings(), [8.0, 20.0])
     assert choice.unjudged == 7
     assert choice.candidates[0].squares.size == 140 - 7 - choice.blunders
@@ -269,106 +273,3 @@ def test_rays_that_nothing_else_predicts_are_counted(monkeypatch: pytest.MonkeyP
 def test_nothing_to_choose_from(spacings: list[float], words: str) -> None:
     with pytest.raises(InputError, match=words):
         choose_spacing(block().network, SolverSettings(), spacings)
-
-
-# --- closer nodes
-
-
-@pytest.mark.parametrize("freedom", [6, 8, 12, 24])
-@pytest.mark.parametrize("level", [0.05, 0.01, 1e-4])
-def test_critical_values_are_those_of_chi_square(freedom: int, level: float) -> None:
-    squares = chi2.isf(level / 3, freedom) * np.array([1.0 - 1e-9, 1.0 + 1e-9, np.inf])
-    found = ResidualPattern(squares, np.array([freedom, freedom, 0]), np.ones(3))
-    assert found.asking(level, 0.1, 3).tolist() == [False, True, False]
-
-
-def test_residuals_of_a_calm_flight_ask_for_nothing() -> None:
-    found = densify(block(None, CALM, 28.0).network, SolverSettings())
-    assert len(found.rounds) == 1
-    assert found.rounds[0].asked == (0,)
-    assert "No interval" in found.message
-
-
-def test_pattern_is_chi_square_of_noise() -> None:
-    """Over all intervals and some seeds: 1 % at 1 %, within what so many allow."""
-    shares, numbers = [], 0
-    for seed in range(4):
-        solution = adjust_network(block(None, CALM, 6.0, seed).network, SolverSettings())
-        found = pattern(solution, 0)
-        shares.append(found.squares / found.freedom)
-        numbers += found.squares.size
-        assert not found.asking(1e-3, 0.0, found.squares.size).any()
-    mean = float(np.concatenate(shares).mean())
-    assert 0.6 < mean < 1.0 + 4.0 * np.sqrt(2.0 / 12.0 / numbers)  # nodes take some of it
-
-
-def test_residuals_of_jitter_ask_until_they_are_noise() -> None:
-    found = densify(respaced(block(PITCH).network, 20.0), SolverSettings())
-    assert found.rounds[0].asked[0] == found.rounds[0].nodes[0] - 1
-    assert found.rounds[-1].asked == (0,)
-    assert np.diff(found.network.passes[0].nodes.times).max() < 9.0
-    assert found.rounds[0].sigma0 > 1.3
-    assert found.rounds[-1].sigma0 < 1.1
-    for this, following in pairwise(found.rounds):
-        assert this.nodes[0] + this.granted[0] == following.nodes[0]
-
-
-def test_densification_stops_where_rays_are_few() -> None:
-    found = densify(respaced(block(PITCH).network, 20.0), SolverSettings(), least=400)
-    assert sum(found.rounds[-1].refused) > 0
-    assert "don't support" in found.message
-    require_supported(found.network, 400)
-
-
-@given(
-    st.lists(st.booleans(), min_size=5, max_size=12).filter(any),
-    st.integers(0, 3),
-    st.floats(0.0, 1.0),
-)
-def test_halved_nodes_are_graded_and_supported(asking: list[bool], rounds: int, blind: float) -> None:
-    """Old nodes stay, neighbours differ by twice at the most, and none stands where nothing supports it."""
-    nodes = OrientationImages("lagrange", 0.0, np.arange(len(asking) + 1.0))
-    blind *= len(asking)
-
-    def supported(other: OrientationImages) -> Mask:
-        old = np.isin(other.times, nodes.times)
-        return np.asarray(old | (np.abs(other.times - blind) > 1.5))
-
-    now, wish = nodes, np.array(asking)
-    for _ in range(rounds + 1):
-        now, _ = halved(now, wish, supported)
-        wish = np.resize(wish, len(now) - 1)
-    steps = np.diff(now.times)
-    assert set(nodes.times) <= set(now.times)
-    assert np.all(supported(now))
-    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= 2.0 + 1e-9
-
-
-@pytest.mark.parametrize("good", [True, False])
-def test_splines_are_halved_throughout_or_not_at_all(good: bool) -> None:
-    nodes = evenly_spaced("spline", 0.0, (0.0, 10.0), 2.0)
-
-    def supported(other: OrientationImages) -> Mask:
-        return np.full(len(other), good)
-
-    asking = np.zeros(len(nodes) - 1, dtype=bool)
-    asking[3] = True
-    found, refused = halved(nodes, asking, supported)
-    want: Array = np.arange(-1.0, 12.0) if good else nodes.times
-    np.testing.assert_allclose(found.times, want)
-    assert refused == (0 if good else 1)
-
-
-def test_spline_strip_is_densified() -> None:
-    net = block(PITCH).network
-    old = net.passes[0].nodes
-    net = with_nodes(net, [evenly_spaced("spline", old.epoch, old.coverage, 20.0)])
-    found = densify(net, SolverSettings())
-    assert len(found.network.passes[0].nodes) > len(net.passes[0].nodes)
-    assert found.rounds[-1].sigma0 < 1.1
-
-
-@pytest.mark.parametrize(("level", "worth"), [(0.0, 0.1), (0.01, -1.0), (float("nan"), 0.1)])
-def test_levels_out_of_range(level: float, worth: float) -> None:
-    with pytest.raises(InputError, match="densification"):
-        densify(block().network, SolverSettings(), level, worth)
