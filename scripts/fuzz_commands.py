@@ -49,7 +49,7 @@ _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
     "new": ("image_A.isd image_B.isd network.pvl lidar.json --out out.toml --name x", ()),
     "plan": ("result candidates.toml --out out", (*_RESULT, "candidates.toml")),
     "project": ("case.toml SIM/A --points places.csv --into image --height 10 --out out.csv", ("places.csv",)),
-    "remove": ("project SIM/B --check", _PROJECT),
+    "remove": ("project SIM/B", _PROJECT),
     "report": ("result --out out.html", _RESULT),
     "review": ("case.toml --out out.net --verdicts verdicts.csv", ("verdicts.csv",)),
     "shots": ("shots.csv --case case.toml --margin 5 --out out.csv", ("shots.csv",)),

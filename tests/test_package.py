@@ -149,15 +149,16 @@ DOOR = {
     "mgsgraph.files.cameras.hrsc": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
     "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
-    "mgsgraph.project.checksum": {"open"},  # POSIX drops locks where any reader closes
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
     "mgsgraph.project.project": {"json.loads"},
+    "mgsgraph.project.settings": {"json.loads"},
     # our own files, not a user's
     "mgsgraph.adjustment.graph.rows": {"read_text"},  # the system's: how much memory a container may take
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},
-    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.part": {"open"}, "mgsgraph.project.campaign.record": {"open"},
+    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.lock": {"open"},
+    "mgsgraph.project.campaign.record": {"open"},
     "mgsgraph.atomic_write": {"open"}, "mgsgraph.sandbox": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip
 """Where files from outside are opened and parsed: all else takes them from these (docs/hostile_files.md)."""

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
-from mgsgraph.case.schema import TerrainInput
+from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import (
@@ -70,7 +69,7 @@ def shots_in_images(images: Sequence[PushbroomImage], shots: AltimeterShots) -> 
 
 
 def laser_profile(
-    taken: AltimeterShots, name: str, wanted: ShotsInput, image: PushbroomImage | None, ranged: str | None = None
+    taken: AltimeterShots, name: str, wanted: ShotsInput, carriers: Sequence[tuple[PushbroomImage, Index | slice]] = ()
 ) -> LaserProfile:
     """Shots as observations with the sigmas that are wanted, or else those of their altimeter.
 
@@ -82,10 +81,8 @@ def laser_profile(
         Of the profile, put before theirs.
     wanted : ShotsInput
         Sigmas, and whether ranges are used.
-    image : PushbroomImage, optional
-        Taken along with the shots, whose orientation carries the ranges.
-    ranged : str, optional
-        Name of one of several images that carry the ranges, which have been checked already; in place of `image`.
+    carriers : sequence
+        Images taken along with the shots, whose orientation carries the ranges, and which of the shots each carries.
 
     Raises
     ------
@@ -95,9 +92,10 @@ def laser_profile(
     wanted = wanted.settled(taken.altimeter, taken.source)
     assert wanted.range_sigma_m is not None
     assert wanted.ground_sigma_m is not None
-    if image is not None:
-        require_ranges(image, taken.times, taken.footprints, taken.ranges, taken.source, taken.ids)
-    ranged = (ranged if image is None else image.name) if wanted.ranges else None
+    for image, mine in carriers:
+        names = taken.ids[mine]
+        require_ranges(image, taken.times[mine], taken.footprints[mine], taken.ranges[mine], taken.source, names)
+    ranged = carriers[0][0].name if carriers and wanted.ranges else None
     return taken.profile(
         wanted.range_sigma_m, wanted.ground_sigma_m, ranged, name, wanted.height_sigma_m, wanted.pulse_share,
         ranged=ranged is not None,
@@ -182,7 +180,10 @@ class Parts:
             usable[np.flatnonzero(usable)[wanted.check_every - 1 :: wanted.check_every]] = False
         taken, carried = shots.chosen(usable), owners[usable]
         name = Path(shots.source).stem
-        profile = self._laser_profile(taken, name, wanted, carried)
+        along = np.unique(carried[carried >= 0]).tolist()
+        profile = laser_profile(
+            taken, name, wanted, [(self.images[j], np.flatnonzero(carried == j)) for j in along]
+        )  # fmt: skip
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
@@ -194,17 +195,6 @@ class Parts:
         if wanted.image_rows == "back-projected":
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
         return taken
-
-    def _laser_profile(self, taken: AltimeterShots, name: str, wanted: ShotsInput, carried: Index) -> LaserProfile:
-        """As `laser_profile`, of shots that several images of a pass carry: ranges are checked against each."""
-        of_each = [(self.images[j], np.flatnonzero(carried == j)) for j in np.unique(carried[carried >= 0]).tolist()]
-        if len(of_each) < 2:
-            return laser_profile(taken, name, wanted, of_each[0][0] if of_each else None)
-        for image, mine in of_each:
-            names = taken.ids[mine]
-            times, places, ranges = taken.times[mine], taken.footprints[mine], taken.ranges[mine]
-            require_ranges(image, times, places, ranges, taken.source, names)
-        return laser_profile(taken, name, wanted, None, ranged=of_each[0][0].name)
 
     def _add_shifts(self, name: str, taken: AltimeterShots, wanted: ShotsInput, first: int) -> None:
         """A profile's unknown shift and drift, called as its file; of a file with several, one for each."""
@@ -243,12 +233,7 @@ class Parts:
         if known != sigma:
             found = f"beam_sigma_mrad of {known:g} and {sigma:g} mrad for {other} and {name}, both along {image.name}"
             raise InputError(taken.source, found, "one number: they have one beam")
-        if other == name:
-            self._beam_of(name, sigma, along)
-
-    def _beam_of(self, name: str, sigma: float, along: Index) -> None:
-        """The unknown, where its sigma in mrad is not zero."""
-        if sigma:
+        if other == name and sigma:
             sigmas = np.full(3, sigma * MRAD)
             self.shared.append(SharedUnknown(f"beam of {name}", SharedKind.ALTIMETER_BORESIGHT, along, sigmas))
 

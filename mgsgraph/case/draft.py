@@ -3,17 +3,14 @@
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
-
-import numpy as np
 
 from mgsgraph.atomic_write import made_beside
 from mgsgraph.case.case_file import decode, stated
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
 from mgsgraph.case.draft_tables import Part, draft_tables, in_line, place, quoted, said
-from mgsgraph.case.passes import pass_name
 from mgsgraph.case.reading import case_of
 from mgsgraph.errors import InputError, Unmeasured, require
 from mgsgraph.files.altimetry.lidar import read_lidar
@@ -23,73 +20,18 @@ from mgsgraph.files.opening import head_of
 from mgsgraph.files.writing import Output, fresh_file, require_free, writing_to
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.network.joining import found_passes, mountings, seconds
+from mgsgraph.network.joining import found_passes, seconds
 from mgsgraph.text import many, some
 
-_WHY = """
-# {names}: lines at the same times and places, so one trajectory.
-# One error of it moves them all; without this table each image has corrections of its own. All keys: docs/passes.md.
-# [[passes]]
-# name = {name}
-# images = [{images}]
-#
-# [passes.position]
-# degree = 1
-# sigmas_m = [50.0, 10.0]               # a-priori sigma of each term, at the ends of the pass
-#
-# [passes.attitude]
-# degree = 3
-# sigmas_mrad = [0.29, 0.1, 0.05, 0.02]
-"""
-_MOUNTED = """\
-#
-# [[mountings]]                         # how its camera stands against that of {first}, beside what tables have
-# camera = [{camera}]
-# boresight_sigma_mrad = 1.0
-"""
 
-
-class DraftRigs(NamedTuple):
-    """What a case file says of images of one moment."""
-
-    text: str
-    """Tables, in comments; empty without such images."""
-    said: tuple[str, ...]
-    """A line for each pass."""
-
-
-def rigs_in_comments(images: Sequence[DraftImage]) -> DraftRigs:
-    """Tables for those images that overlap in time, at the same places; each pass has its own."""
-    pictures, text, told = [replace(one.image, name=one.name) for one in images], "", list[str]()
+def _of_one_moment(images: Sequence[DraftImage]) -> list[str]:
+    """A line for those images that overlap in time, at the same places."""
+    pictures, told = [replace(one.image, name=one.name) for one in images], list[str]()
     for group in found_passes(pictures):
-        together = [pictures[j] for j in sorted(group)]
-        if not _one_moment(together):
-            continue
-        names = [image.name for image in together]
-        called = some(names, len(names))
-        listed = ", ".join(map(quoted, names))
-        text += _WHY.format(names=called, name=quoted(pass_name(together)), images=listed)
-        for other in _mounted_otherwise(together):
-            text += _MOUNTED.format(first=names[0], camera=quoted(other))
-        told.append(f"- {called}: of one moment, one trajectory (docs/passes.md); [[passes]] in comments")
-    return DraftRigs(text, tuple(told))
-
-
-def _one_moment(images: Sequence[PushbroomImage]) -> bool:
-    """Whether any two of them have a time in common."""
-    spans = sorted(map(seconds, images))
-    return any(later[0] < earlier[1] for earlier, later in pairwise(spans))
-
-
-def _mounted_otherwise(images: Sequence[PushbroomImage]) -> list[str]:
-    """Names of images whose cameras are turned against that of the first one; none where all are alike."""
-    try:
-        axes = mountings(images, "")
-    except InputError:
-        return []
-    if axes is None:
-        return []
-    return [image.name for image, one in zip(images, axes, strict=True) if not np.allclose(one, np.eye(3))]
+        names, spans = [pictures[j].name for j in sorted(group)], sorted(seconds(pictures[j]) for j in group)
+        if any(later[0] < earlier[1] for earlier, later in pairwise(spans)):
+            told.append(f"- {some(names, len(names))}: of one moment, so one trajectory: [[passes]] (docs/passes.md)")
+    return told
 
 
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
@@ -100,7 +42,6 @@ _PLAIN = "case"
 _NOT_TAKEN = (Kind.CASE, Kind.LIST, Kind.OWN_RECORD)
 _UNKNOWN, _NO_TEXT = "of no kind known here", "a name that is no Unicode text, as a case file is"
 """Why a file is left out."""
-_STUB = "one pixel alone, cut down (slimcube?): name the whole image"
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
 _HEAD = """\
 # Written by `mgsgraph new`, and yours to change. All keys: mgsgraph help case.
@@ -160,7 +101,6 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     name = name or _name(given, out)
     head = _HEAD.format(name=quoted(name)) + _ORIENTATION + _spice(images, kernels, out) + _images(images, out)
     parts, failed = _accepted(head, parts, images, out)
-    rigs = rigs_in_comments(images)
     left_out = [*found.left_out, *refused, *failed, *(f"{path.name}: {why}" for path, why in unknown.items())]
     left_out += [
         f"{path.name}: {kind}; unpack it with NAIF's tobin" for path, kind in kinds.items()
@@ -168,7 +108,6 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     ]
     measured = any(part.measured for part in parts)
     text = head + "".join(part.text for part in parts) + ("" if measured else _NO_MEASURES)
-    text += rigs.text
     text += "".join(f"\n# Left out: {in_line(line)}" for line in left_out) + ("\n" if left_out else "")
     with fresh_file(out, over=_CASE_FILE) as aside:
         aside.write_text(text, encoding="utf-8")
@@ -179,10 +118,8 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     called = some([one.name for one in images], len(images))
     told = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
     told += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
-    told += [f"- {one.name}: {one.note}" for one in images if one.note]
-    told += [f"- {one.path.name}: {_STUB}" for one in images if _is_stub(one)]
     told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
-    told += list(rigs.said)
+    told += _of_one_moment(images)
     told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
     told += [f"- Left out: {line}" for line in left_out]
     told += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
@@ -237,9 +174,8 @@ def _no_image(
         file, _, reason = left_out[-1].partition(": ")
         tried = [line.partition(": ")[0] for line in left_out]
         return InputError(file, reason, remedy=f"so there is no image: {some(tried, len(tried))} can't be read")
-    counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
-    each = [f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items()]
-    holds = ", ".join([*each, *(f"{path.name} {why}" for path, why in islice(unknown.items(), 1))])
+    strange = [f"{path.name} {why}" for path, why in unknown.items()]
+    holds = ", ".join([*dict.fromkeys(map(str, kinds.values())), *strange[:1]])
     found = f"no image{f': it holds {holds}' if holds else ''}"
     expected, remedy = "a cube, support data, a label or a model state", "name an image too, or a folder of them"
     return InputError(where, found, expected, remedy)
@@ -288,16 +224,12 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
     text = ""
     for one in images:
         text += "\n[[images]]\n"
-        text += said(f"name = {quoted(one.name)}", one.note) if one.note else f"name = {quoted(one.name)}\n"
+        text += f"name = {quoted(one.name)}\n"
         size = f"{one.kind}, {one.image.lines} x {one.image.samples}"
-        text += said(f"image = {place(one.path, out)}", f"{size}: {_STUB}" if _is_stub(one) else size)
+        text += said(f"image = {place(one.path, out)}", size)
         text += f"pixels = {place(one.pixels, out)}\n" if one.pixels is not None else ""
         text += said(f"line_times = {quoted(one.line_times)}", _ROUGH) if one.line_times is not None else ""
     return text
-
-
-def _is_stub(one: DraftImage) -> bool:
-    return one.image.lines == one.image.samples == 1
 
 
 def _name(given: Sequence[Path], out: Path) -> str:
@@ -319,18 +251,12 @@ def _accepted(
     def refusal(those: Sequence[Part], whole: bool = False) -> str:
         return _refusal(head + "".join(part.text for part in those), pictures, out, whole)
 
-    def taken(before: list[Part], more: list[Part]) -> list[Part]:
-        """Those before, and which of more go with them: all, or half by half, down to the one that does not."""
-        error = refusal([*before, *more])
-        if not error:
-            return [*before, *more]
-        if len(more) == 1:
-            failed.append(f"{more[0].path.name}: {without_place(error, more[0].path)}")
-            return before
-        half = len(more) // 2
-        return taken(taken(before, more[:half]), more[half:])
-
-    good = taken([], parts)
+    good = list[Part]() if refusal(parts) else parts
+    for part in [] if good else parts:
+        if error := refusal([*good, part]):
+            failed.append(f"{part.path.name}: {without_place(error, part.path)}")
+        else:
+            good = [*good, part]
     if error := refusal(good, whole=True):
         failed += [f"{part.path.name}: {without_place(error, part.path)}" for part in good if part.measured]
         good = [part for part in good if not part.measured]

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.case.case_file import plain_image
-from mgsgraph.case.images import read_image
+from mgsgraph.case.case_file import plain_image, read_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
@@ -27,8 +26,6 @@ _ALONE = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
 _LINE_TIMES = "line_times"
 """Key that the reader of a label without times of its lines asks for."""
 _PICTURES = (Kind.CUBE, Kind.PDS3, Kind.RASTER, Kind.PICTURE)
-_CLOCK = re.compile(r"(?<!\d)(\d{6,})(?:[:.](\d+))?")
-_UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:[\d.]+")
 
 
 class DraftImage(NamedTuple):
@@ -50,8 +47,6 @@ class DraftImage(NamedTuple):
     """File of its pixels, where its own file has none and that is called alike."""
     line_times: str | None = None
     """What stands for the times of its lines, where its file doesn't have them."""
-    note: str = ""
-    """What is to be said of the name."""
 
 
 class DraftImages(NamedTuple):
@@ -176,33 +171,15 @@ def _start(image: PushbroomImage) -> float:
 def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[DraftImage, ...], tuple[str, ...]]:
     """Images called as networks call them, and names of networks for which there is no image.
 
-    By the serial number, the product or the file; what is left on both sides, if it is as many and the names hold clock
-    counts or times, in the order of these, which is said in a note. Not where two names
-    hold the same time, as those of NAC-L and NAC-R.
+    By the serial number, the product or the file.
     """
     known, made = {_plain(name): name for name in reversed(names)}, list(images)
     for k, one in enumerate(images):
         if one.name not in names and (same := [known[other] for other in map(_plain, one.others) if other in known]):
             made[k] = one._replace(name=min(same))
-    bare = [k for k, one in enumerate(made) if one.name not in names]
-    left = [name for name in names if name not in {one.name for one in made}]
-    times = {name: when for name in left if (when := _when(name)) is not None}
-    if bare and len(bare) == len(left) == len(set(times.values())):  # names of one moment say no order
-        for k, name in zip(bare, sorted(left, key=times.__getitem__), strict=True):  # images are in order, too
-            note = f"taken for {made[k].path.name} by the order of times: is it? The file calls it {made[k].name}"
-            made[k] = made[k]._replace(name=name, note=note)
-        left = []
-    return tuple(made), tuple(left)
+    return tuple(made), tuple(name for name in names if name not in {one.name for one in made})
 
 
 def _plain(name: str) -> str:
     """Letters and digits of a name: products are written with a slash, a hyphen or neither."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
-
-
-def _when(name: str) -> tuple[str, float, float] | None:
-    """Time in UTC, or clock count, that a serial number holds."""
-    if found := _UTC.search(name):
-        return found[0], 0.0, 0.0
-    clock = _CLOCK.search(name)
-    return ("", float(clock[1]), float(clock[2] or 0)) if clock else None

@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -12,16 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.case.draft_images import DraftImage, without_place
-from mgsgraph.case.laser import AltimetryInput
-from mgsgraph.case.reading import read_altimetry
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution, read_terrain_model
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.kinds import Kind
-from mgsgraph.files.networks.asp_text import read_ground_control
-from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
@@ -73,19 +69,13 @@ def in_line(text: str) -> str:
 def draft_tables(
     kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path
 ) -> tuple[list[Part], list[str]]:
-    """Tables of all that is no image, each looked at by itself; and what can't be used, with the reason."""
+    """Tables of all that is no image; and what can't be used beside the rest, with the reason."""
     parts, refused = list[Part](), list[str]()
-    for make in (_ties, _control, _lidar, _shots, _altimetry, _terrain):
+    for make in (_ties, _control, _lidar, partial(_shots, refused=refused), _altimetry, _terrain):
         of_kind = list(make(kinds, images, out))
-        several = len(of_kind) > 1
-        for path, text, read, measured in of_kind:
-            try:
-                read()
-            except InputError as error:
-                refused.append(f"{path.name}: {without_place(str(error), path)}")
-                continue
+        for path, text, measured in of_kind:
             head, _, rest = text.partition("\n")
-            head = f"[{head}]" if several and not head.startswith("[[") else head
+            head = f"[{head}]" if len(of_kind) > 1 and not head.startswith("[[") else head
             text, note = f"\n{head}\n{rest}", ""
             if head == _ALTIMETRY:  # it says nothing without the images' relief, to which `adjust` is blind
                 note = f"{_RELIEF}; in comments"
@@ -95,7 +85,7 @@ def draft_tables(
     return parts, refused
 
 
-_Made = Iterator[tuple[Path, str, Callable[[], object], bool]]
+_Made = Iterator[tuple[Path, str, bool]]
 
 
 def _of(kinds: dict[Path, Kind], *wanted: Kind) -> list[Path]:
@@ -105,51 +95,41 @@ def _of(kinds: dict[Path, Kind], *wanted: Kind) -> list[Path]:
 def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.NETWORK, Kind.TIE_TABLE):
         sigma = said("sigma_px = 1.0", "of line and sample, where the network doesn't say")
-        text = f"[ties]\nnetwork = {place(path, out)}\n{sigma}"
-        yield path, text, partial(read_tie_points, path, images[0].image.body), True
+        yield path, f"[ties]\nnetwork = {place(path, out)}\n{sigma}", True
 
 
 def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.GROUND_CONTROL)[:1]:
-        text = f"[ground_control]\nfile = {place(path, out)}\n"
-        yield path, text, partial(read_ground_control, path, images[0].image.body), True
+        yield path, f"[ground_control]\nfile = {place(path, out)}\n", True
 
 
 def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.LIDAR):
-        text = f"[laser]\nfile = {place(path, out)}\n" + said("image_sigma_px = 30.0", "of the shots' pixels")
-        yield path, text, partial(read_lidar, path), True
+        sigma = said("image_sigma_px = 30.0", "of the shots' pixels")
+        yield path, f"[laser]\nfile = {place(path, out)}\n{sigma}", True
 
 
-def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, refused: list[str]) -> _Made:
     """A profile taken along with an image has ranges from its trajectory, MOLA's a shift; others are altimetry."""
     known = list[Array]()
     for path in _of(kinds, Kind.LIDAR):
-        with suppress(InputError):  # said where its table is made
+        with suppress(InputError):  # said where the case is read
             known.append(read_lidar(path).times)
     for path in _of(kinds, Kind.SHOTS):
         try:
             shots = read_shots(path)
         except InputError as error:
-            yield path, "", _raising(error), False
+            refused.append(f"{path.name}: {without_place(str(error), path)}")
             continue
         if any(np.mean(np.abs(_nearest(shots.times, times) - times) < _SAME_SHOT) > 0.5 for times in known):
-            yield path, "", _raising(InputError(path.name, "the same shots as the laser shots of ISIS")), False
+            refused.append(f"{path.name}: the same shots as the laser shots of ISIS")
             continue
         along = any(np.any((shots.times > start) & (shots.times < stop)) for start, stop in map(_span, images))
         if along or shots.altimeter is MOLA:
             text = f"[[shots]]\nfile = {place(path, out)}\n"
-            text += said("shift_sigma_m = 100.0", "a common horizontal error of the profile, as an unknown")
-            yield path, text, lambda: None, False
+            yield path, text + said("shift_sigma_m = 100.0", "a common horizontal error, as an unknown"), False
         else:
-            yield from _of_relief(path, images, out)
-
-
-def _raising(error: InputError) -> Callable[[], object]:
-    def read() -> object:
-        raise error
-
-    return read
+            yield _of_relief(path, out)
 
 
 def _nearest(sorted_or_not: Array, times: Array) -> Array:
@@ -168,15 +148,12 @@ def _span(one: DraftImage) -> tuple[float, float]:
 
 
 def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
-    for path in _of(kinds, Kind.ALTIMETRY):
-        yield from _of_relief(path, images, out)
+    yield from (_of_relief(path, out) for path in _of(kinds, Kind.ALTIMETRY))
 
 
-def _of_relief(path: Path, images: Sequence[DraftImage], out: Path) -> _Made:
-    text = f"{_ALTIMETRY}\nfile = {place(path, out)}\n"
-    text += said("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/coregister.md")
-    wanted = AltimetryInput(file=str(path.absolute()))
-    yield path, text, lambda: read_altimetry(wanted, Path(), images[0].image.body), False
+def _of_relief(path: Path, out: Path) -> tuple[Path, str, bool]:
+    sigma = said("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/coregister.md")
+    return path, f"{_ALTIMETRY}\nfile = {place(path, out)}\n{sigma}", False
 
 
 def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
@@ -193,8 +170,7 @@ def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -
         grid = MEGDR_SIGMAS.get(resolution) if kinds[path] is Kind.RADII else None
         text += said(f"vertical_sigma_m = {grid or 10.0}", "of its heights" + (" between its posts" if grid else ""))
         text += said("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
-        entry = TerrainInput(radius=str(path.absolute()), reference_radius_m=level)
-        yield path, text, partial(read_terrain_model, entry, out, pictures, read_shots), False
+        yield path, text, False
 
 
 def _level(path: Path, images: Sequence[PushbroomImage], out: Path) -> float | None:

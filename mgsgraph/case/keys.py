@@ -1,7 +1,5 @@
 """Tables and keys of a case file, as its schema has them: for `mgsgraph help case`, and for docs/case_file.md."""
 
-import ast
-import inspect
 import textwrap
 import types
 import typing
@@ -15,6 +13,7 @@ import msgspec
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import CaseInput, SolverInput
 from mgsgraph.errors import InputError
+from mgsgraph.record import meanings
 
 HEAD = "head"
 """What the keys before the first table go by."""
@@ -75,21 +74,8 @@ def _record(hint: Any) -> _Kind | None:
 
 
 def _key(field: msgspec.structs.FieldInfo, kind: _Kind) -> Key:
-    meaning = _meanings(SolverSettings if kind is SolverInput else kind)[field.name]  # the same names, said there
+    meaning = meanings(SolverSettings if kind is SolverInput else kind)[field.name]  # the same names, said there
     return Key(field.name, _words(field.type), _default(field), field.required, meaning)
-
-
-@cache
-def _meanings(kind: type) -> dict[str, str]:
-    """What stands under each field of a class."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    assert isinstance(body, ast.ClassDef)
-    return {
-        field.target.id: " ".join(said.value.value.split())
-        for field, said in zip(body.body, body.body[1:], strict=False)
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-        and isinstance(said, ast.Expr) and isinstance(said.value, ast.Constant) and isinstance(said.value.value, str)
-    }  # fmt: skip
 
 
 def _words(hint: Any) -> str:

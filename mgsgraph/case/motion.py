@@ -1,29 +1,141 @@
-"""[passes.position] and [passes.attitude] of a case file: what is known beforehand of a trajectory's correction."""
+"""What a case file says of a trajectory's correction: where a pass's orientation images stand, and what is known
+beforehand, by [passes.position] and [passes.attitude] or, of one camera (HRSC), by `prior`: a bias, a drift and
+departures that forget themselves in time (`network.node_priors.NodePrior`); and the numbers that a case file may hold.
+"""
 
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
 
 from mgsgraph.errors import InputError, errors_from, require
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import Process
+from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.network import NodePrior, Process
+from mgsgraph.network.joining import seconds, straightest
 from mgsgraph.text import listed
 from mgsgraph.units import MGON, MRAD
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Sigma = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]
+"""Standard deviations that mean something: a micropixel or a micrometre to a million kilometres."""
+Factor = Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)]
+"""Of sigmas that are stated elsewhere."""
+Sigmas = float | list[float]
+"""One number for all three axes, or three."""
+SPACING = 10.0
+"""s between nodes where nothing is said: 40 km on the ground for Mars Express."""
+_MOST_NODES = 10_000
+"""In a pass; more are a slip in the unit of their spacing."""
+_SIZES = (1e-9, 1e9)
+"""Sigmas that mean something, in the units of the keys."""
+
+
+def three(value: object, where: str, zero: bool = False, infinite: bool = False) -> Array:
+    """(3,) of one sigma or three; 0 is one where `zero`, inf where `infinite`. (A union of a number with a tuple of
+    three crashes msgspec 0.22.)
+    """
+    sigmas = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    sound = ((sigmas >= _SIZES[0]) & (sigmas <= _SIZES[1])) | (zero & (sigmas == 0.0)) | (infinite & (sigmas == np.inf))
+    if sigmas.size not in (1, 3) or not np.all(sound):
+        other = " (0 for none)" * zero + " (inf for unknown)" * infinite
+        raise InputError(where, f"{value}", f"one number from 1e-9 to 1e9, or three{other}")
+    return np.broadcast_to(sigmas, 3)
+
+
+class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Where the orientation images of a pass stand: evenly spaced, or at times; at most one of the four is said."""
+
+    basis: Basis = "lagrange"
+    """Third-order polynomials through the four nearest, or the uniform cubic B-spline."""
+    spacing_s: Positive | None = None
+    """Largest spacing; 10 s when nothing is said."""
+    spacing_lines: Positive | None = None
+    """The same in lines of the strip's nadir image (`network.joining.straightest`), by its mean line period."""
+    times_et_s: tuple[float, ...] = ()
+    """Times, s TDB past J2000."""
+    times_utc: tuple[str, ...] = ()
+    """Times, UTC as in 2008-02-08T12:08:53.843."""
+
+    def images(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
+        """The nodes of a pass of these images; `where` names this table."""
+        said = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
+        if len(said) > 1:
+            raise InputError(where, listed(said), "one of them")
+        edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
+        start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
+        if self.times_et_s or self.times_utc:
+            times = tdb_of_utc(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
+            return OrientationImages(self.basis, epoch, times - epoch)
+        spacing = self.spacing_s or SPACING
+        if self.spacing_lines is not None:
+            reference = pictures[straightest(pictures)]
+            first, last = seconds(reference)
+            spacing = self.spacing_lines * (last - first) / reference.lines
+        key = said[0] if said else "spacing_s"
+        if said and spacing > stop - start:
+            raise InputError(f"{where}, {key}", f"{spacing:.6g} s", f"less than the pass's {stop - start:.6g} s")
+        if (stop - start) / spacing > _MOST_NODES:
+            found = f"{spacing:.3g} s, {(stop - start) / spacing:.3g} nodes on {stop - start:.6g} s"
+            raise InputError(f"{where}, {key}", found, f"at most {_MOST_NODES} nodes", "a larger spacing")
+        return evenly_spaced(self.basis, epoch, (start - epoch, stop - epoch), spacing)
+
+
+_DEFAULTS = {"": (1.0, 3.0 * MGON / MRAD), "bias_": (50.0, 28.0 * MGON / MRAD), "drift_": (10.0, 5.0 * MGON / MRAD)}
+"""m and mrad, of a node's departures from the trend, of the trend's constant part, and of its linear part."""
+
+
+class NodePriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.node_priors`.
+
+    Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
+    of the attitude is what Spiegel et al. (papers/003) state of Mars Express; all others are those of simulated blocks.
+    """
+
+    position_sigma_m: Sigmas | None = None
+    """Departures of a node from the trend; 1 m when absent, inf where nothing is known."""
+    angle_sigma_mrad: Sigmas | None = None
+    """The same of the attitude; 0.0471 mrad (3 mgon) when absent."""
+    position_bias_sigma_m: Sigmas | None = None
+    """Constant of the whole pass; 50 m when absent, 0 for none."""
+    angle_bias_sigma_mrad: Sigmas | None = None
+    """The same of the attitude; 0.440 mrad (28 mgon) when absent."""
+    position_drift_sigma_m: Sigmas | None = None
+    """Linear in time, at the ends of the pass; 10 m when absent, 0 for none."""
+    angle_drift_sigma_mrad: Sigmas | None = None
+    """The same of the attitude; 0.0785 mrad (5 mgon) when absent."""
+    correlation_time_s: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 60.0
+    """In which departures forget themselves to 1/e; 0: nodes know nothing of each other."""
+
+    def prior(self, where: str) -> NodePrior:
+        """The record, in m and rad; `where` names this table in errors."""
+        parts = dict[str, Array]()
+        for part, defaults in _DEFAULTS.items():
+            keys = (f"position_{part}sigma_m", 1.0), (f"angle_{part}sigma_mrad", MRAD)
+            values = list[Array]()
+            for k, ((key, unit), default) in enumerate(zip(keys, defaults, strict=True)):
+                value = getattr(self, key)
+                stated = three(default if value is None else value, f"{where}, {key}", bool(part), not part) * unit
+                if part and value is None:  # a default gives way where nodes know nothing
+                    stated = np.where(np.isfinite(parts[""][3 * k : 3 * k + 3]), stated, 0.0)
+                values.append(stated)
+            parts[part] = np.concatenate(values)
+        with errors_from(where):
+            return NodePrior(parts[""], parts["bias_"], parts["drift_"], self.correlation_time_s)
+
 
 Kind = Literal["gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter", "white"]
 """Gaussian processes (`network.conditioning`)."""
 Model = Literal["polynomial", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter", "white"]
 """What a correction is in time."""
-Sigmas = float | list[float]
-"""One number for all three axes, or three."""
 Strength = float | list[float] | Literal["estimated"]
 """The same, or found from the measures."""
 HIGHEST = 3
 """Degree of polynomials through four orientation images."""
-_SIZES = (1e-9, 1e9)
-"""Sigmas that mean something, in the units of the keys."""
-_BEGIN = {"m": 1.0, "mrad": 0.01, "mgon": 0.6}
+_BEGIN = {"m": 1.0, "mrad": 0.01}
 """In each unit, where the search for an estimated strength begins."""
 _BANDWIDTH = 0.1
 """Of the frequency, of jitter whose bandwidth is not said."""
@@ -33,7 +145,18 @@ _FOLLOWING = 0.01
 """Of the constant term's sigma: that of powers for which neither the pass nor [orientation] says any."""
 
 
-class ProcessInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class _Times(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The times of a process."""
+
+    correlation_time_s: float | None = None
+    """In which departures forget themselves (gauss-markov: to 1/e), of gauss-markov and matern."""
+    frequency_hz: float | None = None
+    """Of jitter."""
+    bandwidth_hz: float | None = None
+    """Of jitter: full width of its spectral peak at half its height; a tenth of the frequency when absent."""
+
+
+class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """A further process, which adds to that of the table that it stands in."""
 
     model: Kind
@@ -42,27 +165,26 @@ class ProcessInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Its strength, of positions; "estimated": found from the measures."""
     sigma_mrad: Strength | None = None
     """The same of the attitude."""
-    sigma_mgon: Strength | None = None
-    """The same in another unit."""
-    correlation_time_s: float | None = None
-    """In which departures forget themselves, of gauss-markov and matern."""
-    frequency_hz: float | None = None
-    """Of jitter."""
-    bandwidth_hz: float | None = None
-    """Of jitter: full width of its spectral peak at half its height; a tenth of the frequency when absent."""
 
 
-class PositionInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Correction of the position along the body-fixed axes X, Y, Z; each sigma is one number for all, or three.
-
-    As [orientation] has it where nothing is said: a polynomial, of s = -1 .. 1 over the pass.
-    """
+class _Motion(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What corrections of position and of attitude both have."""
 
     model: Model = "polynomial"
     """A polynomial of time; or bias and drift with departures about them that are a Gaussian process: stationary with
     a correlation time (the rougher first), an integrated Wiener process, or a vibration of one frequency (jitter)."""
     degree: int | None = None
     """Of the polynomial, 0 to 3; as many as there are sigmas, or else that of [orientation]."""
+    plus: tuple[ProcessInput, ...] = ()
+    """Further processes, which add up with this one."""
+
+
+class PositionInput(_Motion, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Correction of the position along the body-fixed axes X, Y, Z; each sigma is one number for all, or three.
+
+    As [orientation] has it where nothing is said: a polynomial, of s = -1 .. 1 over the pass.
+    """
+
     sigmas_m: list[Sigmas] | None = None
     """A-priori sigma of each of its terms 1, s, s^2, s^3, at s = 1; those of [orientation] when absent."""
     sigma_m: Strength | None = None
@@ -72,56 +194,30 @@ class PositionInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Constant over the pass, beside a process; 0 or absent: none."""
     drift_sigma_m: Sigmas | None = None
     """Linear in time, at the pass's ends, beside a process; 0 or absent: none."""
-    correlation_time_s: float | None = None
-    """In which departures forget themselves (gauss-markov: to 1/e), of gauss-markov and matern."""
-    frequency_hz: float | None = None
-    """Of jitter."""
-    bandwidth_hz: float | None = None
-    """Of jitter: full width of its spectral peak at half its height; a tenth of the frequency when absent."""
-    plus: tuple[ProcessInput, ...] = ()
-    """Further processes, which add up with this one."""
 
-    units = {"m": 1.0}
-    what = "position"
+    unit: ClassVar[str] = "m"
+    scale: ClassVar[float] = 1.0
+    what: ClassVar[str] = "position"
 
 
-class AttitudeInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Correction of the attitude, rotations about the axes x, y, z of the pass's first camera, in mrad or mgon; each
-    sigma is one number for all, or three. As [orientation] has it where nothing is said.
+class AttitudeInput(_Motion, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Correction of the attitude, rotations about the axes x, y, z of the pass's first camera; each sigma is one number
+    for all, or three. As [orientation] has it where nothing is said.
     """
 
-    model: Model = "polynomial"
-    """As of the position."""
-    degree: int | None = None
-    """As of the position."""
     sigmas_mrad: list[Sigmas] | None = None
     """A-priori sigma of each term 1, s, s^2, s^3 of the polynomial, at s = 1; those of [orientation] when absent."""
-    sigmas_mgon: list[Sigmas] | None = None
-    """The same in another unit."""
     sigma_mrad: Strength | None = None
     """Of the process: of its departures at any one time (of integrated-wiener in mrad/s^1.5); "estimated": found from
     the measures."""
-    sigma_mgon: Strength | None = None
-    """The same in another unit."""
     bias_sigma_mrad: Sigmas | None = None
     """Constant over the pass, beside a process; 0 or absent: none."""
-    bias_sigma_mgon: Sigmas | None = None
-    """The same in another unit."""
     drift_sigma_mrad: Sigmas | None = None
     """Linear in time, at the pass's ends, beside a process; 0 or absent: none."""
-    drift_sigma_mgon: Sigmas | None = None
-    """The same in another unit."""
-    correlation_time_s: float | None = None
-    """In which departures forget themselves (gauss-markov: to 1/e), of gauss-markov and matern."""
-    frequency_hz: float | None = None
-    """Of jitter."""
-    bandwidth_hz: float | None = None
-    """Of jitter: full width of its spectral peak at half its height; a tenth of the frequency when absent."""
-    plus: tuple[ProcessInput, ...] = ()
-    """Further processes, which add up with this one."""
 
-    units = {"mrad": MRAD, "mgon": MGON}
-    what = "attitude"
+    unit: ClassVar[str] = "mrad"
+    scale: ClassVar[float] = MRAD
+    what: ClassVar[str] = "attitude"
 
 
 Motion = PositionInput | AttitudeInput
@@ -137,8 +233,8 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
         A degree over 3; another number of sigmas than of terms; keys of a process.
     """
     _require_keys(motion, ("sigmas", "degree"), where)
-    key, values = _said(motion, "sigmas", where)
-    degree = motion.degree
+    key = f"sigmas_{motion.unit}"
+    values, degree = getattr(motion, key), motion.degree
     if degree is None:
         degree = len(values) - 1 if values is not None else len(default) - 1
     said = f"{where}, degree" if motion.degree is not None else f"{where}, {key}"
@@ -160,8 +256,7 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
         terms = ", ".join(("1", "s", "s^2", "s^3")[: degree + 1])
         expected = f"{degree + 1} for degree = {degree}: of {terms}"
         raise InputError(f"{where}, {key}", f"{len(values)} sigmas", expected)
-    scale = motion.units[key.rsplit("_", 1)[1]]
-    return np.array([three(value, f"{where}, {key}") for value in values]) * scale
+    return np.array([three(value, f"{where}, {key}") for value in values]) * motion.scale
 
 
 def processes(motion: Motion, where: str) -> tuple[Process, ...]:
@@ -180,19 +275,18 @@ def processes(motion: Motion, where: str) -> tuple[Process, ...]:
 def _process(one: Motion | ProcessInput, motion: Motion, where: str) -> Process:
     """One of them; `motion` is the table that it stands in."""
     assert one.model != "polynomial"
-    strange = [key for key in ("sigma_m", "sigma_mrad", "sigma_mgon") if key[6:] not in motion.units]
-    for key in [key for key in strange if getattr(one, key, None) is not None]:
-        raise InputError(where, f"{key}, of {motion.what}", " or ".join(f"sigma_{unit}" for unit in motion.units))
-    key, value = _said(one, "sigma", where, motion)
-    unit = key.removeprefix("sigma_")
+    key = f"sigma_{motion.unit}"
+    for strange in ("sigma_m", "sigma_mrad"):
+        if strange != key and getattr(one, strange, None) is not None:
+            raise InputError(where, f"{strange}, of {motion.what}", key)
+    value = getattr(one, key)
     if value is None:
-        units = " or ".join(f"sigma_{unit}" for unit in motion.units)
-        raise InputError(where, f"{one.model} without a sigma", f'{units}: a number, three, or "estimated"')
+        raise InputError(where, f"{one.model} without a sigma", f'{key}: a number, three, or "estimated"')
     _require_times(one, where)
     estimated = value == "estimated"
-    sigmas = np.full(3, _BEGIN[unit]) if estimated else three(value, f"{where}, {key}")
+    sigmas = np.full(3, _BEGIN[motion.unit]) if estimated else three(value, f"{where}, {key}")
     width = one.bandwidth_hz if one.bandwidth_hz is not None else _BANDWIDTH * (one.frequency_hz or 0.0)
-    sigmas, time, frequency = sigmas * motion.units[unit], one.correlation_time_s or 0.0, one.frequency_hz or 0.0
+    sigmas, time, frequency = sigmas * motion.scale, one.correlation_time_s or 0.0, one.frequency_hz or 0.0
     with errors_from(where):
         return Process(one.model, sigmas, time, frequency, width, estimated)
 
@@ -223,14 +317,12 @@ def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Arr
         For a polynomial of a higher degree than 1: beside a process only a line can stand.
     """
     if motion.model != "polynomial":
-        parts = [_said(motion, part, where) for part in ("bias_sigma", "drift_sigma")]
+        keys = (f"{part}_sigma_{motion.unit}" for part in ("bias", "drift"))
         bias, drift = (
-            np.zeros(3) if value is None
-            else three(value, f"{where}, {key}", zero=True) * motion.units[key.rsplit("_", 1)[1]]
-            for key, value in parts
-        )  # fmt: skip
+            three(getattr(motion, key) or 0.0, f"{where}, {key}", zero=True) * motion.scale for key in keys
+        )
         return bias, drift
-    said = motion.degree is not None or any(getattr(motion, f"sigmas_{unit}") is not None for unit in motion.units)
+    said = motion.degree is not None or getattr(motion, f"sigmas_{motion.unit}") is not None
     sigmas = polynomial_sigmas(motion, default if said else default[:2], where)
     if len(sigmas) > 2:
         found = f"a polynomial of degree {len(sigmas) - 1} beside a process of the other part"
@@ -248,22 +340,3 @@ def _require_keys(motion: Motion, allowed: tuple[str, ...], where: str) -> None:
     for key, value in msgspec.structs.asdict(motion).items():
         if key != "model" and value not in (None, ()) and key not in allowed and key.rsplit("_", 1)[0] not in allowed:
             raise InputError(where, f'{key} beside model = "{motion.model}"', "keys of that model alone", "take it out")
-
-
-def _said(table: Motion | ProcessInput, part: str, where: str, motion: Motion | None = None) -> tuple[str, Any]:
-    """The key of a part that a table says, in whichever unit (of `motion`), and its value; None where none is."""
-    units = (motion or table).units  # type: ignore[union-attr]
-    given = {key: value for unit in units if (value := getattr(table, key := f"{part}_{unit}")) is not None}
-    if len(given) > 1:
-        raise InputError(where, listed(list(given)), "one of them")
-    return next(iter(given.items()), (f"{part}_{next(iter(units))}", None))
-
-
-def three(value: object, where: str, zero: bool = False) -> Array:
-    """(3,) of one number or three; 0 is one where `zero`."""
-    sigmas = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    sound = ((sigmas >= _SIZES[0]) & (sigmas <= _SIZES[1])) | (zero & (sigmas == 0.0))
-    if sigmas.size not in (1, 3) or not np.all(sound):
-        or_zero = ", 0 for none" if zero else ""
-        raise InputError(where, f"{value}", f"one number from {_SIZES[0]:g} to {_SIZES[1]:g}{or_zero}, or three")
-    return np.broadcast_to(sigmas, 3)

@@ -8,8 +8,11 @@ import msgspec
 import numpy as np
 
 from mgsgraph.case.motion import (
+    SPACING,
     AttitudeInput,
     Motion,
+    NodePriorInput,
+    NodesInput,
     PositionInput,
     ProcessInput,
     negligible_departures,
@@ -17,7 +20,6 @@ from mgsgraph.case.motion import (
     processes,
     trend_sigmas,
 )
-from mgsgraph.case.nodes import SPACING, NodePriorInput, NodesInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -146,16 +148,11 @@ def _longest(pictures: Sequence[PushbroomImage]) -> float:
     return float(edges[:, 1].max() - edges[:, 0].min())
 
 
-def table_names(entries: Sequence[PassInput]) -> list[str]:
-    """How a case file counts these tables."""
-    return [f"passes[{k}]" for k in range(len(entries))]
-
-
 def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> list[list[int]]:
     """Images of each pass, ascending, by the names of all; each image is of one at most."""
-    index, owner, tables = {name: j for j, name in enumerate(names)}, dict[int, int](), table_names(entries)
+    index, owner = {name: j for j, name in enumerate(names)}, dict[int, int]()
     for k, entry in enumerate(entries):
-        where = f"{path}, {tables[k]}, images"
+        where = f"{path}, passes[{k}], images"
         if entry.images is not None and not entry.images:
             raise InputError(where, "an empty list", "names of images", "leave it out to take all that are left")
         for name in entry.images or ():
@@ -164,7 +161,7 @@ def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> li
                 raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
             if index[name] in owner:
                 at = owner[index[name]]
-                called = f"pass {entries[at].name!r}" if entries[at].name else tables[at]
+                called = f"pass {entries[at].name!r}" if entries[at].name else f"passes[{at}]"
                 raise InputError(where, f"{name!r}, which {called} has already", "each image once")
             owner[index[name]] = k
     for k in [k for k, entry in enumerate(entries) if entry.images is None][:1]:
@@ -172,7 +169,7 @@ def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> li
             raise InputError(f"{path}, passes", "several without images", "names: one alone may take those left over")
         left = [j for j in range(len(names)) if j not in owner]
         if not left:
-            raise InputError(f"{path}, {tables[k]}", "no image that no other table names", "images = [...]")
+            raise InputError(f"{path}, passes[{k}]", "no image that no other table names", "images = [...]")
         owner |= dict.fromkeys(left, k)
     return [sorted(j for j, at in owner.items() if at == k) for k in range(len(entries))]
 
@@ -200,8 +197,8 @@ def passes_of(
         Case file, for errors.
     """
     found = list[Pass]()
-    for table, entry, mine in zip(table_names(entries), entries, of_entries, strict=True):
-        where, pictures = f"{path}, {table}", [images[j] for j in mine]
+    for number, (entry, mine) in enumerate(zip(entries, of_entries, strict=True)):
+        where, pictures = f"{path}, passes[{number}]", [images[j] for j in mine]
         groups = found_passes(pictures) if entry.sorted_by_time else [list(range(len(mine)))]
         for group in groups:
             together = [pictures[k] for k in group]

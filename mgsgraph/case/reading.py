@@ -13,14 +13,12 @@ from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.assembly import Parts
-from mgsgraph.case.case_file import decode
+from mgsgraph.case.case_file import decode, instruments, read_images
+from mgsgraph.case.case_file import read_image as read_image
 from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
-from mgsgraph.case.images import instruments, read_images
-from mgsgraph.case.images import read_image as read_image
-from mgsgraph.case.laser import AltimetryInput, ShotsInput
 from mgsgraph.case.mountings import mounted, mounting_unknowns
 from mgsgraph.case.passes import members, passes_of
-from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
+from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, ShotsInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.case.case_file import decode
-from mgsgraph.case.images import read_images
-from mgsgraph.case.passes import members, table_names
+from mgsgraph.case.case_file import decode, read_images
+from mgsgraph.case.passes import members
 from mgsgraph.case.reading import picture_of, read_profile, terrain_shots
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
@@ -96,9 +95,9 @@ def image_priors(wanted: CaseInput, of_passes: Sequence[Sequence[int]], path: Pa
     """Of each image; one of a pass has what is known of that."""
     priors, entries = list(wanted.priors(str(path))), wanted.passes
     default = wanted.orientation.prior(f"{path}, orientation")
-    for table, entry, mine in zip(table_names(entries), entries, of_passes, strict=True):
+    for k, (entry, mine) in enumerate(zip(entries, of_passes, strict=True)):
         for j in mine:
-            priors[j] = entry.image_prior(f"{path}, {table}", default)
+            priors[j] = entry.image_prior(f"{path}, passes[{k}]", default)
     return priors
 
 

@@ -12,7 +12,7 @@ from typing import NoReturn
 import click
 
 from mgsgraph.cli.options import guard_streams
-from mgsgraph.cli.verbs import VERBS
+from mgsgraph.cli.verbs import REMOVED, VERBS
 from mgsgraph.errors import MgsgraphError, one_line
 
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
@@ -163,7 +163,10 @@ def _said(error: click.ClickException) -> str:
     """One line of what click has against an option or an argument, and where to look."""
     message = one_line(" ".join(error.format_message().split()).rstrip("."), _LONGEST)
     context = error.ctx if isinstance(error, click.UsageError) else None
-    return message if context is None else f"{message}; see {context.command_path} --help"
+    if context is None:
+        return message
+    option = f"{context.info_name} {error.option_name}" if isinstance(error, click.NoSuchOption) else ""
+    return f"{message}; {REMOVED.get(option, f'see {context.command_path} --help')}"
 
 
 def _leave(message: str, status: int) -> NoReturn:

@@ -3,8 +3,7 @@ projection or by relief.
 """
 
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +18,6 @@ from mgsgraph.cli.options import (
     WORKERS,
     image_pair,
     overruling,
-    print_form_of_tables,
     print_sentences,
     print_solution,
 )
@@ -64,7 +62,6 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
 @TIES
 @click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
-@click.option("--relief", is_flag=True, help="Laser profiles and images onto each other by relief: `coregister`.")
 @overruling
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
@@ -74,7 +71,6 @@ def adjust(
     out: Path,
     cluster: str | None,
     two_steps: bool,
-    relief: bool,
     ties: Path | None,
     overrides: "Overrides",
     verbose: bool,
@@ -82,8 +78,7 @@ def adjust(
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
     Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
-    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md. With
-    --relief laser profiles of unknown shift are held to the surface that the images show: see docs/coregister.md.
+    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md.
 
     Exit status: 0 converged, 1 not converged, or to what is no result: most of a kind of observations left out, an
     absurd sigma0, orientations beyond 100 a-priori sigmas (results are written); 2 bad input.
@@ -98,10 +93,8 @@ def adjust(
     from mgsgraph.files.output.folders import require_replaceable
     from mgsgraph.results.results import write_results
 
-    if overrides.tables is not None and (relief or two_steps):
-        raise click.UsageError("--tables goes with neither --two-steps nor --relief")
-    if relief and (two_steps or cluster is not None):
-        raise click.UsageError("--relief goes with neither --two-steps nor --cluster")
+    if overrides.tables is not None and two_steps:
+        raise click.UsageError("--tables doesn't go with --two-steps")
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
@@ -111,10 +104,8 @@ def adjust(
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
     estimating = any(one.asks_for_strengths for one in read.network.passes)
-    if estimating and (relief or two_steps or cluster is not None):
-        raise click.UsageError("estimated strengths of processes go with none of --relief, --two-steps and --cluster")
-    if relief:
-        ctx.exit(0 if _coregistered(replace(read, settings=settings), out, overrides.figures) else 1)
+    if estimating and (two_steps or cluster is not None):
+        raise click.UsageError("estimated strengths of processes go with neither --two-steps nor --cluster")
     connection: AbstractContextManager[Connection | None]
     connection = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
@@ -126,11 +117,10 @@ def adjust(
         else:
             solution, said = adjust_network(read.network, settings, read.name, bar, workers), []
     solution = replace(solution, seconds=reading | dict(solution.seconds))
-    written = write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
+    write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution)
     for sentence in said:
         click.echo(sentence)
-    print_form_of_tables(written, overrides.tables)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if is_result(solution) else 1)
 
@@ -156,7 +146,7 @@ def _in_two_steps(
         steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
     # what took longest is safe, whatever becomes of the rest
     write_results(steps.fitted, out, figures=False, networks=read.networks)
-    with _solution_kept(out), stage_bar(2) as stages:
+    with stage_bar(2) as stages:
         with stages.stage("figures of merit"):
             statistics = two_step_statistics(steps)
         with stages.stage("tables and figures"):
@@ -164,20 +154,6 @@ def _in_two_steps(
     click.echo(two_steps_section(statistics).text(None))
     click.echo(f"Results are in {out}")
     return steps.converged and is_result(steps.fitted)
-
-
-@contextmanager
-def _solution_kept(out: Path) -> Iterator[None]:
-    """Say where the solution is, should what follows it fail or be interrupted."""
-    said = f"the solution of step 2 is in {out}, without figures of merit"
-    try:
-        yield
-    except KeyboardInterrupt:
-        click.echo(f"mgsgraph: interrupted; {said}", err=True)
-        raise click.exceptions.Exit(130) from None
-    except Exception:
-        click.echo(f"mgsgraph: {said}", err=True)
-        raise
 
 
 @click.command()
@@ -363,8 +339,7 @@ def coregister(
 
 
 def _coregistered(
-    read: "Case", out: Path, figures: bool, settings: "ReliefSettings | None" = None,
-    before: "Solution | None" = None, workers: int | None = None,
+    read: "Case", out: Path, figures: bool, settings: "ReliefSettings", before: "Solution | None", workers: int | None
 ) -> bool:
     """Register a case by relief, write and print what came out; whether it converged."""
     from mgsgraph.cli.progress import counting_bars

@@ -93,12 +93,6 @@ def print_sentences(sentences: Iterable[str]) -> None:
         click.echo(f"- {sentence}")
 
 
-def print_form_of_tables(files: Iterable[str], asked: "TableForm | None") -> None:
-    """Print that the tables among written files are Parquet where nobody asked for that."""
-    if "points.parquet" in files and asked is None:
-        click.echo("Tables of points and residuals are Parquet, for their size; --tables csv writes CSV")
-
-
 def print_solution(solution: "Solution") -> None:
     """Print what an adjustment has found: the table and the sentences."""
     from mgsgraph.results.summary import sentences_of, solution_sections, summary_table

@@ -123,8 +123,7 @@ def shots(
     Exit status: 0, with shots found or none; 2 bad input, and nothing is written.
     """
     from mgsgraph.files.writing import fresh_file, require_free
-    from mgsgraph.project.oriented import oriented_images
-    from mgsgraph.project.shot_search import ShotChoice, search_shots
+    from mgsgraph.project.oriented import ShotChoice, oriented_images, search_shots
     from mgsgraph.results.places import SELECTION, crossings_section, selection_table
 
     if out is not None:

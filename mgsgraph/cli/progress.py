@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 _EXPLAIN_AFTER = 4.0
 """s of compiling after which it is said."""
-_FIRST_CASE = 20.0
-"""s after which it is said that no case is over."""
 _SHORTLY = 2.0
 """s before a bar appears: what is done sooner needs none."""
 _BEAT = 0.5
@@ -144,8 +142,6 @@ class CaseBar:
     def __init__(self, verbose: bool) -> None:
         self._verbose, self._over, self._due, self._failed = verbose, 0, 0, 0
         self._bar: tqdm[None] | None = None
-        self._timer = threading.Timer(_FIRST_CASE, self.explain)
-        self._timer.daemon = True
 
     def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
         """Show that a case is over."""
@@ -154,7 +150,6 @@ class CaseBar:
         self._over, self._due = over, due
         if self._bar is None:
             self._bar = tqdm(total=due, desc="adjusting", unit="case", leave=False, disable=None)
-            self._timer.start()
         if entry is None:
             return
         self._failed += entry.status == "failed"
@@ -168,14 +163,8 @@ class CaseBar:
         """How far it is."""
         return f"{self._over} of {self._due} cases are over and recorded" if self._due else "nothing was begun"
 
-    def explain(self) -> None:
-        """Say that nothing has moved yet; what compiles, does so in other processes."""
-        if self._over == 0 and self._due:
-            click.echo("no case is over yet", err=True)
-
     def close(self) -> None:
         """Take the bar away."""
-        self._timer.cancel()
         if self._bar is not None:
             self._bar.close()
 

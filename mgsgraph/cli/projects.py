@@ -1,6 +1,7 @@
 """Verbs for a project, a folder to which images come one after the other."""
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,17 +12,20 @@ from mgsgraph.cli.options import (
     NO_FIGURES,
     PATH,
     TABLES,
-    print_form_of_tables,
     print_sentences,
     print_solution,
 )
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.incremental.impact import Closing, Impact
+    from mgsgraph.adjustment.incremental.impact import Impact
     from mgsgraph.adjustment.settings import Device
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited
     from mgsgraph.results.large_tables import TableForm
+
+_IMPACT = click.option(
+    "--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file."
+)
 
 
 @click.command()
@@ -61,8 +65,7 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.option("--shots", type=PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
 @click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT that they are images of.")
 @click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
-@click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
+@_IMPACT
 @click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
 @click.pass_context
 def add(
@@ -74,7 +77,6 @@ def add(
     of_pass: str,
     shares: tuple[str, ...],
     table: Path | None,
-    check: bool,
     dry_run: bool,
 ) -> None:
     """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
@@ -83,8 +85,7 @@ def add(
     (.toml), which brings everything that it names, passes among it. NAME is what control networks call it. The
     trajectory of a pass that is there goes on over the lines of its new images.
 
-    What is printed is the impact: which images and points moved, in metres and in their sigmas. --check ends with the
-    closing check: batch over everything, the largest difference, and batch's result where the two are not the same.
+    What is printed is the impact: which images and points moved, in metres and in their sigmas.
 
     Exit status: 0 added, 1 added and not come to rest, 2 bad input (nothing has changed).
     """
@@ -100,19 +101,14 @@ def add(
 
         require_writable(table, project)
     wanted = [parse_image(text) for text in images]
-    closing = None
-    with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
+    with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
             addition = read_addition(opened, wanted, ties, shots, of_pass, shares)
         if not dry_run:
             from mgsgraph.project.changes import add as put
-            from mgsgraph.project.changes import check as compare
 
             with stages.stage("adjusting"):
                 impact = put(opened, addition)
-            if check and impact is not None:
-                with stages.stage("closing check"):
-                    closing = compare(opened)
     if dry_run:
         click.echo(f"{project}: would add {_words(addition)}; nothing was changed")
         print_sentences(addition.notes)
@@ -125,10 +121,7 @@ def add(
     print_sentences(addition.notes)
     if impact is None:
         _warn(addition)
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
-        return
-    print_impact(impact, closing, table)
-    ctx.exit(0 if impact.converged else 1)
+    _print_impact(ctx, project, impact, table)
 
 
 def _words(addition: "Addition") -> str:
@@ -150,35 +143,24 @@ def _warn(addition: "Addition") -> None:
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("images", nargs=-1, required=True, metavar="IMAGE...")
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
-@click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
+@_IMPACT
 @click.pass_context
-def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None, check: bool) -> None:
+def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None) -> None:
     """Take each IMAGE (by its name) out of PROJECT with its measures, and adjust what it touched.
 
     Exit status: 0 removed, 1 removed and not come to rest, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.project.changes import check as compare
     from mgsgraph.project.changes import remove as take_out
     from mgsgraph.project.project import open_project
     from mgsgraph.results.impact import require_writable
 
     if table is not None:
         require_writable(table, project)
-    closing = None
-    with stage_bar(2 if check else 1) as stages, open_project(project, write=True) as opened:
-        with stages.stage("adjusting"):
-            impact = take_out(opened, images)
-        if check and impact is not None:
-            with stages.stage("closing check"):
-                closing = compare(opened)
+    with stage_bar(1) as stages, stages.stage("adjusting"), open_project(project, write=True) as opened:
+        impact = take_out(opened, images)
     click.echo(f"{project}: removed {', '.join(images)}")
-    if impact is None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
-        return
-    print_impact(impact, closing, table)
-    ctx.exit(0 if impact.converged else 1)
+    _print_impact(ctx, project, impact, table)
 
 
 @click.command()
@@ -194,7 +176,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 @click.option("--reject", "rejected", multiple=True, metavar="IMAGE", help="Set its measure in IMAGE aside.")
 @click.option("--accept", "accepted", multiple=True, metavar="IMAGE", help="Take a rejected measure in again.")
 @click.option("--remove", "gone", is_flag=True, help="Take POINT out.")
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@_IMPACT
 @click.pass_context
 def measure(
     ctx: click.Context, project: Path, point: str, new: bool, pixels: tuple[tuple[str, float, float], ...],
@@ -209,8 +191,7 @@ def measure(
     """
     from mgsgraph.errors import InputError
     from mgsgraph.project import edits
-    from mgsgraph.project.journal import Measure
-    from mgsgraph.project.project import open_project
+    from mgsgraph.project.project import Measure, open_project
     from mgsgraph.results.impact import require_writable
 
     if not (pixels or rejected or accepted or gone):
@@ -239,7 +220,7 @@ def measure(
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("change", type=int, required=False)
-@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@_IMPACT
 @click.pass_context
 def undo(ctx: click.Context, project: Path, change: int | None, table: Path | None) -> None:
     """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
@@ -265,12 +246,7 @@ def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", ta
         click.echo(f"{project}: change {one.change}. {one.sentence}")
         if one.impact is not None and one is not done[-1]:
             print_sentences(one.impact.sentences)
-    impact = done[-1].impact
-    if impact is None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
-        return
-    print_impact(impact, None, table)
-    ctx.exit(0 if impact.converged else 1)
+    _print_impact(ctx, project, done[-1].impact, table)
 
 
 @click.command()
@@ -302,7 +278,6 @@ def solve(
     print_solution(solved.solution)
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence}")
-    print_form_of_tables(solved.files, tables)
     click.echo(f"Results are in {solved.folder}")
     ctx.exit(0 if is_result(solved.solution) else 1)
 
@@ -319,8 +294,11 @@ def status(project: Path) -> None:
     click.echo(text)
 
 
-def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
-    """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
+def _print_impact(ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None) -> None:
+    """Sentences, the images reached, the points that moved most (all in a CSV file); exit 1 if not converged."""
+    if impact is None:
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        return
     print_sentences(impact.sentences)
     click.echo("\n".join(impact.tables_text()))
     if table is not None:
@@ -328,5 +306,40 @@ def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None
 
         write_impact(impact, table)
         click.echo(f"All points that moved are in {table}")
-    if closing is not None:
-        click.echo(f"- {closing.sentence}")
+    ctx.exit(0 if impact.converged else 1)
+
+
+@click.command()
+@click.argument("path", type=PATH, metavar="PROJECT|RESULT|CASE")
+@click.option("--case", type=PATH, help="Case of RESULT, for its images' pixels; that of a demonstration is found.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine; any free one when absent.")
+@click.option("--no-browser", is_flag=True, help="Print the address, open no browser.")
+def studio(path: Path, case: Path | None, port: int | None, no_browser: bool) -> None:
+    """Look at PROJECT, RESULT or CASE in the browser, measure, and ask: map, images, points, questions.
+
+    The page is for this machine alone; its address holds a token that lasts as long as the command. Changes of a
+    project are stored one by one: the command may be ended at any time (Ctrl+C).
+
+    Exit status: 0, 2 bad input.
+    """
+    from mgsgraph.cli.progress import stage_bar
+    from mgsgraph.errors import InputError
+
+    if find_spec("starlette") is None or find_spec("uvicorn") is None:
+        found = "its libraries are not installed"
+        raise InputError("studio", found, remedy="pip install 'mgsgraph[studio]'")
+    from mgsgraph.studio.opened import Opened
+    from mgsgraph.studio.server import serve
+
+    with stage_bar(1) as stages, stages.stage("reading"):
+        opened = Opened(path, case)
+        opened.footprints()
+
+    def ready(address: str) -> None:
+        click.echo(f"The studio is at {address}\nCtrl+C ends it; changes of a project are stored when they are made.")
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open_new_tab(address)
+
+    serve(opened, port, ready)

@@ -256,7 +256,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:
     """Checksums of the solutions' archives, of the case, and of every file that it names."""
     from mgsgraph.files.opening import sha256_of
-    from mgsgraph.project.campaign.inputs import checksums
+    from mgsgraph.project.campaign.run import checksums
     from mgsgraph.results.archive import ARCHIVE
 
     given = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]

@@ -10,7 +10,6 @@ import click
 from mgsgraph.cli.options import NO_FIGURES, PAIR, PATH, WORKERS, image_pair, print_sentences, print_solution
 
 if TYPE_CHECKING:
-    from mgsgraph.fetch.folder import Planned
     from mgsgraph.matching.settings import MatchSettings
 
 _SEED = click.option(
@@ -165,13 +164,12 @@ def simulate(
 @click.option("--volume", "volumes", multiple=True, metavar="mgsc_NNNN", help="Where the images are; may be repeated.")
 @click.option("--mirror", metavar="URL", help="All archives below one address: URL/images/, URL/kernels/ ...")
 @click.option("--mirrors", type=PATH, help="TOML file with addresses of single archives; also $MGSGRAPH_MIRRORS.")
-@click.option("--dry-run", is_flag=True, help="List what would be fetched, with sizes; write nothing.")
 @click.option("--update", is_flag=True, help="Ask the archives for everything anew, and take what has changed.")
 @click.option("--verify", type=PATH, metavar="FOLDER", help="Compare a folder with its fetch.lock; fetches nothing.")
 def fetch(
     images: tuple[str, ...], out: Path | None, terrain: str, altimeter: str | None,
     box: tuple[float, float, float, float] | None, volumes: tuple[str, ...], mirror: str | None, mirrors: Path | None,
-    dry_run: bool, update: bool, verify: Path | None,
+    update: bool, verify: Path | None,
 ) -> None:
     """Fetch all that the adjustment of images needs, by their ids, and write a case file: of MOC's narrow angle
     (E02/00665, e0200665), CTX (B10_013341_1010_XN_79S172W), LROC NAC (M103595705LE) or HRSC (h5270_0000_ir2), those of
@@ -182,35 +180,25 @@ def fetch(
     interrupted.
     """
     if verify is not None:
-        if images or out is not None or dry_run or update:
-            raise click.UsageError("--verify takes a folder, and neither images nor --out, --dry-run or --update")
+        if images or out is not None or update:
+            raise click.UsageError("--verify takes a folder, and neither images nor --out or --update")
         _verify(verify)
         return
-    if dry_run and update:
-        raise click.UsageError("--dry-run tells what is not here, not what has changed: leave --update out")
-    if out is None and not dry_run:
+    if out is None:
         raise click.UsageError(_OUT_MISSING)
-    if (altimeter is None) != (box is None) or (altimeter is not None and (images or dry_run)):
-        raise click.UsageError("--shots and --box go together, without images and --dry-run")
+    if (altimeter is None) != (box is None) or (altimeter is not None and images):
+        raise click.UsageError("--shots and --box go together, without images")
     from mgsgraph.cli.progress import counting_bar, passing_word
     from mgsgraph.fetch.archives import Archives
-    from mgsgraph.fetch.folder import fetch_images, fetch_shots, survey
+    from mgsgraph.fetch.folder import fetch_images, fetch_shots
 
     archives = Archives.chosen(mirror, mirrors)
-    if altimeter is not None and box is not None and out is not None:
+    if altimeter is not None and box is not None:
         with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
             table = fetch_shots(
                 altimeter, box, out, archives=archives, update=update, progress=show, say=passing_word
             )
         click.echo(f"The shots are in {table}")
-        return
-    if out is None or dry_run:
-        with counting_bar("looking up", "B") as show:
-            plan = survey(
-                images, out or Path("fetched"), terrain=terrain, archives=archives, volumes=volumes, progress=show,
-                say=passing_word,
-            )
-        _print_plan(plan, terrain)
         return
     with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
         fetched = fetch_images(
@@ -234,18 +222,6 @@ def _verify(folder: Path) -> None:
     with counting_bar("verifying", "B") as show:
         lock = verify(folder, show)
     click.echo(f"{len(lock.files)} files, {lock.size / 1e6:.1f} MB, all as locked")
-
-
-def _print_plan(plan: "tuple[Planned, ...]", terrain: str) -> None:
-    for one in plan:
-        each = "?" if one.size is None else f"{one.size / 1e6:.1f}"
-        click.echo(f"{each:>9} MB  {one.path}  {'here' if one.here else one.url}")
-    coming = [one for one in plan if not one.here]
-    unknown = "" if all(one.size is not None for one in coming) else ", and what has no size"
-    size = f"{sum(one.size or 0 for one in coming) / 1e6:.1f} MB{unknown}"
-    click.echo(f"{len(coming)} files to fetch and their labels, {size}")
-    if terrain == "128":
-        click.echo("and tiles of 128 pixels per degree, 260 MB each: which tiles is known once the kernels are fetched")
 
 
 @click.command()

@@ -28,8 +28,16 @@ VERBS = {
     "shots": ("places", "Find the laser profiles over images, and those taken along with them."),
     "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
     "solve": ("projects", "Adjust everything in a project by batch, and compare."),
-    "studio": ("studio", "Look at a project, results or a case in the browser, measure and ask."),
+    "studio": ("projects", "Look at a project, results or a case in the browser, measure and ask."),
     "status": ("projects", "Say what is in a project and what its last solution was."),
     "undo": ("projects", "Take back the last edit of a point of a project."),
 }
 """Module of each verb, and its line of help: known before that module is imported."""
+
+REMOVED = {
+    "adjust --relief": "mgsgraph coregister CASE",
+    "add --check": "mgsgraph solve PROJECT ends with the closing check",
+    "remove --check": "mgsgraph solve PROJECT ends with the closing check",
+    "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",
+}
+"""Options that verbs had once, and what serves instead."""

@@ -57,8 +57,7 @@ def case_setting(case: Path) -> ExchangeSetting:
     """Names and sizes of a case's images, the body's ellipsoid and, if known by its size, name; the case's other files
     need not be there.
     """
-    from mgsgraph.case.case_file import decode
-    from mgsgraph.case.images import read_image
+    from mgsgraph.case.case_file import decode, read_image
 
     wanted = decode(case)
     images = [

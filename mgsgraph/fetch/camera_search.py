@@ -21,7 +21,6 @@ _LABEL = 1 << 16
 _KERNEL = re.compile(r"[\"']?\$?\w{0,40}/?((?:lsk|pck|sclk|fk|ik|spk|ck)/[\w.-]+\.\w{2,4})", re.IGNORECASE)
 """A kernel in a meta-kernel, below data/; its path may be cut by '+' before a line's end."""
 _DATES = re.compile(r"_(\d{6}|\d{7})_(\d{6}|\d{7})(?=[_.])")
-_NEEDED = ("lsk", "pck", "sclk", "fk", "ik", "spk", "ck")
 _URL = re.compile(r"https?://[^\s<>\"']{1,300}?/(output/[\w.-]+/[\w.-]+_pts_csv\.csv)")
 _EDGE = 0.02
 """deg around an image's box in which shots are asked for."""

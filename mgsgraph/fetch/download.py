@@ -3,12 +3,10 @@
 What is done of a fault: a cut connection, a stalled one, too few bytes, 429 and 5xx are tried again with growing waits,
 from the byte where it broke off; any byte more begins the count of tries anew. Content that has changed meanwhile, or a
 server that ignores Range, means to begin anew. All else (404, an endless redirect, a certificate) is an error at once.
-Redirects lead to http and https, not from https to http, nor from the world into a private network.
+Redirects lead to http and https, not from https to http.
 """
 
-import ipaddress
 import re
-import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -22,7 +20,7 @@ from urllib.parse import urljoin, urlsplit
 
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.archives import require_address
-from mgsgraph.fetch.part import PartialFile, RemoteSource
+from mgsgraph.fetch.lock import PartialFile, RemoteSource
 from mgsgraph.files.opening import ANY_SIZE
 
 if TYPE_CHECKING:
@@ -107,15 +105,6 @@ class Remote:
         for answer in tuple(self._open):
             with suppress(OSError, ValueError, RuntimeError):  # has ended meanwhile, or its connection is free again
                 answer.raw.shutdown()
-
-    def size(self, url: str) -> int | None:
-        """Bytes of a file; None where the archive doesn't say."""
-
-        def ask() -> int | None:
-            with self._answer(url, {"Range": "bytes=0-0"}) as answer:  # HEAD is refused here and there
-                return _source(url, answer).total
-
-        return self._persist(url, ask)
 
     def head(self, url: str, count: int) -> bytes:
         """The first bytes of a file, as many as there are up to `count`; NotInArchive where there is none."""
@@ -412,7 +401,7 @@ def led_to(url: str, address: str, location: str) -> str:
     Raises
     ------
     InputError
-        None of http or https; from https to http; from the world into this machine or its private network.
+        None of http or https; from https to http.
     """
     try:
         to = urljoin(address, location)
@@ -422,15 +411,4 @@ def led_to(url: str, address: str, location: str) -> str:
     require_address(to.partition("?")[0].partition("#")[0], f"{url}, redirected")
     if before.scheme == "https" and parts.scheme != "https":
         raise InputError(url, f"redirected to {to}, which is not encrypted", "https", _ELSEWHERE)
-    if parts.hostname != before.hostname and _is_inner(parts.hostname) and not _is_inner(before.hostname):
-        raise InputError(url, f"redirected into a private network, to {parts.hostname}", "a public host", _ELSEWHERE)
     return to
-
-
-def _is_inner(host: str | None) -> bool:
-    """Whether any of a host's addresses is one of this machine or of a private network, as far as it is known."""
-    try:
-        found = socket.getaddrinfo(host, None)
-    except (OSError, ValueError):  # unknown, or known to a proxy alone
-        return False
-    return any(not ipaddress.ip_address(str(one[4][0]).partition("%")[0]).is_global for one in found)

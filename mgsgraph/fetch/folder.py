@@ -6,9 +6,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import NamedTuple
 
-from mgsgraph.atomic_write import scratch
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import Box, shots_in
@@ -33,9 +31,8 @@ from mgsgraph.fetch.needs import (
     wanted_files,
     wanted_grids,
 )
-from mgsgraph.fetch.search import Search
+from mgsgraph.fetch.search import Search, volumes_of
 from mgsgraph.fetch.store import DownloadFolder, Progress
-from mgsgraph.fetch.volumes import volumes_of
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.writing import claimed, write_file
 from mgsgraph.record import Record
@@ -92,18 +89,6 @@ class Fetched(Record):
             f"mgsgraph solve {project}",
             f"mgsgraph dem {project} --out {at('dem')}",
         ]
-
-
-class Planned(NamedTuple):
-    """A file that would be fetched."""
-
-    path: str
-    """In the folder."""
-    url: str
-    size: int | None
-    """bytes; None where the archive doesn't say."""
-    here: bool
-    """Whether it is there as locked."""
 
 
 def fetch_images(
@@ -236,36 +221,6 @@ def fetch_shots(
                 del lock.files[name]
             store.get(WantedFile(archives.ode + found, name))
         return store.path(name)
-
-
-def survey(
-    images: Sequence[str],
-    out: str | Path,
-    *,
-    terrain: str = "16",
-    archives: Archives | None = None,
-    volumes: Sequence[str] = (),
-    retry: RetryPolicy | None = None,
-    progress: Progress = lambda done, total: None,
-    say: Callable[[str], None] = lambda sentence: None,
-) -> tuple[Planned, ...]:
-    """What `fetch_images`, whose arguments these are, would fetch, with sizes; nothing is written. Tiles of 128 pixels
-    per degree are not among it: which ones they are shows when the kernels are there.
-    """
-    products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
-    volumes, archives = volumes_of(volumes), archives or Archives()
-    kept = Lock.read(folder)
-    with scratch() as aside, closing(Remote(retry, say)) as remote:
-        lock = Lock(aside, images=dict(kept.images))
-        _find(products, lock, Search(archives, DownloadFolder(lock, remote, progress=progress), volumes), update=False)
-        wanted = [*wanted_files(lock.images.values(), archives)]
-        if choice in ("4", "16") and not _on_the_moon(lock.images.values()):
-            wanted += wanted_grids(grid_of(choice), archives)
-        return tuple(
-            Planned(path, url, kept.files[path].size if here else remote.size(url), here)
-            for url, path in wanted
-            for here in [kept.whole(path)]
-        )
 
 
 def _made(folder: Path) -> Path:

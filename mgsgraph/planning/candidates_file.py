@@ -11,8 +11,8 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from mgsgraph.case.images import read_image
-from mgsgraph.case.nodes import Positive, Sigma
+from mgsgraph.case.case_file import read_image
+from mgsgraph.case.motion import Positive, Sigma
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar

@@ -8,13 +8,11 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ImagesByName
 from mgsgraph.case.assembly import laser_profile, shots_in_images
-from mgsgraph.case.case_file import decode, plain_image
+from mgsgraph.case.case_file import decode, plain_image, read_image, read_images
 from mgsgraph.case.groups import in_images, with_sigmas
-from mgsgraph.case.images import read_image, read_images
-from mgsgraph.case.laser import ShotsInput
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_case
-from mgsgraph.case.schema import ImageInput
+from mgsgraph.case.schema import ImageInput, ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
@@ -30,8 +28,7 @@ from mgsgraph.network.joining import seconds
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.network.terrain import over_terrain
-from mgsgraph.project.journal import Measure, all_set_aside
-from mgsgraph.project.project import Project
+from mgsgraph.project.project import Measure, Project, all_set_aside
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
 
@@ -346,7 +343,7 @@ def _profile(
         str(path), range_sigma_m=sigmas.shot_range_sigma_m, ground_sigma_m=sigmas.shot_ground_sigma_m,
         height_sigma_m=sigmas.shot_height_sigma_m,
     )  # fmt: skip
-    return laser_profile(taken, path.stem, wanted, pictures[owner])
+    return laser_profile(taken, path.stem, wanted, [(pictures[owner], slice(None))])
 
 
 # --- points that are there already

@@ -90,15 +90,6 @@ def remove(project: Project, images: Sequence[str]) -> Impact | None:
     return impact
 
 
-def check(project: Project) -> Closing:
-    """The closing check against batch, without products; batch's result is taken over where it is needed."""
-    with errors_from(str(project.folder)):
-        closing, solution = incremental(project).close(project.name)
-    project.record("check", f"{len(solution.network.images)} images", _closing_facts(closing))
-    project.record_batch(solution)
-    return closing
-
-
 def _closing_facts(closing: Closing | None) -> dict[str, Any]:
     if closing is None or not np.isfinite(closing.worst):
         return {}
@@ -115,8 +106,6 @@ class SolvedProject:
     """How far the incremental result was off; None where there was none."""
     folder: Path
     """Folder of the products."""
-    files: tuple[str, ...]
-    """Names of the files in it."""
 
 
 def solve(
@@ -145,10 +134,10 @@ def solve(
             incremental(project, settings).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
-    folder, files = project.keep_solution(
+    folder = project.keep_solution(
         solution, lambda to: write_results(solution, to, figures, networks=project.networks, tables=tables)
     )
-    return SolvedProject(solution, closing, folder, tuple(files))
+    return SolvedProject(solution, closing, folder)
 
 
 def put_in(store: ProjectStore, addition: Addition) -> None:

@@ -1,4 +1,10 @@
-"""The SQLite file of a project, opened: one transaction, one writer, one clear line for whatever is wrong with it."""
+"""The SQLite file of a project, opened: one transaction, one writer, one clear line for whatever is wrong with it.
+
+The file has a checksum, by which one flipped bit is found, for SQLite's pages have none: the CRC-32 of all bytes but
+those by which a commit counts itself and what is on free pages (which nobody reads, and no journal restores). It stands
+in the field of the header that SQLite leaves to its users (`PRAGMA user_version`), written in the transaction that it
+is of. 0 is no checksum: of a file that somebody has changed and wants to be signed.
+"""
 
 import functools
 import inspect
@@ -7,17 +13,18 @@ import os
 import platform
 import re
 import sqlite3
+import struct
 import sys
+import zlib
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import quote
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import read_json, understood
 from mgsgraph.files.writing import write_file
-from mgsgraph.project.checksum import checksum, held_open, note, noted, sign
 from mgsgraph.project.schema import APPLICATION, FORMAT, TABLES
 
 FILE = "project.sqlite"
@@ -37,7 +44,7 @@ _FORMAT_NUMBER = re.compile(r"[1-9][0-9]{0,5}")
 def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sqlite3.Connection]:
     """The project's file inside one transaction, which is committed at the end and rolled back on any exception.
 
-    Its checksum is compared first, and written anew after a change.
+    Its checksum is compared first, and written anew with a change.
 
     Parameters
     ----------
@@ -55,7 +62,7 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         full or can't be written.
     """
     path = _existing(folder)
-    with _refused(folder, sqlite3.Error), _readable(path, folder) as file:
+    with _refused(folder, sqlite3.Error):
         with _refused(folder, UnicodeError):  # from the names in a damaged schema, which SQLite quotes
             if not write:
                 _recover(path, folder)
@@ -63,16 +70,16 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         try:
             with _refused(folder, UnicodeError):
                 _require_format(connection, folder)
-                _require_sound(connection, file, folder, thorough)
+                _require_sound(connection, folder, thorough)
                 if write:
                     # a read-only file lets even a transaction for writing begin, and complains at its first change
                     note(connection, 0)
             if write:
                 _say_who(folder)
             yield connection
-            _commit(connection, folder)
             if write:
-                _sign(connection, file)
+                note(connection, checksum(connection))
+            _commit(connection, folder)
         finally:
             _closed(connection, folder if write else None)
 
@@ -86,17 +93,6 @@ def _refused(folder: Path, kind: type[sqlite3.Error | UnicodeError]) -> Iterator
         raise _refusal(folder, error) from error
 
 
-@contextmanager
-def _readable(path: Path, folder: Path) -> Iterator[BinaryIO]:
-    """The project's file, opened for its checksum."""
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(held_open(path))
-        except OSError as error:
-            raise _unreadable(folder, error) from None
-        yield file
-
-
 def _commit(connection: sqlite3.Connection, folder: Path) -> None:
     try:
         connection.execute("COMMIT")
@@ -105,11 +101,6 @@ def _commit(connection: sqlite3.Connection, folder: Path) -> None:
             raise
         found = "another process has been reading it for a minute; nothing was changed"
         raise InputError(str(folder), found, remedy="do it again when that has ended") from None
-
-
-def _sign(connection: sqlite3.Connection, file: BinaryIO) -> None:
-    with suppress(sqlite3.Error, OSError):  # the change is whole: the next process does it
-        sign(connection, file)
 
 
 @contextmanager
@@ -123,9 +114,20 @@ def made(folder: Path, shown: Path) -> Iterator[sqlite3.Connection]:
             connection.execute(statement)
         connection.execute("INSERT INTO meta VALUES ('format', ?)", (str(FORMAT),))
         yield connection
+        note(connection, checksum(connection))
         connection.execute("COMMIT")
-        with held_open(folder / FILE) as file:
-            _sign(connection, file)
+
+
+_REFUSALS = (
+    (("SQLITE_READONLY_R",),  # ROLLBACK, RECOVERY: a journal that only a writer can play back
+     "a process was killed while it changed this, and the disk is read-only, so that it can't be put right",
+     "copy the folder to where you may write, or make it writable once"),
+    (("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH"), "can't be written or opened ({})",
+     "copy the folder to where you may write, or change its permissions"),
+    (("SQLITE_FULL",), "the disk is full; nothing was changed", "free some space and do it again"),
+    (("SQLITE_IOERR",), "the disk can't be read or written ({})", "look at the disk"),
+)  # fmt: skip
+"""How names of SQLite's errors begin, what is wrong, and what to do."""
 
 
 def _refusal(folder: Path, error: sqlite3.Error | UnicodeError) -> InputError:
@@ -134,16 +136,9 @@ def _refusal(folder: Path, error: sqlite3.Error | UnicodeError) -> InputError:
     shown = str(folder)
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
         return InputError(shown, f"another mgsgraph process is changing it{_who(folder)}", remedy="wait for it")
-    if name.startswith("SQLITE_READONLY_R"):  # ROLLBACK, RECOVERY: a journal that only a writer can play back
-        found = "a process was killed while it changed this, and the disk is read-only, so that it can't be put right"
-        return InputError(shown, found, remedy="copy the folder to where you may write, or make it writable once")
-    if name.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
-        remedy = "copy the folder to where you may write, or change its permissions"
-        return InputError(shown, f"can't be written or opened ({error})", remedy=remedy)
-    if name.startswith("SQLITE_FULL"):
-        return InputError(shown, "the disk is full; nothing was changed", remedy="free some space and do it again")
-    if name.startswith("SQLITE_IOERR"):
-        return InputError(shown, f"the disk can't be read or written ({error})", remedy="look at the disk")
+    for beginnings, found, remedy in _REFUSALS:
+        if name.startswith(beginnings):
+            return InputError(shown, found.format(error), remedy=remedy)
     said = "words that are not UTF-8" if isinstance(error, UnicodeError) else error
     return InputError(shown, f"{FILE} is damaged ({said})", remedy=ELSEWHERE)
 
@@ -220,23 +215,14 @@ def _set_up(connection: sqlite3.Connection, write: bool) -> None:
 
 
 def _recover(path: Path, folder: Path) -> None:
-    """What a reader can't do itself: play back the journal of a process that was killed, and write its checksum."""
+    """What a reader can't do itself: play back the journal of a process that was killed."""
     try:
-        reader = _opened(path, False, folder)
+        _opened(path, False, folder).close()
     except sqlite3.Error as error:
         if not getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY"):
             raise
         with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=rw", uri=True)) as player:
             player.execute("SELECT 1 FROM sqlite_master")
-        return
-    try:
-        _require_format(reader, folder)
-        unsigned = not noted(reader)
-    finally:
-        reader.close()
-    if unsigned:
-        with suppress(InputError), connected(folder, write=True):  # it can be read all the same
-            pass
 
 
 def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
@@ -259,10 +245,10 @@ def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
         )  # fmt: skip
 
 
-def _require_sound(connection: sqlite3.Connection, file: BinaryIO, folder: Path, thorough: bool) -> None:
+def _require_sound(connection: sqlite3.Connection, folder: Path, thorough: bool) -> None:
     """Raise InputError where the file isn't as it was written; of one without a checksum, where its pages don't fit."""
     expected = noted(connection)
-    if expected and checksum(file) != expected:
+    if expected and checksum(connection) != expected:
         found = f"{FILE} is damaged, or another program has changed it (its checksum is another one)"
         own = f"sqlite3 {folder / FILE} 'PRAGMA user_version = 0'"
         raise InputError(str(folder), found, remedy=f"{ELSEWHERE}; if the change was yours, have it signed: {own}")
@@ -295,3 +281,46 @@ def _who(folder: Path) -> str:
         return f" (process {them['pid']} on {them['host']}: {them['command']})"
     except (InputError, LookupError):
         return ""
+
+
+_LEFT_OUT = (slice(24, 28), slice(60, 64), slice(92, 100))
+"""Bytes of the header that are not summed: the counter of changes, the checksum itself, and the change and the library
+that a size is of (https://www.sqlite.org/fileformat.html).
+"""
+
+
+def checksum(connection: sqlite3.Connection) -> int:
+    """Checksum of the file as the open transaction has it, 1 to 2^32 - 1."""
+    content = connection.serialize()
+    head = bytearray(content[:100])
+    page = int.from_bytes(head[16:18])
+    page = 1 << 16 if page == 1 else max(page, 512)
+    free = _free(content, int.from_bytes(head[32:36]), page)
+    for part in _LEFT_OUT:
+        head[part] = bytes(len(head[part]))
+    found, view, place = zlib.crc32(head), memoryview(content), len(head)
+    for start in sorted(number * page for number in free):
+        found, place = zlib.crc32(view[place:start], found), start + page
+    return zlib.crc32(view[place:], found) or 1
+
+
+def _free(content: bytes, trunk: int, page: int) -> set[int]:
+    """Free pages, from 0 on, but those that list them: the `trunk` and what it leads to."""
+    free, seen, count = set[int](), set[int](), len(content) // page
+    while 0 < trunk <= count and trunk not in seen:
+        seen.add(trunk)
+        following, listed = struct.unpack_from(">2I", content, start := (trunk - 1) * page)
+        numbers = struct.unpack_from(f">{min(listed, page // 4 - 2)}I", content, start + 8)
+        free.update(number - 1 for number in numbers if 1 < number <= count)
+        trunk = following
+    return free
+
+
+def noted(connection: sqlite3.Connection) -> int:
+    """The checksum that the file says it has; 0 for none."""
+    return int(connection.execute("PRAGMA user_version").fetchone()[0]) % (1 << 32)
+
+
+def note(connection: sqlite3.Connection, value: int) -> None:
+    """Write it, in the transaction that is open."""
+    connection.execute(f"PRAGMA user_version = {value - (1 << 32) if value >= 1 << 31 else value}")

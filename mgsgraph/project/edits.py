@@ -25,8 +25,7 @@ from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Range
 from mgsgraph.network.parts import image_columns, joined, part
 from mgsgraph.project.addition import on_terrain
 from mgsgraph.project.changes import incremental, is_solved, note, put_waiting
-from mgsgraph.project.journal import Measure, PointState, last_state, state_of
-from mgsgraph.project.project import Project
+from mgsgraph.project.project import Measure, PointState, Project, last_state, state_of
 from mgsgraph.units import DEG
 
 Kind = Literal["measure", "move", "reject", "accept", "hold", "release", "remove", "undo"]

@@ -7,10 +7,9 @@ import shutil
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
     from mgsgraph.adjustment.incremental.state import StateStore
     from mgsgraph.adjustment.solution import Solution
-
 
 class KeptAdjustment:
     """An adjustment with its tree, for as long as no other process changes the project."""
@@ -75,8 +73,7 @@ _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of these, whole or left over by a process that was killed."""
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(msgspec.Struct, frozen=True):
     """One step of a project's history."""
 
     number: int
@@ -91,20 +88,19 @@ class Change:
     """Numbers, with units in their names."""
 
 
-class EditRow(NamedTuple):
+class EditRow(msgspec.Struct, frozen=True):
     """A change of a point, as the journal has it."""
 
     number: int
     kind: str
     point: str
     before: str | None
-    """JSON (`project.journal.PointState`); None where there was no such point."""
+    """JSON (`PointState`); None where there was no such point."""
     after: str | None
     """JSON; None where there is none any longer."""
 
 
-@dataclass(frozen=True, slots=True)
-class SolutionRow:
+class SolutionRow(msgspec.Struct, frozen=True):
     """Record of a solution."""
 
     number: int
@@ -270,13 +266,7 @@ class Project:
 
     def changes(self, last: int | None = None) -> list[Change]:
         """The last changes, or all, in their order."""
-        rows = self._connection.execute(
-            "SELECT number, at, verb, what, summary FROM change ORDER BY number DESC LIMIT ?",
-            (-1 if last is None else last,),
-        ).fetchall()
-        names = [field.name for field in fields(Change)]
-        cells = ((*row[:-1], self._from_json(row[-1], dict[str, Any])) for row in reversed(rows))
-        return [self._record(dict(zip(names, one, strict=True)), Change) for one in cells]
+        return self._rows(Change, "change", "ORDER BY number DESC LIMIT ?", -1 if last is None else last)[::-1]
 
     # --- changes of single points
 
@@ -291,18 +281,13 @@ class Project:
 
     def last_edit(self) -> EditRow | None:
         """The last change of a point that has not been undone; None where there is none."""
-        row = self._connection.execute(
-            "SELECT number, kind, point, before, after FROM edit WHERE kind <> 'undo' AND number NOT IN "
-            "(SELECT undoes FROM edit WHERE undoes IS NOT NULL) ORDER BY number DESC LIMIT 1"
-        ).fetchone()
-        return None if row is None else self._record(row, EditRow)
+        stands = "number NOT IN (SELECT undoes FROM edit WHERE undoes IS NOT NULL)"
+        rest = f"WHERE kind <> 'undo' AND {stands} ORDER BY number DESC LIMIT 1"
+        return next(iter(self._rows(EditRow, "edit", rest)), None)
 
     def edit(self, change: int) -> EditRow | None:
         """The change of a point that a change of the history was; None where it was none."""
-        row = self._connection.execute(
-            "SELECT number, kind, point, before, after FROM edit WHERE change = ?", (change,)
-        ).fetchone()
-        return None if row is None else self._record(row, EditRow)
+        return next(iter(self._rows(EditRow, "edit", "WHERE change = ?", change)), None)
 
     def undone_by(self, number: int) -> int | None:
         """Number in the history of what undid a change of a point, which has its number in the journal."""
@@ -331,14 +316,19 @@ class Project:
 
     def _last(self, condition: str, *values: object) -> SolutionRow | None:
         """The latest solution for which a condition of ours holds."""
-        columns = [field.name for field in fields(SolutionRow)]
-        row = self._connection.execute(
-            f"SELECT {', '.join(columns)} FROM solution WHERE {condition} ORDER BY number DESC LIMIT 1", values
-        ).fetchone()
-        if row is None:
-            return None
-        found = dict(zip(columns, row, strict=True))
-        return self._record(found | {"converged": found["converged"] == 1}, SolutionRow)
+        rest = f"WHERE {condition} ORDER BY number DESC LIMIT 1"
+        return next(iter(self._rows(SolutionRow, "solution", rest, *values)), None)
+
+    def _rows(self, kind: type[_Kind], table: str, rest: str, *values: object) -> list[_Kind]:
+        """Rows of a table as records of a kind, whose fields are called as its columns."""
+        names = [field.name for field in msgspec.structs.fields(kind)]  # type: ignore[arg-type]
+        rows = self._connection.execute(f"SELECT {', '.join(names)} FROM {table} {rest}", values)
+        found = (dict(zip(names, row, strict=True)) for row in rows)
+        return [
+            self._record({key: self._from_json(one, dict[str, Any]) if key == "summary" else one
+                          for key, one in row.items()}, kind)
+            for row in found
+        ]  # fmt: skip
 
     def _from_json(self, text: object, kind: type[_Kind]) -> _Kind:
         """A cell of JSON as a value of a kind; InputError where it is none."""
@@ -348,7 +338,7 @@ class Project:
     def _record(self, value: object, kind: type[_Kind]) -> _Kind:
         """A value as a record of a kind; InputError where it is none."""
         try:
-            return msgspec.convert(value, kind)
+            return msgspec.convert(value, kind, strict=False)
         except msgspec.ValidationError as error:
             raise InputError(str(self.folder), f"{FILE} is damaged ({error})", remedy=ELSEWHERE) from None
 
@@ -358,18 +348,16 @@ class Project:
         images = len(self.store.image_names())
         return self._insert_solution((converged, message, None, None, None, images, points, None, "incremental"))
 
-    def keep_solution(self, solution: "Solution", write: Callable[[Path], _Kind]) -> tuple[Path, _Kind]:
-        """Write a batch solution's products to a folder of their own, by a function of it, and note it; that folder,
-        and what the function gives back.
-        """
+    def keep_solution(self, solution: "Solution", write: Callable[[Path], object]) -> Path:
+        """Write a batch solution's products to a folder of their own, by a function of it, and note it; that folder."""
         self._sweep()
         (number,) = self._connection.execute(
             "SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'solution'"
         ).fetchone()
         folder = f"{SOLUTIONS}/{number:04d}"
-        written = write(self.folder / folder)
+        write(self.folder / folder)
         self.record_batch(solution, folder)
-        return self.folder / folder, written
+        return self.folder / folder
 
     def record_batch(self, solution: "Solution", folder: str | None = None) -> int:
         """Note a batch solution of everything, and the folder of its products, if it has any; its number."""
@@ -400,10 +388,11 @@ class Project:
 
     # --- counts
 
-    def counts(self, table: str, by: str) -> dict[int, int]:
-        """Number of rows of a table by the values of one of its columns, both ours."""
-        rows = self._connection.execute(f"SELECT {by}, count(*) FROM {table} GROUP BY {by} ORDER BY {by}")
-        return dict(rows.fetchall())
+    @property
+    def held_images(self) -> int:
+        """Number of images whose orientation is not adjusted."""
+        (count,) = self._connection.execute("SELECT count(*) FROM image WHERE held").fetchone()
+        return int(count)
 
     def bundle_images(self) -> list[tuple[str, int, int]]:
         """Name of the image, number of the bundle and number of its points, for each image of each bundle."""
@@ -457,3 +446,70 @@ def _require_free(target: Path, shown: str) -> None:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+class Measure(msgspec.Struct, frozen=True):
+    """A point's place in an image, as it was measured."""
+
+    image: str
+    line: float
+    """px, the first pixel's centre at 0.5."""
+    sample: float
+    """px."""
+    sigma_line: float
+    """px."""
+    sigma_sample: float
+    """px."""
+    back_projected: bool = False
+    """Whether it repeats the nominal orientation as if measured."""
+    rejected: bool = False
+    """Whether the last batch adjustment holds it for a blunder."""
+
+
+class PointState(msgspec.Struct, frozen=True):
+    """What is known of a point beforehand."""
+
+    class_: int
+    """PointClass."""
+    kind: int
+    """PointKind."""
+    place: tuple[float, float, float] | None
+    """m, body-fixed, a-priori; None where unknown."""
+    covariance: tuple[float, ...]
+    """(9) m^2 of it, row by row."""
+    measures: tuple[Measure, ...]
+    """In images, those that take part."""
+    set_aside: tuple[Measure, ...] = ()
+    """Those that a person has rejected."""
+    surface_sigma: float | None = None
+    """m, of its height above the terrain model; None for a point that does not lie on one."""
+
+    def of(self, image: str) -> Measure | None:
+        """The measure in an image; None where there is none that takes part."""
+        return next((one for one in self.measures if one.image == image), None)
+
+
+def state_of(project: Project, text: str) -> PointState:
+    """A state as the journal has it; InputError where it is damaged."""
+    try:
+        return msgspec.json.decode(text, type=PointState)
+    except msgspec.MsgspecError as error:
+        raise InputError(str(project.folder), f"{FILE} is damaged ({error})", remedy=ELSEWHERE) from None
+
+
+def last_state(project: Project, point: str) -> PointState | None:
+    """A point as its last change left it, with those measures set aside whose images are there; None where nobody has
+    changed it, or it was taken out.
+    """
+    last = project.last_edit_of(point)
+    if last is None or last[1] is None:
+        return None
+    state, there = state_of(project, last[1]), set(project.store.image_names())
+    kept = tuple(one for one in state.set_aside if one.image in there)
+    return msgspec.structs.replace(state, set_aside=kept)
+
+
+def all_set_aside(project: Project) -> dict[str, tuple[Measure, ...]]:
+    """Measures that a person has rejected, by point."""
+    found = {point: last_state(project, point) for point in project.edited_points()}
+    return {point: state.set_aside for point, state in found.items() if state is not None and state.set_aside}

@@ -51,7 +51,7 @@ def coregister(
     summary = {"cost": found.solution.cost_final, "converged": found.solution.converged, "shots": shots}
     project.record("coregister", what, summary)
     progress("tables and figures" if figures else "tables", 0, 1)
-    folder, _ = project.keep_solution(
+    folder = project.keep_solution(
         found.solution, write=lambda to: write_coregistration(found, to, figures, case.path, project.networks)
     )
     return RegisteredProject(found, folder)

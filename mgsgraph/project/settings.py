@@ -1,14 +1,13 @@
 """What a project takes for granted of every image and measure that is added to it."""
 
-from collections.abc import Mapping
+import json
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from mgsgraph.atomic_write import resolved
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.nodes import Factor, Sigma
+from mgsgraph.case.motion import Factor, Sigma
 from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.decoding import read_toml, validated
@@ -85,23 +84,16 @@ def _absolute(spice: SpiceInput | None, folder: Path) -> SpiceInput | None:
 
 
 def settings_to_json(settings: ProjectSettings) -> str:
-    """One line of JSON; infinite sigmas as the text "inf"."""
-    return msgspec.json.encode(_finite(msgspec.to_builtins(settings))).decode()
+    """One line of JSON; infinite sigmas as `Infinity`."""
+    return json.dumps(msgspec.to_builtins(settings))
 
 
 def settings_from_json(text: str, where: str) -> ProjectSettings:
     """The settings that the text holds."""
     try:
-        found = msgspec.json.decode(text)
-        found.get("solver", {}).pop("method", None)  # of version 0.3, which let one choose
+        found = json.loads(text)
+        found.get("solver", {}).pop("method", None)  # of version 0.2, which let one choose
         return msgspec.convert(found, ProjectSettings, strict=False)
-    except msgspec.MsgspecError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{where}, settings", str(error), remedy="open it with the mgsgraph that wrote it") from None
 
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return "inf" if isinstance(value, float) and value == float("inf") else value

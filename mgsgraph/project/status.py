@@ -9,8 +9,7 @@ from mgsgraph.files.opening import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import groups
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
-from mgsgraph.project.journal import all_set_aside
-from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow
+from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow, all_set_aside
 from mgsgraph.text import many, some
 
 _NAMED = 6
@@ -36,12 +35,11 @@ def _contents(project: Project) -> list[str]:
     classes = project.store.point_classes()
     points = ", ".join(f"{count} {PointClass(number).name.lower()}" for number, count in classes.items())
     rays, ranges = project.store.measures()
-    held = project.counts("image", "held").get(1, 0)
     terrain = project.store.terrain
     model = "none" if terrain is None else f"{terrain[0].source}, {' x '.join(map(str, terrain[0].radii.shape))} posts"
     return [
         "Contents",
-        f"  images held as they are: {held}",
+        f"  images held as they are: {project.held_images}",
         f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
         f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
         f"  terrain model as control: {model}",

@@ -22,6 +22,8 @@ from mgsgraph.project.columns import (
     POINTS,
     Cells,
     StoredPoints,
+    StoredRecords,
+    StoredStereo,
     index_among,
     points_of,
     put_adjusted,
@@ -32,7 +34,6 @@ from mgsgraph.project.columns import (
     rays_of,
 )
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
-from mgsgraph.project.stored_records import StoredRecords, StoredStereo
 from mgsgraph.results.archive_arrays import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
@@ -282,16 +283,13 @@ class ProjectStore:
 
     def network(self) -> Network:
         """Everything as one network, images in the order in which they came, points bundle by bundle."""
-        return self._whole(adjusted=self._stereo.there)[0]
+        return self.everything()[0]
 
     def everything(self) -> tuple[Network, Array]:
         """The same, and the places (n, 3) in m of its points, NaN where undetermined."""
-        return self._whole(adjusted=True)
-
-    def _whole(self, adjusted: bool) -> tuple[Network, Array]:
         names = self.image_names()
         numbers, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
-        read, images = points_of(self._cells, None, adjusted), self._images_by_bundle(numbers)
+        read, images = points_of(self._cells, None), self._images_by_bundle(numbers)
         network = Network(
             *image_columns(known),
             read.points,

@@ -17,8 +17,7 @@ from mgsgraph.geometry.body import east_north_up, from_geodetic
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited
-from mgsgraph.project.journal import Measure, PointState
-from mgsgraph.project.project import Project
+from mgsgraph.project.project import Measure, PointState, Project
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
 

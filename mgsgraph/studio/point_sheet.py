@@ -18,8 +18,7 @@ from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.project.edits import point_state
-from mgsgraph.project.journal import Measure
-from mgsgraph.project.project import open_project
+from mgsgraph.project.project import Measure, open_project
 from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.map_points import MapPoints

@@ -8,8 +8,8 @@ from profiles import with_profile
 
 import mgsgraph
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.laser import AltimetryInput
 from mgsgraph.case.reading import read_altimetry
+from mgsgraph.case.schema import AltimetryInput
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass, SharedKind
 from mgsgraph.results.inventory import inventory

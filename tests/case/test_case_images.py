@@ -6,8 +6,7 @@ import pytest
 from commands import run
 from cubes import MAPPED, written
 
-from mgsgraph.case.case_file import decode, plain_image
-from mgsgraph.case.images import read_image
+from mgsgraph.case.case_file import decode, plain_image, read_image
 from mgsgraph.case.reading import picture_of
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError

@@ -80,14 +80,6 @@ def test_what_is_wrong_is_named_with_its_line(case_file: Path, fault: str) -> No
         mgsgraph.read_case(case_file)
 
 
-def test_tables_of_former_names_have_lines_too(case_file: Path) -> None:
-    text = case_file.read_text(encoding="utf-8")
-    case_file.write_text(text + '\n[[mola]]\npedr = "x.b"\nshfit_sigma_m = 1.0\n', encoding="utf-8")
-    line = text.count("\n") + 4
-    with pytest.raises(InputError, match=rf"line {line}, .*'shfit_sigma_m'; did you mean 'shift_sigma_m'"):
-        mgsgraph.read_case(case_file)
-
-
 def test_data_in_the_place_of_a_case_file_say_how_to_come_by_one(case_file: Path) -> None:
     for data in (case_file.with_name("image_A.isd"), case_file.with_name("network.pvl"), case_file.parent):
         with pytest.raises(InputError, match=f"make one: mgsgraph new {data}"):

@@ -1,6 +1,7 @@
 """Laser shots of any altimeter in a case file: names of today and of old, sigmas, and lengths in a wrong unit."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,25 +10,22 @@ from profiles import with_profile
 
 import mgsgraph
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.laser import ShotsInput
+from mgsgraph.case.schema import ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import LOLA, MLA, MOLA
 
 
-def test_files_of_earlier_versions_say_mola_and_pedr(case_file: Path) -> None:
-    today = with_profile(case_file).read_text(encoding="utf-8")
-    old = case_file.with_name("old.toml")
-    old.write_text(today.replace('[[shots]]\nfile =', '[[mola]]\npedr ='), encoding="utf-8")
-
-    assert decode(old).shots == decode(case_file).shots
-    assert decode(old).shots[0].file == "profile.csv"
-    old.write_text(old.read_text(encoding="utf-8").replace("[[mola]]", '[[mola]]\nleap_seconds = "old.tls"'))
-    assert decode(old).shots == decode(case_file).shots
-    found = mgsgraph.read_case(old).network
-    np.testing.assert_array_equal(found.ranges.values, mgsgraph.read_case(case_file).network.ranges.values)
-    both = old.with_name("both.toml")
-    both.write_text(old.read_text(encoding="utf-8") + '\n[[shots]]\nfile = "more.csv"\n', encoding="utf-8")
-    assert [entry.file for entry in decode(both).shots] == ["profile.csv", "more.csv"]
+@pytest.mark.parametrize(
+    ("old", "word"),
+    [("[[mola]]", "expected [[shots]]"), ("[[shots]]\npedr = 'x'", "expected file"),
+     ("[[shots]]\nleap_seconds = 'x'", "leap seconds are built in"), ("[[strips]]", "with a prior"),
+     ("[[passes]]\nprior = { angle_sigma_mgon = 1 }", "expected angle_sigma_mrad; 1 mgon is 0.015708 mrad")],
+)  # fmt: skip
+def test_words_of_earlier_versions_name_those_of_today(case_file: Path, old: str, word: str) -> None:
+    case_file.write_text(f"{case_file.read_text(encoding='utf-8')}\n{old}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(word)) as caught:
+        decode(case_file)
+    assert "a word of earlier versions" in str(caught.value)
 
 
 def test_sigmas_are_the_altimeters_where_a_case_says_none() -> None:

@@ -216,11 +216,10 @@ def test_not_converged_is_written_and_is_exit_status_1(
     assert record["status"] == "not converged"
 
 
-@pytest.mark.parametrize("verb", ["coregister", "adjust"])
-def test_a_result_knows_its_case_and_adjust_does_the_same(
-    verb: str, registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_result_knows_its_case(
+    registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """RESULT in place of CASE --solution RESULT; `adjust --relief`, whose options of the solver overrule the case."""
+    """RESULT in place of CASE --solution RESULT."""
     given: list[Any] = []
 
     def registered(case: mgsgraph.Case, *_: Any, before: Any = None, **others: Any) -> ReliefRegistration:
@@ -229,19 +228,16 @@ def test_a_result_knows_its_case_and_adjust_does_the_same(
 
     monkeypatch.setattr(relief, "register_by_relief", registered)
     out, again = tmp_path / "out", tmp_path / "again"
-    options = ("--relief", "--loss", "huber") if verb == "adjust" else ()
-    assert call(verb, relief_site.case_path(), *options, "--out", out, "--no-figures") == 0
+    assert call("coregister", relief_site.case_path(), "--out", out, "--no-figures") == 0
     assert {path.name for path in out.iterdir()} == TABLES
     assert call("coregister", out, "--out", again, "--no-figures") == 0
     (first, nothing), (second, before) = given
     assert nothing is None
-    assert first.settings.loss == ("huber" if verb == "adjust" else "none")
+    assert first.settings.loss == "none"
     assert second.path == relief_site.case_path().resolve()
     assert before.name == registration.solution.name
     with pytest.raises(click.UsageError, match="would replace"):
         call("coregister", out, "--out", out)
-    with pytest.raises(click.UsageError, match="--relief goes with neither"):
-        call("adjust", relief_site.case_path(), "--relief", "--two-steps", "--out", tmp_path / "third")
 
 
 def project_of(case: Path, tmp_path: Path) -> Path:

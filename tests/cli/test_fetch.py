@@ -63,20 +63,12 @@ def test_fetch_and_verify(archive: Flaky, tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.parametrize(
     "arguments",
-    [["M04/02852", "--dry-run", "--update"], ["--verify", "x", "M04/02852"], ["--verify", "x", "--out", "y"],
+    [["--verify", "x", "M04/02852"], ["--verify", "x", "--out", "y"],
      ["--verify", "x", "--update"]],
 )  # fmt: skip
 def test_options_that_would_do_nothing(arguments: list[str]) -> None:
     with pytest.raises(click.UsageError):
         call("fetch", *arguments)
-
-
-def test_a_dry_run(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("fetch", "M04/02852", "--mirror", archive.address, "--dry-run", "--terrain", "4") == 0
-    said = capsys.readouterr().out.splitlines()
-    assert f"      0.0 MB  kernels/de405.bsp  {archive.url('kernels/spk/de405.bsp')}" in said
-    assert said[-1] == "14 files to fetch and their labels, 0.0 MB"
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -140,5 +132,5 @@ def test_an_interruption_does_not_wait_for_a_silent_server(archive: Flaky, tmp_p
 def test_help_names_the_options() -> None:
     done = run("fetch", "--help")
     assert done.returncode == 0
-    for option in ("--out", "--terrain", "--volume", "--mirror", "--mirrors", "--dry-run", "--update", "--verify"):
+    for option in ("--out", "--terrain", "--volume", "--mirror", "--mirrors", "--update", "--verify"):
         assert option in done.stdout

@@ -14,7 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import dates_in
 from mgsgraph.fetch.download import RetryPolicy
-from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots, survey
+from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots
 from mgsgraph.fetch.lock import Lock, verify
 from mgsgraph.fetch.needs import CTX, HRSC, LROC_NAC, CameraProduct
 from mgsgraph.files.spice.kernels import members
@@ -209,12 +209,6 @@ def test_what_is_refused(archive: Flaky, tmp_path: Path) -> None:
     del archive.files["mro_kernels/extras/mk/mro_2009_v14.tm"], archive.files["mro_kernels/extras/mk/mro_2009_v09.tm"]
     with pytest.raises(InputError, match="no meta-kernel"):
         fetch(archive, tmp_path / "f", B10)
-
-
-def test_a_survey_writes_nothing(archive: Flaky, tmp_path: Path) -> None:
-    planned = survey([NAC], tmp_path / "d", terrain="16", archives=Archives.under(archive.address), retry=QUICK)
-    assert {Path(one.path).parent.name for one in planned} == {"images", "kernels"}
-    assert not (tmp_path / "d").exists()
 
 
 def test_ids_and_dates_in_names() -> None:

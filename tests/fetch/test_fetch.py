@@ -20,7 +20,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.case_file import camera_focal_length
 from mgsgraph.fetch.download import RetryPolicy
-from mgsgraph.fetch.folder import Fetched, fetch_images, survey
+from mgsgraph.fetch.folder import Fetched, fetch_images
 from mgsgraph.fetch.lock import Lock, verify
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.writing import claimed
@@ -404,22 +404,6 @@ def test_words_of_an_archive_go_to_the_terminal_as_text(archive: Flaky, tmp_path
     fetch(archive, tmp_path / "d", terrain="none", say=said.append)
     assert len(said) == 1
     assert all(one.isprintable() for one in said)
-
-
-def test_a_survey_writes_nothing(archive: Flaky, tmp_path: Path) -> None:
-    where = Archives.under(archive.address)
-    plan = survey([ONE], tmp_path / "d", archives=where, retry=QUICK)
-    assert not (tmp_path / "d").exists()
-    assert {one.path for one in plan if one.path.startswith("megdr")} == {
-        f"megdr/meg{kind}90n000eb.{suffix}" for kind in "rt" for suffix in ("img", "lbl")
-    }
-    for one in plan:
-        assert one.size == len(archive.files[one.url.removeprefix(archive.address + "/")])
-    fetch(archive, tmp_path / "d")
-    assert {one.path for one in plan} <= files(tmp_path / "d")
-    archive.asked.clear()
-    assert all(one.here for one in survey([ONE], tmp_path / "d", archives=where, retry=QUICK))
-    assert not archive.asked
 
 
 def test_lock_records_what_came(archive: Flaky, tmp_path: Path) -> None:

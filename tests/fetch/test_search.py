@@ -12,8 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import VARIABLE, Archives
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels, phase_of, utc
 from mgsgraph.fetch.needs import ProductId, grid_of, products_of, terrain_of, wanted_grids
-from mgsgraph.fetch.search import orbit_at
-from mgsgraph.fetch.volumes import IndexRow, find_image, read_index, volumes_listed
+from mgsgraph.fetch.search import IndexRow, find_image, orbit_at, read_index, volumes_listed
 from mgsgraph.files.rasters.megdr import read_megdr
 
 # --- names

@@ -11,7 +11,7 @@ from rigs import PRIOR, TURN, mounted
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.assembly import Parts
-from mgsgraph.case.laser import ShotsInput
+from mgsgraph.case.schema import ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import LineTiming, PushbroomImage

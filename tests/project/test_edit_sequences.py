@@ -36,8 +36,15 @@ from mgsgraph.network.parts import KnownImage
 from mgsgraph.project import edits
 from mgsgraph.project.addition import unknown_alone
 from mgsgraph.project.changes import remove, solve
-from mgsgraph.project.journal import Measure, PointState, all_set_aside, last_state
-from mgsgraph.project.project import KeptAdjustment, Project, open_project
+from mgsgraph.project.project import (
+    KeptAdjustment,
+    Measure,
+    PointState,
+    Project,
+    all_set_aside,
+    last_state,
+    open_project,
+)
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
 from mgsgraph.project.status import status
 from mgsgraph.units import MRAD

@@ -23,8 +23,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import PointClass
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited, point_state
-from mgsgraph.project.journal import Measure, PointState
-from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.project import Measure, PointState, Project, open_project
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

@@ -16,8 +16,7 @@ from mgsgraph.geometry.altimeters import LOLA
 from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots
 from mgsgraph.geometry.records import frozen_mask
 from mgsgraph.geometry.time_scales import utc_of_tdb
-from mgsgraph.project.oriented import OrientedImages
-from mgsgraph.project.shot_search import ShotChoice, search_shots
+from mgsgraph.project.oriented import OrientedImages, ShotChoice, search_shots
 from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
 from mgsgraph.results.places import crossings_section, crossings_table, selection_table
 

@@ -134,7 +134,7 @@ def test_a_measure_more_begins_where_geometry_puts_the_point(seen: Page, folder:
     seen.until("document.getElementById('say').className === 'error'")  # it is measured in both images
     with open_project(folder, write=True) as project:
         from mgsgraph.project.edits import measure
-        from mgsgraph.project.journal import Measure
+        from mgsgraph.project.project import Measure
 
         measure(project, "one ray", [Measure(first.image, first.line, first.sample, 0.0, 0.0)])
     show(seen, "one ray")

@@ -18,7 +18,6 @@ import msgspec
 
 from mgsgraph.adjustment.settings import Device, Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.files.opening import json_object
 from mgsgraph.files.writing import claim
 from mgsgraph.results.large_tables import TableForm
 
@@ -26,8 +25,8 @@ Status = Literal["done", "no result", "not converged", "failed"]
 RECORD = "campaign.jsonl"
 """Name of the file in the folder of the results."""
 FORMAT = 2
-"""Version of the layout; the lines of 1 had no checksums."""
-_HEADS = [{"program": "mgsgraph", "record": "campaign", "format": number} for number in range(1, FORMAT + 1)]
+"""Version of the layout."""
+_HEAD = json.dumps({"program": "mgsgraph", "record": "campaign", "format": FORMAT}).encode()
 _SIGNED = re.compile(rb'(.*),"crc32":"([0-9a-f]{8})"\}', re.DOTALL)
 """A line, and the CRC-32 of what stands before it."""
 _PIECE = 1 << 20
@@ -157,7 +156,7 @@ def open_record(folder: Path) -> Record:
         lines = text[:whole].split(b"\n")[:-1]
         record._new = not lines
         if not lines:
-            _append(descriptor, json.dumps(_HEADS[-1]).encode() + b"\n", path)
+            _append(descriptor, _HEAD + b"\n", path)
         record.entries.update((entry.case, entry) for entry in _entries(lines, path))
     except OSError as error:
         os.close(descriptor)
@@ -191,31 +190,21 @@ def _append(descriptor: int, line: bytes, path: Path) -> None:
 
 def _entries(lines: list[bytes], path: Path) -> list[CampaignEntry]:
     """Entries of the lines of a record after its head."""
-    if not lines:
-        return []
-    version = _version(lines[0], path)
-    return [_entry(line, version, f"{path}, line {number}") for number, line in enumerate(lines[1:], start=2)]
+    where = f"{path}, line 1"
+    if lines and lines[0] != _HEAD:
+        raise InputError(where, "no head of a campaign's record", _HEAD.decode(), "choose another --out")
+    return [_entry(line, f"{path}, line {number}") for number, line in enumerate(lines[1:], start=2)]
 
 
-def _entry(line: bytes, version: int, where: str) -> CampaignEntry:
+def _entry(line: bytes, where: str) -> CampaignEntry:
     signed = _SIGNED.fullmatch(line)
     remedy = "take that line out: its case will be done again"
-    if (signed is None and version > 1) or (signed and zlib.crc32(signed[1]) != int(signed[2], 16)):
+    if signed is None or zlib.crc32(signed[1]) != int(signed[2], 16):
         raise InputError(where, "a damaged entry (its checksum is another one, or gone)", remedy=remedy)
     try:
         return msgspec.json.decode(line, type=CampaignEntry)
     except (msgspec.MsgspecError, UnicodeError) as error:
         raise InputError(where, f"no entry of a campaign ({error})", remedy=remedy) from None
-
-
-def _version(line: bytes, path: Path) -> int:
-    """Format of a record that begins with a line."""
-    where = f"{path}, line 1"
-    try:
-        return 1 + _HEADS.index(json_object(line, where))
-    except ValueError:
-        expected = json.dumps(_HEADS[-1])
-        raise InputError(where, "no head of a campaign's record", expected, "choose another --out") from None
 
 
 def _refusal(path: Path, error: OSError) -> InputError:

@@ -1,41 +1,178 @@
-"""Many cases: those that are due are adjusted, one after the other here or as tasks on a cluster, each recorded; and
-how they ended, in words.
+"""Many cases: those that are due (whose files have changed, by their checksums) are adjusted, one after the other here
+or as tasks on a cluster, each into a folder of its own and recorded; and how they ended, in words.
 """
 
 import dataclasses
 import math
 import os
 import socket
-import textwrap
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
 from mgsgraph.adjustment.cluster.workers import parse_cluster
 from mgsgraph.analysis.soundness import is_result
-from mgsgraph.atomic_write import sweep
+from mgsgraph.atomic_write import resolved, sweep
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import adjust, read_case
-from mgsgraph.errors import MgsgraphError
+from mgsgraph.case.terrain import count_files
+from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.folders import RECORD as RESULT
 from mgsgraph.files.output.folders import require_replaceable
-from mgsgraph.project.campaign.inputs import checksums, find_cases, result_folders
 from mgsgraph.project.campaign.record import AS_WRITTEN, CampaignEntry, Overrides, Record, open_record
 from mgsgraph.results.results import write_results
 from mgsgraph.results.soundness import soundness_section
+from mgsgraph.sandbox import read_apart
+from mgsgraph.text import many
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
-_WIDTH = 110
-"""columns of the table."""
-_NAME = 32
-"""columns of a case's name at most."""
+SUFFIX = ".toml"
+_ELSEWHERE, _MEND = "choose another --out", "take it away"
+_PLAIN = "case"
+"""Stem of a case file that says nothing; its folder's name is taken instead."""
+_BESIDE = (".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json")
+"""Endings of files that belong together: a label, and the pixels, posts or tables that it describes."""
+
+
+def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
+    """Case files, resolved and without doubles, in the order in which they were given.
+
+    Parameters
+    ----------
+    given : iterable of Path
+        Case files, and folders of which every ``*.toml`` at any depth is one; what is hidden is left out.
+    out : Path
+        Folder of the results, which is left out, too: a demonstration's results hold case files of their own.
+
+    Raises
+    ------
+    InputError
+        Something that isn't there, or a folder without case files.
+    """
+    found: dict[Path, None] = {}
+    for path in given:
+        if path.is_dir():
+            inside = _walk(path, resolved(out, _ELSEWHERE))
+            if not inside:
+                raise InputError(str(path), f"no case file (*{SUFFIX}) in this folder", "at least one")
+            found.update(dict.fromkeys(inside))
+        elif path.exists():
+            found[path.resolve()] = None
+        else:
+            raise InputError(str(path), "no such file or folder", "case files, or folders of them")
+    return tuple(found)
+
+
+def _walk(folder: Path, out: Path) -> list[Path]:
+    found = []
+    for place, folders, files in os.walk(folder):
+        seen = [name for name in sorted(folders) if not name.startswith(".")]
+        folders[:] = [name for name in seen if resolved(Path(place, name), _MEND) != out]
+        cases = [name for name in sorted(files) if name.endswith(SUFFIX) and not name.startswith(".")]
+        found += [resolved(Path(place, name), _MEND) for name in cases]
+    return found
+
+
+def result_folders(cases: Iterable[Path], taken: Mapping[Path, str]) -> dict[Path, str]:
+    """Name of the folder of each case's results: the shortest end of its path that no case before it has.
+
+    ``sites/eos.toml`` gives ``eos``, ``sites/eos/case.toml`` as well; of ``a/eos.toml`` and ``b/eos.toml`` the second
+    one gives ``b-eos``.
+
+    Parameters
+    ----------
+    cases : iterable of Path
+        Resolved.
+    taken : mapping of Path to str
+        Names that were given earlier; they stay.
+    """
+    names, used = dict(taken), {name: case for case, name in taken.items()}
+    for case in [case for case in cases if case not in taken]:
+        parts = tuple(part for part in case.parent.parts if part != case.anchor)
+        parts = parts if case.stem == _PLAIN and parts else (*parts, case.stem)
+        ends = ["-".join(parts[-count:]) for count in range(1, len(parts) + 1)]
+        name = next((end for end in ends if end not in used), ends[-1])
+        if name in used:
+            found = f"its results would go to {name!r}, like those of {used[name]}"
+            raise InputError(str(case), found, "another file name")
+        names[case], used[name] = name, case
+    return names
+
+
+def checksums(case: Path) -> dict[str, str | None]:
+    """SHA-256 of a case file and of every file that it names, by path as the case writes it: every text in it that is
+    one, what lies beside a label, and what a meta-kernel lists. Of a case file that can't be understood there is only
+    its own (None where it can't be read).
+    """
+    sums, folder = {case.name: _checksum(case)}, case.parent
+    try:
+        wanted = decode(case)
+        counts = [name for entry in wanted.terrain_models for name in count_files(entry, folder)]
+    except InputError:
+        return sums
+    kernels = {name for one in (*wanted.images, wanted.spice) for name in (() if one is None else one.kernels)}
+    for name in dict.fromkeys([*_texts(msgspec.to_builtins(wanted)), *counts]):
+        if (found := _checksum(folder / name)) is not None:
+            others = _listed(folder / name) if name in kernels else _described(folder / name)
+            sums |= {name: found} | {os.path.relpath(other, folder): _checksum(other) for other in others}
+    return sums
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in tables and lists."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list | tuple):
+        for one in value.values() if isinstance(value, Mapping) else value:
+            yield from _texts(one)
+
+
+def _described(path: Path) -> list[Path]:
+    """A label and the files that it describes are read together though only one of them is named."""
+    if path.suffix.lower() not in _BESIDE or not path.parent.is_dir():
+        return []
+    return [
+        other
+        for other in sorted(path.parent.iterdir())
+        if other.name != path.name and other.stem.lower() == path.stem.lower() and other.suffix.lower() in _BESIDE
+    ]
+
+
+def _listed(kernel: Path) -> list[Path]:
+    """Kernels that a meta-kernel lists."""
+    from mgsgraph.files.spice.kernels import members  # SPICE takes its time to load
+
+    here, path = Path.cwd(), kernel.absolute()
+    try:
+        found = read_apart(lambda: members(path, here), str(kernel), "a SPICE kernel", "fetch it again")
+        return [member for member in found if member != path]
+    except InputError:
+        return []  # reading the case will say what is wrong
+
+
+def _checksum(path: Path) -> str | None:
+    try:
+        state = path.stat()
+        return _of_content(path.resolve(), state.st_size, state.st_mtime_ns)
+    except (OSError, InputError):
+        return None
+
+
+@cache
+def _of_content(path: Path, size: int, changed: int) -> str:
+    """SHA-256 of a file; kernels and terrain models that many cases share are read once."""
+    return sha256_of(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +343,7 @@ def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
 def _workers(cluster: str | None, record: Record, due: Sequence[CaseTask]) -> Iterator[_Each]:
     """How tasks are worked off: in this process, or on a cluster whose workers see the same files."""
     if cluster is None:
-        yield _one_by_one
+        yield lambda function, tasks: enumerate(map(function, tasks))
         return
     with open_cluster(cluster, most=len(due)) as connection:
         for path in (record.path, due[0].case):
@@ -214,27 +351,14 @@ def _workers(cluster: str | None, record: Record, due: Sequence[CaseTask]) -> It
         yield connection.each
 
 
-def _one_by_one(
-    function: Callable[[CaseTask], CampaignEntry], tasks: Sequence[CaseTask]
-) -> Iterator[tuple[int, CampaignEntry | Lost]]:
-    for place, task in enumerate(tasks):
-        yield place, function(task)
-
-
 def summary(campaign: Campaign) -> str:
-    """Counts, and a table of the cases that failed or did not converge; several lines."""
+    """Counts, and a line for each of the cases that failed or did not converge."""
     total, kept = len(campaign.entries), len(campaign.kept)
     states = "done", "no result", "not converged", "failed"
     counts = ", ".join(f"{number} {status}" for status in states if (number := campaign.count(status)))
     earlier = f" ({kept} of them earlier, and nothing has changed since)" if kept else ""
-    lines = [f"{total} case{'' if total == 1 else 's'}: {counts}{earlier}", *_other_versions(campaign)]
-    troubled = [entry for entry in campaign.entries if entry.status != "done"]
-    if troubled:
-        width = min(max(len(entry.folder) for entry in troubled), _NAME)
-        lines += ["", f"{'Case':<{width}}  {'state':<13}  why"]
-        for entry in troubled:
-            lines += _row(entry, width)
-    return "\n".join(lines)
+    troubled = [f"- {line(entry)}" for entry in campaign.entries if entry.status != "done"]
+    return "\n".join([f"{many(total, 'case')}: {counts}{earlier}", *troubled])
 
 
 def line(entry: CampaignEntry) -> str:
@@ -242,18 +366,5 @@ def line(entry: CampaignEntry) -> str:
     if entry.status == "failed":
         return f"{entry.folder}: failed after {entry.seconds:.1f} s: {entry.message}"
     sigma0 = "not defined" if entry.sigma0 is None else f"{entry.sigma0:.4g}"
-    return f"{entry.folder}: {entry.status}, {entry.iterations} iterations, sigma0 {sigma0}, {entry.seconds:.1f} s"
-
-
-def _row(entry: CampaignEntry, width: int) -> list[str]:
-    name = entry.folder if len(entry.folder) <= width else f"{entry.folder[: width - 3]}..."
-    head = f"{name:<{width}}  {entry.status:<13}  "
-    return textwrap.wrap(entry.message, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
-
-
-def _other_versions(campaign: Campaign) -> list[str]:
-    """A line where results that were left are another version's."""
-    kept = Counter(entry.version for entry in campaign.entries if entry.case in campaign.kept)
-    now = {entry.version for entry in campaign.entries if entry.case not in campaign.kept}
-    others = [f"{number} by mgsgraph {version}" for version, number in sorted(kept.items()) if version not in now]
-    return [f"Of the earlier ones, {', '.join(others)}."] if now and others else []
+    ended = f"{entry.folder}: {entry.status}, {entry.iterations} iterations, sigma0 {sigma0}, {entry.seconds:.1f} s"
+    return ended if entry.status == "done" else f"{ended}: {entry.message}"

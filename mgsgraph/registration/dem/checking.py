@@ -19,9 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.case.laser import ShotsInput
 from mgsgraph.case.reading import read_profile
-from mgsgraph.case.schema import CaseInput
+from mgsgraph.case.schema import CaseInput, ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.geometry.altimetry import AltimeterShots

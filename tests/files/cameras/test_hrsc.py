@@ -9,7 +9,7 @@ import pytest
 import spiceypy
 from mex import CHANGES, FOLDER, LINES, SAMPLES, kernels, times_file
 
-from mgsgraph.case.images import read_image
+from mgsgraph.case.case_file import read_image
 from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.hrsc import DETECTORS, HRSC_HEAD

@@ -1,7 +1,6 @@
 """Campaigns: what is due is done, what fails is told, on a cluster as well as here."""
 
 import json
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -61,7 +60,7 @@ def test_a_failed_case_does_not_stop_the_others(run: Run, sites: Path, tmp_path:
     failure = done.entries[2]
     assert "network.pvl" in failure.message
     assert "no such file" in failure.message
-    assert failure.checksums["network.pvl"] is None
+    assert "network.pvl" not in failure.checksums
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [RECORD, "north", "south"]
     good = done.entries[0]
     solution = mgsgraph.read_solution(tmp_path / "out" / "north")
@@ -69,8 +68,7 @@ def test_a_failed_case_does_not_stop_the_others(run: Run, sites: Path, tmp_path:
     assert good.sigma0 == solution.sigma0
     assert good.iterations == solution.iterations
     assert summary(done).startswith("3 cases: 2 done, 1 failed\n")
-    assert re.search(r"\nwest +failed +/", summary(done))
-    assert max(map(len, summary(done).splitlines())) <= 110
+    assert "\n- west: failed after" in summary(done)
 
 
 def test_products_are_those_of_adjust(run: Run, sites: Path, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 
 from mgsgraph.errors import InputError
@@ -71,10 +70,7 @@ def test_a_record_of_which_nothing_came_goes(tmp_path: Path) -> None:
     [
         ("{}\n", "line 1: no head of a campaign's record"),
         ("thesis\n", "line 1: no head"),
-        ('{"program": "mgsgraph", "record": "campaign", "format": 3}\n', "line 1: no head"),
-        ('{"program": "mgsgraph", "record": "campaign", "format": 1}\n{"case": 1}\n', "line 2: no entry"),
-        ('{"program": "mgsgraph", "record": "campaign", "format": 1}\n\xff\n', "line 2: no entry"),
-        ('{"program": "mgsgraph", "record": "campaign", "format": 1}\n{"case": "\xff"}\n', "line 2: no entry"),
+        ('{"program": "mgsgraph", "record": "campaign", "format": 1}\n', "line 1: no head"),
         ('{"program": "mgsgraph", "record": "campaign", "format": 2}\n{"case": 1}\n', "line 2: a damaged entry"),
         ("\xff\n", "line 1: no head"),
     ],
@@ -104,18 +100,6 @@ def test_a_flipped_bit_is_found(tmp_path: Path) -> None:
                 assert place == len(text) - 1
         except InputError as error:
             assert str(tmp_path) in str(error)  # noqa: PT017
-
-
-def test_a_record_without_checksums_goes_on(tmp_path: Path) -> None:
-    """As the first format had them."""
-    head = '{"program": "mgsgraph", "record": "campaign", "format": 1}\n'
-    (tmp_path / RECORD).write_bytes(head.encode() + msgspec.json.encode(entry("a.toml")) + b"\n")
-    for case in ("b.toml", "c.toml"):
-        with open_record(tmp_path) as record:
-            assert record.entries["a.toml"] == entry("a.toml")
-            record.append(entry(case))
-    with open_record(tmp_path) as record:
-        assert list(record.entries) == ["a.toml", "b.toml", "c.toml"]
 
 
 def test_a_record_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
