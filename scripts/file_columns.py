@@ -20,7 +20,6 @@ from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.network import PointClass
 from mgsgraph.registration.case import CaseRegistration, register_case
-from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.registration.dem.checking import HeightChecks
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
@@ -87,8 +86,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     registration = _registration()
     yield "registration.csv", registration_table(registration)
     yield "discrepancy.csv", discrepancy_table(registration)
-    over = shots_over_images(registration.images, registration.before[0].found.shots)
-    yield "what mgsgraph shots writes", selection_table(over)
+    yield "what mgsgraph shots writes", selection_table(registration.before[0].found)
     yield from _without_rows()
 
 

@@ -33,20 +33,20 @@ from mgsgraph.network import (
     SharedUnknown,
     Surface,
 )
-from mgsgraph.network.footprints import (
-    Members,
-    Registration,
-    carriers,
-    footprints_in_images,
-    points_in_images,
-    shots_carried,
-)
 from mgsgraph.network.observations import (
     nominal_ground,
     require_inside,
     require_range_sigmas,
     require_ranges,
     require_ranges_of,
+)
+from mgsgraph.network.range_images import (
+    Members,
+    Registration,
+    carriers,
+    footprints_in_images,
+    points_in_images,
+    shots_carried,
 )
 from mgsgraph.network.shared import off_nadir
 from mgsgraph.network.terrain import coverage, terrain_ground
@@ -164,7 +164,7 @@ class Parts:
         if wanted.image:
             named = self._image(wanted.image, shots.source)
             owners = np.where(seen.simultaneous[named], named, -1)
-            usable &= seen.shots_with(named)
+            usable &= seen.inside[named] & seen.simultaneous[named]
         else:
             owners = carriers(seen, usable, self.passes, "name it: image = ... in [[shots]]")
             usable &= shots_carried(seen, owners, self.passes)

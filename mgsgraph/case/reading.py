@@ -33,7 +33,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
-from mgsgraph.network.footprints import Members
+from mgsgraph.network.range_images import Members
 from mgsgraph.network.terrain import TerrainModel
 from mgsgraph.record import Record
 

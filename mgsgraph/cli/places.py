@@ -123,6 +123,7 @@ def shots(
     Exit status: 0, with shots found or none; 2 bad input, and nothing is written.
     """
     from mgsgraph.files.writing import fresh_file, require_free
+    from mgsgraph.network.footprints import crossings
     from mgsgraph.project.oriented import ShotChoice, oriented_images, search_shots
     from mgsgraph.results.places import SELECTION, crossings_section, selection_table
 
@@ -132,7 +133,7 @@ def shots(
     seen = oriented_images(case, names)
     over = search_shots(files, seen, choice)
     print_sentences([seen.warning] if seen.warning else [])
-    click.echo(crossings_section(over, over.crossings()).text(None))
+    click.echo(crossings_section(over, crossings(over)).text(None))
     if out is not None and not over.chosen.size:
         click.echo("Nothing is written: there is no shot to be written.")
     elif out is not None:

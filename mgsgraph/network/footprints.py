@@ -1,7 +1,7 @@
 """How laser footprints and images lie to each other: where footprints fall, and by how much images contradict.
 
-Footprints are projected into images by Newton's method and, for comparison, by the five steps of Shan et al. (2004)
-with linear orientation. No image content is needed for that.
+Footprints are projected into images by Newton's method. No image content is needed for that; whether a place is the
+right one, the projection can't tell.
 
 Two images contradict each other about a footprint when its two places show different ground. Where the place in the
 first image lies in the second one, only the images' own tie points know. So the DISCREPANCY is
@@ -16,17 +16,10 @@ shows in the misplacement; one within it lifts the ties' surface off the footpri
 height. A horizontal error of the footprints moves both places alike and shows in neither: ties don't know it. Relief
 between the ties enters within the epipolar plane only (across the flight, for a pair taken from two orbits); the stated
 sigmas hold it.
-
-And which image carries the range of a laser shot: the one that was taken meanwhile, or an image of the pass that was.
-
-Images of a pass are on one trajectory, and orientation images describe it from the first line of the pass to the last
-one: so shots between the lines of two of its images are carried, too, where the table of one of them covers their time.
-One camera carries all shots of a pass: what turns the beam turns it about one set of axes.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -34,11 +27,12 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.image import PushbroomImage, five_steps
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.joining import seconds
+from mgsgraph.record import Record
 
 Corrections = Sequence[OrientationCorrection | None]
 """One correction of the nominal orientation per image, None for none."""
@@ -52,50 +46,52 @@ _MISPLACEMENT_TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registration:
-    """Footprints in images: m images, n shots."""
+class Registration(Record):
+    """Footprints in images: m images, n shots.
+
+    Examples
+    --------
+    >>> from mgsgraph.files.altimetry.shots import read_shots
+    >>> from mgsgraph.network.footprints import crossings, footprints_in_images
+    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> found = footprints_in_images([image.nominal for image in site.images], shots)
+    >>> crossing = crossings(found)[0]
+    >>> crossing.image, crossing.profile, crossing.inside, crossing.simultaneous
+    ('E02-00665', '18933', 5, 4)
+    """
 
     images: tuple[PushbroomImage, ...]
     """(m) images."""
     shots: AltimeterShots
     """(n) shots."""
     places: Array
-    """(m, n, 2) line and sample by Newton's method; NaN where the image doesn't see the footprint."""
-    linear: Array
-    """(m, n, 2) line and sample by the five steps with linear orientation; NaN likewise."""
+    """(m, n, 2) line and sample; NaN where the image doesn't see the footprint."""
     inside: Mask
-    """(m, n) True where the place by Newton's method lies in the image."""
-    simultaneous: Mask
-    """(m, n) True for shots between the times of the image's first and last line."""
+    """(m, n) True where that lies in the image, or its margin."""
+    seconds: Array
+    """(m, n) s from the image's lines to the shot, negative before them; 0 for shots fired while it was taken."""
 
-    def profiles(self, image: int) -> "tuple[ProfileInImage, ...]":
-        """The profiles (shots of one orbit) that belong to an image: simultaneous ones first, then by their orbits."""
-        mine = self.inside[image] | self.simultaneous[image]
-        found = [
-            ProfileInImage(
-                int(orbit), bool(np.any(self.simultaneous[image, members])), members,
-                int(np.count_nonzero(self.inside[image, members])),
-            )
-            for orbit in np.unique(self.shots.orbits[mine])
-            for members in [np.flatnonzero(mine & (self.shots.orbits == orbit))]
-        ]
-        return tuple(sorted(found, key=lambda one: (not one.simultaneous, one.orbit)))
+    @property
+    def simultaneous(self) -> Mask:
+        """(m, n) True for shots between the times of the image's first and last line."""
+        return np.asarray(self.seconds == 0.0)
 
-    def simultaneous_image(self, along: Mask, remedy: str) -> int | None:
-        """Index of the only image with shots in `along` (m, n), whose trajectory carries their ranges; None for none.
+    @property
+    def chosen(self) -> Index:
+        """Shots that fall in any image."""
+        return np.flatnonzero(np.any(self.inside, axis=0))
+
+    def simultaneous_image(self, usable: Mask, remedy: str) -> int | None:
+        """Index of the only image in which usable shots (n,) fall that were fired meanwhile, so that its trajectory
+        carries their ranges; None for none.
 
         Raises InputError with the remedy when there are several.
         """
-        found = np.flatnonzero(np.any(along, axis=1)).tolist()
+        found = np.flatnonzero(np.any(self.inside & self.simultaneous & usable, axis=1)).tolist()
         if len(found) > 1:
             names = " and ".join(self.images[j].name for j in found)
             raise InputError(self.shots.source, f"shots simultaneous with {names}", "one image", remedy)
         return found[0] if found else None
-
-    def shots_with(self, image: int | None) -> Mask:
-        """(n,) True for shots that fall in an image and were fired while it was taken; without one, in any image."""
-        found: Mask = np.any(self.inside, axis=0) if image is None else self.inside[image] & self.simultaneous[image]
-        return found
 
     def __repr__(self) -> str:
         counts = ", ".join(
@@ -105,17 +101,25 @@ class Registration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProfileInImage:
-    """Shots of one orbit that fall in an image, or were fired while it was taken."""
+class Crossing(Record):
+    """Shots of one profile over one image, or taken along with it: what Shan et al. (2004) found by search."""
 
-    orbit: int
-    """As the altimeter's archive counts it."""
-    simultaneous: bool
-    """True when the shots were fired while the image was taken."""
-    shots: Index
-    """(k,) which shots."""
+    profile: str
+    """Orbit, or the minute (UTC) in which the crossing began."""
+    image: str
+    """The image's name."""
+    shots: int
+    """Shots of the profile that could be chosen."""
     inside: int
-    """How many of them fall in the image."""
+    """Those that fall in the image."""
+    simultaneous: int
+    """Those fired while the image was taken."""
+    seconds: float
+    """s from the image's nearest line to the nearest of its shots inside; negative before the image."""
+    off_nadir: float
+    """rad, median of its shots inside; NaN where unknown."""
+    start: float
+    """s TDB past J2000 of its first shot inside, or else of its first simultaneous one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +161,7 @@ def footprints_in_images(
     shots: AltimeterShots,
     corrections: Corrections | None = None,
     points: Array | None = None,
+    margin: float = 0.0,
 ) -> Registration:
     """Project every footprint into every image that sees it.
 
@@ -170,29 +175,38 @@ def footprints_in_images(
         Of the images' orientation; none when absent.
     points : (n, 3), optional
         m, places of the footprints instead of their own (adjusted ones).
+    margin : float
+        pixels by which a footprint may lie outside of an image.
     """
     given = corrections if corrections is not None else [None] * len(images)
     if len(given) != len(images):
         raise InputError("registration", f"{len(given)} corrections", f"one for each of {len(images)} images")
     ground = shots.footprints if points is None else points
-    shape = (len(images), shots.times.size)
-    places, linear = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
-    inside, simultaneous = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    for j, (image, correction) in enumerate(zip(images, given, strict=True)):
-        near = _visible(image, ground, correction)
-        if near.size:
-            places[j, near], _ = image.ground_to_image(ground[near], correction)
-            with np.errstate(all="ignore"):  # far beside the detector the distortion has no bounds: NaN is right there
-                linear[j, near] = five_steps(image, ground[near], correction)
-        inside[j] = _within(image, places[j])
-        simultaneous[j] = seconds_from_image(image, shots.times) == 0.0
-    return Registration(tuple(images), shots, places, linear, inside, simultaneous)
+    places = np.stack([visible_places(image, ground, one) for image, one in zip(images, given, strict=True)])
+    inside = np.stack([_within(image, mine, margin) for image, mine in zip(images, places, strict=True)])
+    edges = [seconds(image) for image in images]
+    beside = [np.minimum(shots.times - first, 0.0) + np.maximum(shots.times - last, 0.0) for first, last in edges]
+    return Registration(tuple(images), shots, places, inside, np.stack(beside))
 
 
-def seconds_from_image(image: PushbroomImage, times: Array) -> Array:
-    """S (n,) by which times (s TDB past J2000) lie after an image's last line, negative before its first; 0 within."""
-    first, last = image.span
-    return np.asarray(np.minimum(times - first, 0.0) + np.maximum(times - last, 0.0))
+def crossings(found: Registration) -> tuple[Crossing, ...]:
+    """Profiles that cross images, image by image: those taken along first, then by their times."""
+    every, names, orbits = list[Crossing](), found.shots.profile_names(), found.shots.orbits
+    for image, inside, since in zip(found.images, found.inside, found.seconds, strict=True):
+        mine = list[Crossing]()
+        for orbit in np.unique(orbits[inside | (since == 0.0)]):
+            members = np.flatnonzero(orbits == orbit)
+            within, along = members[inside[members]], members[since[members] == 0.0]
+            near = within if within.size else along
+            angles = found.shots.off_nadir[near]
+            mine.append(Crossing(
+                names[members[0]], image.name, members.size, within.size, along.size,
+                float(since[near][np.argmin(np.abs(since[near]))]),
+                float(np.nanmedian(angles)) if np.any(np.isfinite(angles)) else float("nan"),
+                float(found.shots.times[near].min()),
+            ))  # fmt: skip
+        every += sorted(mine, key=lambda one: (not one.simultaneous, one.start))
+    return tuple(every)
 
 
 def points_in_images(
@@ -201,23 +215,8 @@ def points_in_images(
     margin: float = 0.0,
     corrections: Corrections | None = None,
 ) -> Mask:
-    """Which ground points are in which images.
-
-    Parameters
-    ----------
-    images : sequence of PushbroomImage
-        All of them.
-    points : (n, 3)
-        m, body-fixed.
-    margin : float
-        pixels by which a point may lie outside of an image.
-    corrections : sequence, optional
-        Of the images' orientation; none when absent.
-
-    Returns
-    -------
-    (m, n)
-        True where a point's pixel lies in the image or its margin.
+    """(m, n) which ground points (n, 3) in m are in which images, or at most `margin` pixels beside them; `corrections`
+    as of `footprints_in_images`.
 
     Examples
     --------
@@ -225,12 +224,10 @@ def points_in_images(
     >>> points_in_images(network.images, solution.places).sum(axis=1)
     array([28, 28])
     """
-    inside = np.zeros((len(images), points.shape[0]), dtype=bool)
-    for j, (image, correction) in enumerate(zip(images, corrections or [None] * len(images), strict=True)):
-        near = _visible(image, points, correction)
-        if near.size:
-            inside[j, near] = _within(image, image.ground_to_image(points[near], correction)[0], margin)
-    return inside
+    return np.stack([
+        _within(image, visible_places(image, points, correction), margin)
+        for image, correction in zip(images, corrections or [None] * len(images), strict=True)
+    ])
 
 
 def _within(image: PushbroomImage, places: Array, margin: float = 0.0) -> Mask:
@@ -238,6 +235,14 @@ def _within(image: PushbroomImage, places: Array, margin: float = 0.0) -> Mask:
         size = np.array([image.lines, image.samples])
         inside: Mask = np.all((places >= -margin) & (places <= size + margin), axis=-1)
     return inside
+
+
+def visible_places(image: PushbroomImage, points: Array, correction: OrientationCorrection | None = None) -> Array:
+    """(n, 2) line and sample of points (n, 3) in m; NaN on the far side of the body, or far from the image's ground."""
+    places, near = np.full((points.shape[0], 2), np.nan), _visible(image, points, correction)
+    if near.size:
+        places[near], _ = image.ground_to_image(points[near], correction)
+    return places
 
 
 def _visible(image: PushbroomImage, points: Array, correction: OrientationCorrection | None) -> Index:
@@ -428,92 +433,3 @@ def _smooth(image: PushbroomImage, ties: Array, misplacement: Array, places: Arr
     at = design(places)
     share = np.einsum("ni,ij,nj->n", at, inverse, at)
     return at @ found, np.sqrt(share[:, None] * spread)
-
-
-_TURNED = 1e-6
-"""Difference of matrices of cameras that have other axes."""
-
-
-class Members(NamedTuple):
-    """Images of a pass, before it has orientation images."""
-
-    images: tuple[int, ...]
-    """Which."""
-    axes: Array | None = None
-    """(m, 3, 3) how their cameras are mounted (`network.passes.Pass`)."""
-
-
-def carriers(found: Registration, usable: Mask, passes: Sequence[Members], remedy: str) -> Index:
-    """Image whose trajectory carries the range of each shot.
-
-    Parameters
-    ----------
-    found : Registration
-        Shots in all images, m of them.
-    usable : (n,)
-        False for shots that don't count.
-    passes : sequence of Members
-        Each image is of one at most.
-    remedy : str
-        What to do about shots along several trajectories.
-
-    Returns
-    -------
-    (n,)
-        -1 for shots that none carries.
-
-    Raises
-    ------
-    InputError
-        For shots along images of several trajectories.
-    """
-    along = np.flatnonzero(np.any(found.simultaneous & usable, axis=1)).tolist()
-    owners = np.full(found.shots.times.size, -1, dtype=np.int64)
-    of_all = [one for one in passes if set(along) & set(one.images)]
-    alone = [j for j in along if not any(j in one.images for one in passes)]
-    if len(of_all) + len(alone) > 1:
-        names = " and ".join(found.images[j].name for j in along)
-        raise InputError(found.shots.source, f"shots simultaneous with {names}", "images of one pass", remedy)
-    if alone:
-        owners[found.simultaneous[alone[0]]] = alone[0]
-    elif of_all:
-        owners = _along_pass(found, of_all[0])
-    return owners
-
-
-def shots_carried(found: Registration, owners: Index, passes: Sequence[Members]) -> Mask:
-    """(n,) True for shots with a carrier that fall in an image of its trajectory, or between its images in time;
-    without any carrier for those that fall in an image at all.
-    """
-    used = np.unique(owners[owners >= 0])
-    if not used.size:
-        return np.asarray(np.any(found.inside, axis=0))
-    images = next((list(one.images) for one in passes if int(used[0]) in one.images), used.tolist())
-    between = ~np.any(found.simultaneous[images], axis=0)
-    return np.asarray((owners >= 0) & (between | np.any(found.inside[images], axis=0)))
-
-
-def _along_pass(found: Registration, one: Members) -> Index:
-    """Carriers among the images of a pass: of the camera that covers most shots; an image's own shots by itself."""
-    times, members = found.shots.times, np.array(one.images)
-    edges = np.array([seconds(found.images[j]) for j in one.images])
-    during = (times >= edges[:, 0].min()) & (times <= edges[:, 1].max())
-    covered = np.zeros((members.size, times.size), dtype=bool)
-    for k, j in enumerate(one.images):
-        start, stop = np.array(found.images[j].trajectory.coverage) + found.images[j].trajectory.epoch
-        covered[k] = during & (times >= start) & (times <= stop)
-    cameras = [_same_axes(one, k) for k in range(members.size)]
-    camera = max(cameras, key=lambda same: int(np.any(covered[same], axis=0).sum()))
-    owners = np.full(times.size, -1, dtype=np.int64)
-    for k in np.flatnonzero(camera)[::-1].tolist():
-        owners[covered[k]] = members[k]
-    for k in np.flatnonzero(camera)[::-1].tolist():
-        owners[found.simultaneous[members[k]]] = members[k]
-    return owners
-
-
-def _same_axes(one: Members, member: int) -> Mask:
-    """(m,) True for images whose camera has the axes of one member's."""
-    if one.axes is None:
-        return np.ones(len(one.images), dtype=np.bool_)
-    return np.asarray(np.abs(one.axes - one.axes[member]).max(axis=(1, 2)) < _TURNED)

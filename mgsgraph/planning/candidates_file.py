@@ -275,8 +275,9 @@ def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _S
     if entry.image is not None:
         owner: int | None = [image.name for image in images].index(entry.image)
     else:
-        owner = seen.simultaneous_image(seen.inside & seen.simultaneous & shots.ground, _NAME_THE_IMAGE)
-    taken = seen.shots_with(owner) & shots.ground
+        owner = seen.simultaneous_image(shots.ground, _NAME_THE_IMAGE)
+    inside = np.any(seen.inside, axis=0) if owner is None else seen.inside[owner] & seen.simultaneous[owner]
+    taken = inside & shots.ground
     return shots.times[taken], shots.footprints[taken], None if owner is None else images[owner].name
 
 

@@ -13,6 +13,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.definitions import Definitions, definitions
+from mgsgraph.network.footprints import visible_places
 from mgsgraph.network.parts import KnownImage, known_images
 from mgsgraph.planning.state import NetworkState, correction_of
 
@@ -46,17 +47,11 @@ class OrientedImage:
 
     def shown(self, points: Array) -> tuple[Index, Array]:
         """Which of points (n, 3) in m it shows well inside its edges and from above, (k,), and their places (k, 2)."""
-        image, outline = self.image, self.footprint
-        eye = image.pose(np.array([0.5 * image.lines]), self.correction).position[0]
-        near = np.flatnonzero(np.einsum("ni,ni->n", points, eye - points) > 0.0)
-        if outline.outline.shape[0]:  # Newton over all points of a large network takes seconds
-            away = np.linalg.norm(points[near] - outline.centre, axis=1)
-            near = near[away < _NEAR * _radius(outline) + _RELIEF]
-        places, _ = image.ground_to_image(points[near], self.correction)
-        size = np.array([image.lines, image.samples])
+        image = self.image
+        places, size = visible_places(image, points, self.correction), np.array([image.lines, image.samples])
         with np.errstate(invalid="ignore"):
-            inside = np.all((places > EDGE * size) & (places < (1.0 - EDGE) * size), axis=1)
-        return near[inside], places[inside]
+            inside = np.flatnonzero(np.all((places > EDGE * size) & (places < (1.0 - EDGE) * size), axis=1))
+        return inside, places[inside]
 
     def positions(self, times: Array) -> Array:
         """(n, 3) m, where the camera is at times (n,) in s TDB past J2000."""

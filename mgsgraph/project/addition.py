@@ -334,11 +334,11 @@ def _profile(
     shots, sigmas = read_shots(path), settings.measures
     seen, usable = shots_in_images(pictures, shots)
     remedy = "use [[shots]] of a case file"
-    owner = seen.simultaneous_image(seen.inside & seen.simultaneous & usable, remedy)
+    owner = seen.simultaneous_image(usable, remedy)
     if owner is None:
         found = "no shot that was taken along with one of the images and falls in it"
         raise InputError(str(path), found, "one image that the profile crosses", remedy)
-    taken = shots.chosen(seen.shots_with(owner) & usable)
+    taken = shots.chosen(seen.inside[owner] & seen.simultaneous[owner] & usable)
     wanted = ShotsInput(
         str(path), range_sigma_m=sigmas.shot_range_sigma_m, ground_sigma_m=sigmas.shot_ground_sigma_m,
         height_sigma_m=sigmas.shot_height_sigma_m,

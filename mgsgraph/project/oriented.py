@@ -21,10 +21,9 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.time_scales import tdb_of_utc
-from mgsgraph.network.footprints import Corrections
+from mgsgraph.network.footprints import Corrections, Registration, footprints_in_images
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.reading import results_of
-from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
 from mgsgraph.results.archive import ARCHIVE, read_solution
 from mgsgraph.units import DEG
 
@@ -171,7 +170,7 @@ def _interval(dates: tuple[str, str]) -> tuple[float, float]:
     return first, last
 
 
-def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice) -> ShotsOverImages:
+def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice) -> Registration:
     """Shots of all files over images.
 
     Raises
@@ -183,5 +182,5 @@ def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice
     for part in parts:
         require_on_body(part.footprints, seen.images[0].body, part.source)
     shots = joined_shots(parts)
-    over = shots_over_images(seen.images, shots.chosen(choice.of(shots)), seen.corrections, choice.margin)
-    return replace(over, inside=over.inside & (over.seconds == 0.0)) if choice.along else over
+    over = footprints_in_images(seen.images, shots.chosen(choice.of(shots)), seen.corrections, margin=choice.margin)
+    return replace(over, inside=over.inside & over.simultaneous) if choice.along else over

@@ -191,10 +191,3 @@ def _adjusted_places(name: str, shots: AltimeterShots, solution: Solution, rows:
             f"solution {solution.name!r}", f"no laser shot {one}", "all shots of the case", "adjust the case again"
         )
     return solution.places[[rows[one] for one in wanted]]
-
-
-def five_steps_difference(found: Registration, image: int) -> Array:
-    """(2,) largest difference in lines and samples between the two methods inside an image; zero when it sees none."""
-    mine = found.inside[image]
-    difference = np.abs(found.linear[image, mine] - found.places[image, mine])
-    return np.asarray(np.nanmax(difference, axis=0)) if np.any(np.isfinite(difference)) else np.zeros(2)

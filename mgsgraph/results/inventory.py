@@ -31,10 +31,10 @@ from mgsgraph.network.connectivity import (
     link_statement,
     network_footprints,
 )
+from mgsgraph.network.footprints import crossings, footprints_in_images
 from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.support import support
 from mgsgraph.network.terrain import coverage
-from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
@@ -133,9 +133,9 @@ def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Pa
     for entry in wanted.shots:
         shots = read_profile(entry, folder)
         require_on_body(shots.footprints, body, shots.source)
-        over = shots_over_images(images, shots.chosen(shots.ground))
+        over = footprints_in_images(images, shots.chosen(shots.ground))
         said.append(f"{entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
-        said += crossings_section(over, over.crossings()).sentences
+        said += crossings_section(over, crossings(over)).sentences
     for cloud in wanted.altimetry:
         found = read_altimetry(cloud, folder, body)
         count = f"{many(len(found.ids), 'ground return')} in {many(len(found.profiles), 'profile')}"

@@ -18,7 +18,7 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.time_scales import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
-from mgsgraph.registration.crossings import Crossing, ShotsOverImages
+from mgsgraph.network.footprints import Crossing, Registration
 from mgsgraph.results.section import Section
 from mgsgraph.text import many
 from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
@@ -165,7 +165,7 @@ SELECTION = begins("a selection of mgsgraph shots", "altimeter,profile,utc,image
 """Tables of `selection_table`, by their columns."""
 
 
-def selection_table(over: ShotsOverImages) -> Table:
+def selection_table(over: Registration) -> Table:
     """Shots that fall in an image, with all that `altimetry.shots.read_shots` takes back; what is empty is unknown."""
     shots, rows = over.shots.chosen(over.chosen), over.chosen
     longitude, latitude, radius = planetocentric(shots.footprints).T
@@ -180,7 +180,7 @@ def selection_table(over: ShotsOverImages) -> Table:
         Column("profile", shots.profile_names(), meaning="orbit, or the minute (UTC) in which a crossing began"),
         Column("utc", utc_texts(shots.times + 0.5 * MILLISECOND)),
         Column("images", names(over.inside), meaning="in which the footprint falls"),
-        Column("simultaneous", names(over.inside & (over.seconds == 0.0)), meaning="those taken while it was fired"),
+        Column("simultaneous", names(over.inside & over.simultaneous), meaning="those taken while it was fired"),
         Column("orbit", shots.orbits), Column("frame", shots.frames), Column("shot", shots.shots),
         Column("ground", shots.ground.astype(np.int64), meaning="1 for a return from the ground, 0 for noise"),
         Column("channel", shots.channels, meaning="that triggered; 0 where unknown"),
@@ -198,7 +198,7 @@ def selection_table(over: ShotsOverImages) -> Table:
     ))  # fmt: skip
 
 
-def crossings_section(over: ShotsOverImages, found: tuple[Crossing, ...]) -> Section:
+def crossings_section(over: Registration, found: tuple[Crossing, ...]) -> Section:
     """How many shots of which profiles fall in each image, and which profiles were taken along with it."""
     said = list[str]()
     for image in over.images:

@@ -16,7 +16,7 @@ from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import Misregistration
-from mgsgraph.registration.case import CaseRegistration, ProfileRegistration, five_steps_difference
+from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
 from mgsgraph.results.section import Section, write_sections_into
 from mgsgraph.text import listed, many, root_mean_square
 from mgsgraph.units import DEG, ISIS_OFFSET
@@ -61,8 +61,7 @@ def write_registration_into(registration: CaseRegistration, folder: Path, figure
 
 def registration_section(registration: CaseRegistration) -> Section:
     """Where shots fall, and by how much images contradict each other about them, before and after."""
-    said = [_falls(profile) for profile in registration.before]
-    said += [*(_methods(state, profiles) for state, profiles in registration.states()), *registration.warnings]
+    said = [*(_falls(profile) for profile in registration.before), *registration.warnings]
     record = {
         "format": FORMAT,
         "name": registration.name,
@@ -89,16 +88,6 @@ def _falls(profile: ProfileRegistration) -> str:
     ]
     shots = f"{many(found.shots.times.size, 'shot')} of {profile.name}"
     return f"Of {shots}, {listed(seeing)}." if seeing else f"None of {shots} falls in an image."
-
-
-def _methods(state: str, profiles: tuple[ProfileRegistration, ...]) -> str:
-    """The largest difference between Newton's method and the five steps."""
-    every = [five_steps_difference(one.found, j) for one in profiles for j in range(len(one.found.images))]
-    line, sample = np.max(every, axis=0)
-    return (
-        f"Newton's method and the five steps with linear orientation differ by at most {line:.2g} lines and "
-        f"{sample:.2g} samples ({state} orientation)."
-    )
 
 
 def _discrepancies(registration: CaseRegistration) -> list[tuple[str, ProfileRegistration, Misregistration]]:
@@ -143,10 +132,6 @@ def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
                 "image": image.name,
                 "simultaneous": bool(np.any(found.simultaneous[j])),
                 "inside": int(found.inside[j].sum()),
-                **dict(zip(
-                    ("five_steps_largest_line_px", "five_steps_largest_sample_px"),
-                    five_steps_difference(found, j), strict=True,
-                )),
             }
             for j, image in enumerate(found.images)
         ],
@@ -174,7 +159,7 @@ def discrepancy_json(one: Misregistration) -> dict[str, Any]:
 
 
 def registration_table(registration: CaseRegistration) -> Table:
-    """One row per shot and image: where it falls by Newton's method and by the five steps; unknown where unseen."""
+    """One row per shot and image: where it falls; unknown where unseen."""
     rows = [(p, j) for p in range(len(registration.before)) for j in range(len(registration.images))]
     found = [registration.before[p].found for p, _ in rows]
     sizes = [one.shots.times.size for one in found]
@@ -188,9 +173,9 @@ def registration_table(registration: CaseRegistration) -> Table:
         return [name for name, n in zip(names, sizes, strict=True) for _ in range(n)]
 
     places = [
-        Column(f"{state}_{method}isis_{{}}", of_state(profiles, name) + ISIS_OFFSET, parts=("line", "sample"))
-        for state, profiles in states for method, name in (("", "places"), ("five_steps_", "linear"))
-    ]  # fmt: skip
+        Column(f"{state}_isis_{{}}", of_state(profiles, "places") + ISIS_OFFSET, parts=("line", "sample"))
+        for state, profiles in states
+    ]
     return Table("registration", "Footprints in images", (
         Column("profile", repeated([registration.before[p].name for p, _ in rows])),
         Column("number", np.concatenate([np.arange(1, n + 1) for n in sizes])),

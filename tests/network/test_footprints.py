@@ -1,7 +1,7 @@
-"""Registration against the truth of a simulated pair: places, the five steps, and what the discrepancy must show."""
+"""Registration against the truth of a simulated pair: places, and what the discrepancy must show."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import networks
@@ -10,12 +10,9 @@ import pytest
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import TiePoints
-from mgsgraph.geometry import rotation
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.image import PushbroomImage, five_steps
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.network.footprints import discrepancy, footprints_in_images, misregistration
+from mgsgraph.network.footprints import crossings, discrepancy, footprints_in_images, misregistration
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair
@@ -53,60 +50,6 @@ def pitched(correction: OrientationCorrection, pitch: float) -> OrientationCorre
     return replace(correction, coefficients=coefficients)
 
 
-@dataclass(frozen=True)
-class LinearTrajectory:
-    """Position and omega, phi, kappa linear in time, in the frame of the body: what the five steps suppose."""
-
-    epoch: float
-    coverage: tuple[float, float]
-    start: np.ndarray
-    rate: np.ndarray
-    spin: np.ndarray | None = None
-
-    def require(self, times: np.ndarray, where: str, slack: float = 0.0) -> None: ...
-
-    def pose(self, times: np.ndarray) -> Pose:
-        elements = self.start + times[:, None] * self.rate
-        rates = np.broadcast_to(self.rate, elements.shape)
-        angular_rate = np.einsum("nij,nj->ni", rotation.angle_axes(elements[:, 3:], True), rates[:, 3:])
-        matrix = rotation.from_omega_phi_kappa(elements[:, 3:])
-        return Pose(elements[:, :3], rates[:, :3].copy(), matrix, angular_rate)
-
-
-def linear_image(image: PushbroomImage) -> PushbroomImage:
-    """The image with its orientation replaced by the linear one through its first and last line."""
-    times, _ = image.timing.at(np.array([0.0, float(image.lines)]))
-    pose = image.pose(np.array([0.0, float(image.lines)]))
-    angles = np.unwrap(rotation.omega_phi_kappa(pose.matrix), axis=0)
-    elements = np.column_stack([pose.position, angles])
-    rate = (elements[1] - elements[0]) / (times[1] - times[0])
-    trajectory = LinearTrajectory(image.trajectory.epoch, (-1e9, 1e9), elements[0] - times[0] * rate, rate)
-    return replace(image, trajectory=trajectory)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("which", [0, 1])
-def test_five_steps_and_newton_agree_under_linear_orientation(which: int) -> None:
-    pair = made_pair()
-    image = linear_image(pair.images[which])
-    lines, samples = np.meshgrid(np.linspace(0, 5000, 11), np.linspace(0, 1024, 5))
-    ground, _ = image.image_to_ground(lines.ravel(), samples.ravel(), -1800.0)
-    newton, _ = image.ground_to_image(ground)
-    steps = five_steps(image, ground)
-
-    print(f"five steps against Newton, linear orientation: {np.abs(steps - newton).max():.2e} px")
-    np.testing.assert_allclose(newton, np.column_stack([lines.ravel(), samples.ravel()]), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(steps, newton, rtol=0, atol=0.01)
-
-
-def test_five_steps_see_nothing_behind_and_far_away() -> None:
-    image = made_pair().images[0]
-    eye = image.pose(np.array([2500.0])).position
-    ground, _ = image.image_to_ground(np.array([9000.0, 2500.0]), np.array([500.0, 500.0]))
-    places = five_steps(image, np.concatenate([2.0 * eye, ground]))
-
-    assert np.isnan(places).any(axis=1).tolist() == [True, True, False]
-
-
 def test_every_footprint_in_every_image() -> None:
     pair = made_pair()
     found = footprints_in_images(pair.images, shots(), pair.true_corrections)
@@ -114,9 +57,9 @@ def test_every_footprint_in_every_image() -> None:
         np.testing.assert_allclose(found.places[j], true_places(pair, j), rtol=0, atol=1e-6)
     assert found.inside.all()
     assert found.simultaneous.tolist() == [[True] * 40, [False] * 40]
-    first, second = (found.profiles(j) for j in range(2))
-    assert (first[0].simultaneous, first[0].inside, first[0].orbit) == (True, 40, 18933)
-    assert (second[0].simultaneous, second[0].inside) == (False, 40)
+    first, second = crossings(found)
+    assert (first.simultaneous, first.inside, first.profile) == (40, 40, "18933")
+    assert (second.simultaneous, second.inside) == (0, 40)
 
 
 def test_profiles_are_told_apart_and_the_far_side_is_hidden() -> None:
@@ -130,9 +73,8 @@ def test_profiles_are_told_apart_and_the_far_side_is_hidden() -> None:
 
     assert not found.inside[0, :5].any()
     assert np.isnan(found.places[0, :5]).all()
-    profiles = found.profiles(0)
-    assert [(one.orbit, one.simultaneous, one.inside) for one in profiles] == [(18933, True, 15), (20001, False, 20)]
-    assert profiles[0].shots.tolist() == list(range(20))
+    profiles = [(one.profile, one.simultaneous, one.inside, one.shots) for one in crossings(found)]
+    assert profiles == [("18933", 20, 15, 20), ("20001", 0, 20, 20)]
 
 
 def test_an_image_that_sees_the_limb_doesnt_see_through_the_body() -> None:

@@ -17,8 +17,8 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.network import Network, Pass, PointClass, SharedKind
-from mgsgraph.network.footprints import Members, Registration, carriers, footprints_in_images, shots_carried
 from mgsgraph.network.joining import mountings
+from mgsgraph.network.range_images import Members, Registration, carriers, footprints_in_images, shots_carried
 
 SHOTS = 40
 
@@ -85,7 +85,7 @@ def test_an_image_on_its_own_carries_its_own_shots_alone() -> None:
     alone = footprints_in_images([images()[i] for i in (0, 3)], shots())
     owners = carriers(alone, np.ones(SHOTS, dtype=bool), [], "")
     assert np.array_equal(owners, np.where(alone.simultaneous[0], 0, -1))
-    assert np.array_equal(shots_carried(alone, owners, []), alone.shots_with(0))
+    assert np.array_equal(shots_carried(alone, owners, []), alone.inside[0] & alone.simultaneous[0])
 
 
 def network() -> Network:

@@ -16,12 +16,12 @@ from mgsgraph.geometry.altimeters import LOLA
 from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots
 from mgsgraph.geometry.records import frozen_mask
 from mgsgraph.geometry.time_scales import utc_of_tdb
+from mgsgraph.network.footprints import Registration, crossings, footprints_in_images
 from mgsgraph.project.oriented import OrientedImages, ShotChoice, search_shots
-from mgsgraph.registration.crossings import ShotsOverImages, shots_over_images
 from mgsgraph.results.places import crossings_section, crossings_table, selection_table
 
 
-def along_and_later() -> tuple[ShotsOverImages, AltimeterShots]:
+def along_and_later() -> tuple[Registration, AltimeterShots]:
     """A track along the first image of a pair, in the middle of its columns, and the same a day later as noise."""
     image = networks.pair(ties=20, shots=8).images[0]
     lines = np.linspace(-200.0, image.lines + 200.0, 60)
@@ -37,13 +37,13 @@ def along_and_later() -> tuple[ShotsOverImages, AltimeterShots]:
         off_nadir=np.repeat([0.01, 0.4], 60), ground=frozen_mask(np.ones(120, dtype=bool), "ground", 120),
         channels=np.ones(120), clocks=nothing, pulses=nothing,
     )  # fmt: skip
-    return shots_over_images([image], shots), shots
+    return footprints_in_images([image], shots), shots
 
 
 def test_the_profile_that_was_taken_along() -> None:
     over, _ = along_and_later()
     within = np.count_nonzero(over.inside[0, :60])
-    first, second = over.crossings()
+    first, second = crossings(over)
 
     assert 40 < within < 60
     assert (first.profile, first.inside, first.simultaneous, first.seconds) == ("7", within, within, 0.0)
@@ -72,7 +72,7 @@ def test_utc_of_a_selection_is_the_archives(shared_data: Path) -> None:
     path = shared_data / "lro_nac_lola" / "lidarPoints.csv"
     shots = read_shots(path)
     image, n = along_and_later()[0].images[0], shots.times.size
-    over = ShotsOverImages((image,), shots, np.ones((1, n), dtype=bool), np.ones((1, n)))
+    over = Registration((image,), shots, np.zeros((1, n, 2)), np.ones((1, n), dtype=bool), np.ones((1, n)))
     rows = [row.split(",", 1)[0].strip() for row in path.read_text(encoding="utf-8").splitlines()]
     utc = next(one.values for one in selection_table(over).columns if one.key == "utc")
     assert len(utc) == len(rows)
@@ -88,7 +88,7 @@ def test_lola_over_a_pair_of_lroc_nac(shared_data: Path, tmp_path: Path) -> None
     images = tuple(read_isd(folder / f"observationImage{side}.isd", side) for side in "LR")
     seen = OrientedImages(tuple(map(View, images)))
     over = search_shots([folder / "RDR_hadley_LOLA.csv.gz"], seen, ShotChoice())
-    found = over.crossings()
+    found = crossings(over)
 
     assert over.chosen.size == sum(one.inside for one in found)
     assert abs(over.chosen.size - 7329) <= 6
@@ -99,7 +99,7 @@ def test_lola_over_a_pair_of_lroc_nac(shared_data: Path, tmp_path: Path) -> None
     some = ShotChoice(("2010-05-23", "2010-10-07"), off_nadir=17.0)
     selection_table(replace(over, inside=over.inside & some.of(over.shots))).write_csv(tmp_path / "s.csv")
     again = search_shots([tmp_path / "s.csv"], seen, ShotChoice())
-    assert [(one.profile, one.inside) for one in again.crossings()] == [
+    assert [(one.profile, one.inside) for one in crossings(again)] == [
         (one.profile, one.inside) for one in found if one.profile in ("2010-05-23T14:02", "2010-10-07T03:36")
     ]
     assert again.shots.altimeter is LOLA

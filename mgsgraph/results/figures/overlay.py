@@ -163,8 +163,12 @@ def longest_profile(registration: CaseRegistration, j: int, p: int) -> tuple[Ind
     """
     _, profiles = list(registration.states())[-1]
     found = profiles[p].found
-    orbit = max(found.profiles(j), key=lambda one: (one.inside > 0, one.simultaneous, one.inside), default=None)
-    shots = np.zeros(0, dtype=np.int64) if orbit is None else orbit.shots[found.inside[j, orbit.shots]]
+    orbits, same = found.shots.orbits, found.simultaneous[j]
+    crossing = [found.inside[j] & (orbits == orbit) for orbit in np.unique(orbits[found.inside[j]])]
+    shots = np.flatnonzero(max(
+        crossing, key=lambda one: (np.any(same[np.isin(orbits, orbits[one])]), np.count_nonzero(one)),
+        default=found.inside[j],
+    ))  # fmt: skip
     shots = shots[np.argsort(found.places[j, shots, 0])]
     return shots, found.places[j, shots, 0]
 
