@@ -33,6 +33,7 @@ from mgsgraph.network import (
     SharedUnknown,
     Surface,
 )
+from mgsgraph.network.footprints import Registration, footprints_in_images, points_in_images
 from mgsgraph.network.observations import (
     nominal_ground,
     require_inside,
@@ -40,14 +41,7 @@ from mgsgraph.network.observations import (
     require_ranges,
     require_ranges_of,
 )
-from mgsgraph.network.range_images import (
-    Members,
-    Registration,
-    carriers,
-    footprints_in_images,
-    points_in_images,
-    shots_carried,
-)
+from mgsgraph.network.range_images import Members, carriers, shots_carried
 from mgsgraph.network.shared import off_nadir
 from mgsgraph.network.terrain import coverage, terrain_ground
 from mgsgraph.units import DEG, MRAD
