@@ -150,7 +150,8 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
 
     Examples
     --------
-    >>>     >>> found = reliability(solution)
+    >>> from mgsgraph.analysis.reliability import reliability
+    >>> found = reliability(solution)
     >>> print(found)
     Reliability(180 measures, 60.0 degrees of freedom, 0 tests over 3.29, 12 measures uncontrolled)
     >>> worst = np.argsort(-np.abs(found.measures.test))[:2]

@@ -285,7 +285,8 @@ def snoop(
 
     Examples
     --------
-    >>>     >>> found = snoop(network)
+    >>> from mgsgraph.analysis.snooping import snoop
+    >>> found = snoop(network)
     >>> len(found.removals), found.complete
     (0, True)
     """

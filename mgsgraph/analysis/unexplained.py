@@ -147,7 +147,8 @@ class Effect(Record):
     Examples
     --------
     >>> from mgsgraph.analysis.systematic import EffectKind
-    >>>     >>> kind, term = EffectKind.JITTER, "[[passes]] images = ['SIM/A']"
+    >>> from mgsgraph.analysis.unexplained import Effect
+    >>> kind, term = EffectKind.JITTER, "[[passes]] images = ['SIM/A']"
     >>> effect = Effect(kind, "image SIM/A", 1e-9, 1.2, "px", term, 0.1, "line and sample", 1.9, 60.0, 4)
     >>> print(effect.sentence)
     image SIM/A: line and sample residuals vary with time (period 1.9 s, 1.2 px, p = 1e-09): jitter; [[passes]]
@@ -249,7 +250,8 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
 
     Examples
     --------
-    >>>     >>> found = unexplained(solution)
+    >>> from mgsgraph.analysis.unexplained import unexplained
+    >>> found = unexplained(solution)
     >>> print(*found.sentences, sep="\n")
     203 tests of the residuals by time, sample, slope, height and neighbours find nothing.
     """
@@ -264,7 +266,8 @@ def named_effects(of: Solution | Linearised, level: float = LEVEL) -> tuple[Effe
 
     Examples
     --------
-    >>>     >>> named_effects(solution)
+    >>> from mgsgraph.analysis.unexplained import named_effects
+    >>> named_effects(solution)
     ()
     """
     return unexplained(of, level).effects

@@ -2,19 +2,21 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.footprint import Footprint, footprint, gaps, overlaps
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
 from mgsgraph.text import NAMED, listed, many, some
 from mgsgraph.units import KM
+
+if TYPE_CHECKING:
+    from mgsgraph.geometry.footprint import Footprint
 
 
 def _neighbours(images: int, pairs: Index) -> list[list[tuple[int, int]]]:
@@ -86,7 +88,7 @@ def spine(images: int, pairs: Index, points: Index) -> Index:
 class Connectivity:
     """Which images share points, which overlap, and which links the block can't do without."""
 
-    footprints: tuple[Footprint, ...]
+    footprints: tuple["Footprint", ...]
     """Of all images."""
     seen: Index
     """(images,) number of points that each image measures."""
@@ -159,7 +161,7 @@ class Connectivity:
         )
 
 
-def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask | None = None) -> Connectivity:
+def connectivity(network: Network, footprints: Sequence["Footprint"], used: Mask | None = None) -> Connectivity:
     """How the images of a network are connected.
 
     Parameters
@@ -175,6 +177,8 @@ def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask |
         raise InputError("connectivity", f"footprints of {len(footprints)} images", "one of each image, in order")
     m = len(footprints)
     linked, shared = _common_by_class(network, used)
+    from mgsgraph.geometry.footprint import gaps, overlaps  # shapely takes its time
+
     found = overlaps(footprints)
     meet = (found.pairs[:, 0] < found.pairs[:, 1]) & (found.areas > 0.0)
     apart = linked[:, 0] < linked[:, 1]
@@ -207,7 +211,7 @@ def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask |
 
 def network_footprints(
     network: Network, places: Array, correction: Callable[[int], OrientationCorrection | None] | None = None
-) -> tuple[Footprint, ...]:
+) -> tuple["Footprint", ...]:
     """Footprints of all images, each at the middle height of the points that it measures.
 
     Parameters
@@ -219,6 +223,8 @@ def network_footprints(
     correction : callable, optional
         The orientation correction of an image, None for none; nominal when absent.
     """
+    from mgsgraph.geometry.footprint import footprint  # shapely takes its time
+
     heights = geodetic(places, network.images[0].body)[:, 2]
     known = np.isfinite(heights)
     everywhere = float(np.median(heights[known])) if np.any(known) else 0.0

@@ -177,6 +177,16 @@ def footprints_in_images(
         m, places of the footprints instead of their own (adjusted ones).
     margin : float
         pixels by which a footprint may lie outside of an image.
+
+    Examples
+    --------
+    >>> from mgsgraph.files.altimetry.shots import read_shots
+    >>> from mgsgraph.network.footprints import crossings, footprints_in_images
+    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> found = footprints_in_images([image.nominal for image in site.images], shots)
+    >>> crossing = crossings(found)[0]
+    >>> crossing.image, crossing.profile, crossing.inside, crossing.simultaneous
+    ('E02-00665', '18933', 5, 4)
     """
     given = corrections if corrections is not None else [None] * len(images)
     if len(given) != len(images):

@@ -1,6 +1,5 @@
 """NAC-L and NAC-R near Hadley rille (`lro_nac_hadley`) by a case with passes and mountings: docs/rig_hadley.md."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -50,8 +49,8 @@ def test_check_says_the_mounting_of_r(hadley: Path) -> None:
     done = run("check", hadley)
     assert done.returncode == 0, done.stderr
     assert "2009-07-13" in done.stdout
-    line = next(line for line in done.stdout.splitlines() if "deg" in line and "mount" in line)
-    assert re.search(r"179\.[56]", line), line
+    line = next(line for line in done.stdout.splitlines() if "mounted at" in line)
+    assert "+179." in line, line
 
 
 def test_case_and_script_have_one_answer(solution: Solution) -> None:

@@ -49,7 +49,8 @@ def kernels(
     found = {f"{root}{folder}{mk}": text.encode()}
     for name in names:
         kind = {"bsp": b"DAF/SPK ", "bc": b"DAF/CK  ", "bpc": b"DAF/PCK "}.get(name.lower().rpartition(".")[2])
-        body = b"KPL/X\n\\begindata\nA = 1\n" + name.encode() if kind is None else (kind + name.encode()).ljust(1024)
+        text = b"KPL/X\n\\begindata\nA = 1\n" + name.encode()
+        body = text if kind is None else (kind + name.encode()).ljust(1024, b"\0")
         found[f"{root}{data}{name}"] = body
     return found
 

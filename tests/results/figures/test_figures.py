@@ -232,7 +232,7 @@ def test_many_points_are_cells_or_thinned_which_is_said(solution: Solution, tmp_
     assert found.network.rays.point.size == 120_000
     require_files(tmp_path, write_figures(found, tmp_path))
     said = captions(found)
-    assert "60000 points in this window, medians of" in said["map"]
+    assert "60000 points, medians of" in said["map"]
     assert len(encoded(next(iter(map_sheets(found))), "svg")) < 4e6
 
 
