@@ -59,7 +59,7 @@ def stages() -> dict[str, Callable[..., Any]]:
     """Each stage as a compiled loop over (tile, count of segments, times)."""
     from numba import njit
 
-    from mgsgraph.kernel import elimination, measurements, points, tile
+    from mgsgraph.kernel import elimination, measurements, tile
     from mgsgraph.kernel.lanes import COUPLED, PAIR, TILE, WIDTH, blocks_of, coupling_of, registers, transposed_of
 
     compiled = njit(fastmath={"contract", "nsz"}, error_model="numpy")
@@ -81,8 +81,8 @@ def stages() -> dict[str, Callable[..., Any]]:
     def solve(t, times):
         w = registers(t.scratch.work)
         for _ in range(times):
-            points.factorise(w)
-            points.step_points(w)
+            elimination.factorise(w)
+            elimination.step_points(w)
 
     @compiled
     def couple(t, times):
