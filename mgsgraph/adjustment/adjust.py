@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.adjustment.cluster.connection import Connection
-from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
+from mgsgraph.adjustment.cluster.partitions import Partitions
 from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import Sweeper
@@ -63,8 +63,8 @@ def adjust_network(
         Nothing determines some direction of the orientation.
     InputError
         Orientation images with too few rays near them, closer than the data supports.
-        The explicit form on a cluster or a GPU; a partition that is too large for its
-        worker; no GPU, or one with too little memory, where one is asked for.
+        A GPU on a cluster; a partition that is too large for its worker; no GPU, or one
+        with too little memory, where one is asked for.
     SolverError
         The cluster has gone.
 
@@ -76,8 +76,8 @@ def adjust_network(
     (True, 1.1)
     """
     clock = Clock()
-    if cluster is not None:
-        require_bundles(settings, cluster.where)
+    if cluster is not None and settings.device == "cuda":
+        raise InputError(cluster.where, "solver, device 'cuda'", "'cpu' on a cluster", "take one of both")
     require_usable(settings)
     network.require_observed()
     require_observed_nodes(network, None if left_in is None else left_in.rays)

@@ -5,7 +5,6 @@ Covariances are stated for sigma0 = 1, as the a-priori sigmas imply; multiply by
 
 from collections.abc import Iterator
 
-import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.datum import POORLY, defects, scaled_normal
@@ -14,10 +13,8 @@ from mgsgraph.adjustment.graph.bundle import (
     IN_PROCESS,
     Sweeper,
     factor_of_blocks,
-    point_key,
-    variable_key,
 )
-from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance, joint_covariance
+from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import SquareRoot, begins, in_cliques
 from mgsgraph.geometry.records import Array
@@ -54,14 +51,14 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction, consider: b
     if not (consider and layout.prior.considered):
         return joint
     assert reduction.blocks is not None
-    flat, more = reduction.blocks.copy(), dict[tuple[int, int], Array](_considered_information(layout, joint))
+    flat, more = reduction.blocks.copy(), dict[tuple[int, int], Array](considered_information(layout, joint))
     for v, w, block in layout.blocks.each(flat, layout.variables.width):
         if (v, w) in more:
             block += more[v, w]
     return joint_covariance(factor_of_blocks(layout, flat).square_root())
 
 
-def _considered_information(layout: Layout, joint: JointCovariance) -> Iterator[tuple[tuple[int, int], Array]]:
+def considered_information(layout: Layout, joint: JointCovariance) -> Iterator[tuple[tuple[int, int], Array]]:
     """Information to be added on pairs of variables with considered columns (the first not after the second), so that
     the covariance of these becomes what it was beforehand.
 
@@ -101,48 +98,6 @@ def point_covariances(
     S_p = V^-1 + V^-1 W' S_eo W V^-1 with the joint covariance S_eo of the orientation variables that see the point.
     """
     return sweeper.covariances(layout, rows, orientation, layout.blocks.filled(joint), points)
-
-
-def explicit_covariances(
-    layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[JointCovariance, Array]:
-    """The same two from the explicit graph: GTSAM eliminates its points, and gives their marginals (n, 3, 3)."""
-    linear, first_points, shared = graph.linearize(values), gtsam.Ordering(), gtsam.Ordering()
-    points = [i for i in range(layout.rows.kind.size) if values.exists(point_key(i))]
-    for i in points:
-        first_points.push_back(point_key(i))
-    for v in layout.variables.adjusted():
-        shared.push_back(variable_key(layout, v))
-    _, reduced = linear.eliminatePartialMultifrontal(first_points)
-    joint = _joint(layout, reduced, shared)
-    if layout.prior.considered:
-        for factor in _considered_factors(layout, joint):
-            reduced.push_back(factor)
-            linear.push_back(factor)
-        joint = _joint(layout, reduced, shared)
-    covariances, found = np.zeros((layout.rows.kind.size, 3, 3)), gtsam.Marginals(linear, values)
-    for i in points:
-        covariances[i] = found.marginalCovariance(point_key(i))
-    return joint, covariances
-
-
-def _joint(layout: Layout, reduced: gtsam.GaussianFactorGraph, shared: gtsam.Ordering) -> JointCovariance:
-    """Joint covariance of a linear system of the shared unknowns, inverted as one matrix."""
-    units = np.outer(layout.scales, layout.scales)
-    covariance = np.linalg.inv(reduced.hessian(shared)[0] * units) * units
-    return dense_covariance(layout.variables.first, layout.variables.width, covariance)
-
-
-def _considered_factors(layout: Layout, joint: JointCovariance) -> Iterator[gtsam.HessianFactor]:
-    """The information on considered unknowns that is to be added, as GTSAM's factors."""
-    for (v, w), block in _considered_information(layout, joint):
-        keys = variable_key(layout, v), variable_key(layout, w)
-        zeros = [np.zeros(size) for size in block.shape]
-        if v == w:
-            yield gtsam.HessianFactor(keys[0], block, zeros[0], 0.0)
-        else:
-            empty = [np.zeros((size, size)) for size in block.shape]
-            yield gtsam.HessianFactor(*keys, empty[0], block, zeros[0], empty[1], zeros[1], 0.0)
 
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:

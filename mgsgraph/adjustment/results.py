@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.covariances import explicit_covariances, orientation_covariance, point_covariances
+from mgsgraph.adjustment.covariances import orientation_covariance, point_covariances
 from mgsgraph.adjustment.drivers import Drivers, driver_sentences, drivers_of
 from mgsgraph.adjustment.fit import Fit, fit, strained_orientations
 from mgsgraph.adjustment.graph import BundleGraph, Layout
@@ -148,15 +148,14 @@ def _misfit(
 def _drivers(solved: Solved, found: Residuals, sweeper: Sweeper) -> Drivers:
     """Which images and points drive an adjustment; `found` are the residuals at its end."""
     graph = BundleGraph(solved.layout, solved.rows, sweeper)
-    at = solved.reduction or graph.reduction(solved.orientation, points=solved.points)
     damping = solved.outcome.history[-1].damping if solved.outcome.history else 0.0
-    return drivers_of(graph, at, damping, found)
+    return drivers_of(graph, solved.reduction, damping, found)
 
 
 def _require_covariance(solved: Solved, drivers: Drivers) -> None:
     """Raise SolverError, with what drives it, where an adjustment that did not converge has no covariance either."""
     layout, message = solved.layout, solved.outcome.message
-    if solved.reduction is None or solved.outcome.converged:
+    if solved.outcome.converged:
         return
     try:
         BundleGraph(layout, solved.rows).factor(solved.reduction)
@@ -173,16 +172,11 @@ def _covariances(
 ) -> tuple[JointCovariance, Array, Linearity | None]:
     """Joint covariance, covariances (n, 3, 3) of points in m^2, layout order, and whether it is linear enough."""
     layout, rows = solved.layout, solved.rows
-    if solved.explicit is not None:
-        joint, covariances = explicit_covariances(layout, solved.explicit, solved.outcome.state)
-        straight = _linearity(layout, solved, joint, sweeper)
-    else:
-        assert solved.reduction is not None
-        joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
-        straight = _linearity(layout, solved, joint, sweeper)
-        clock.stop("linearity")
-        joint = joint if mixture is None else mixture
-        covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
+    joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
+    straight = _linearity(layout, solved, joint, sweeper)
+    clock.stop("linearity")
+    joint = joint if mixture is None else mixture
+    covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
     clock.stop("covariance")
     return joint, covariances, straight
 
@@ -193,10 +187,9 @@ def _linearity(layout: Layout, solved: Solved, joint: JointCovariance, sweeper: 
     if large or layout.model.loss != NO_LOSS or not solved.outcome.converged:
         return None
     graph = BundleGraph(layout, solved.rows, sweeper)
-    at = solved.reduction or graph.reduction(solved.orientation, points=solved.points)
     if layout.prior.considered:
-        joint = orientation_covariance(graph, at, consider=False)
-    return linearity(graph, at, joint.square_root)
+        joint = orientation_covariance(graph, solved.reduction, consider=False)
+    return linearity(graph, solved.reduction, joint.square_root)
 
 
 def _blanked(layout: Layout, values: Array, determined: Mask) -> Array:

@@ -3,12 +3,10 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
-import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.batch import Iteration, Outcome
+from mgsgraph.adjustment.batch import Iteration, Outcome, solve_bundle
 from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
@@ -18,7 +16,6 @@ from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
-from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.tie_points import PointKind
@@ -98,7 +95,7 @@ class Solved:
 
     layout: Layout
     """All rows, laid out as in the last pass."""
-    outcome: Outcome[Any]
+    outcome: Outcome
     """How the last pass ended."""
     history: tuple[Iteration, ...]
     """Every step tried, over all passes."""
@@ -112,10 +109,8 @@ class Solved:
     """Rows that took part in the last pass."""
     selection: Selection
     """The same in network order."""
-    reduction: Reduction | None
-    """Points eliminated at the end; None for the explicit form."""
-    explicit: gtsam.NonlinearFactorGraph | None
-    """The explicit graph, where that form was asked for."""
+    reduction: Reduction
+    """Points eliminated at the end."""
     rounds: int
     """How many there were."""
     circling: bool = False
@@ -242,28 +237,20 @@ def _solve(
     progress: Progress,
     slow: bool = False,
 ) -> Solved:
-    """One optimisation in the form that was asked for; `known` is a reduction at its start, `slow` whether the one
-    before converged slowly.
+    """One optimisation; `known` is a reduction at its start, `slow` whether the one before converged slowly.
 
     Raises SolverError that names images and points.
     """
-    outcome: Outcome[Any]
-    explicit, reduction = None, None
     try:
-        if settings.form == "bundle":
-            outcome, reduction = solve_bundle(graph, orientation, known, settings, progress, slow)
-            found, points = outcome.state, reduction.points
-        else:
-            begin = (known or graph.reduction(orientation, COSTS)).points
-            outcome, found, points, explicit = solve_explicit(graph, orientation, begin, settings, progress)
+        outcome, reduction = solve_bundle(graph, orientation, known, settings, progress, slow)
     except Unsolvable as error:
         reached = error.state if isinstance(error.state, np.ndarray) else orientation
         at = known if known is not None and known.serves(reached, COSTS) else graph.reduction(reached, COSTS)
         words = " ".join(driver_sentences(drivers_of(graph, at, None), graph.layout.network))
         raise SolverError(f"{error}. {words}") from None
     return Solved(
-        graph.layout, outcome, outcome.history, outcome.cost_initial, found, points, graph.rows, selection, reduction,
-        explicit, rounds=1,
+        graph.layout, outcome, outcome.history, outcome.cost_initial, outcome.state, reduction.points, graph.rows,
+        selection, reduction, rounds=1,
     )  # fmt: skip
 
 
@@ -322,9 +309,7 @@ def _least_squares(
     """Rows that take part, linearised about the unknowns of an adjustment, at full weight; and their reduction."""
     plain = layout if layout.model.loss == NO_LOSS else layout.with_loss("none")
     graph = BundleGraph(plain, solved.selection.rows(plain), sweeper)
-    reduction = solved.reduction if plain is layout else None
-    if reduction is None:
-        reduction = graph.reduction(solved.orientation, points=solved.points)
+    reduction = solved.reduction if plain is layout else graph.reduction(solved.orientation, points=solved.points)
     joint = orientation_covariance(graph, reduction, consider=False)
     return Linearised(plain, settings, graph.rows, solved.orientation, reduction.points, joint), reduction
 

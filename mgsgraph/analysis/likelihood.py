@@ -13,13 +13,12 @@ from statistics import NormalDist
 
 import numpy as np
 
-from mgsgraph.adjustment.batch import levenberg_marquardt
+from mgsgraph.adjustment.batch import HeldProblem, levenberg_marquardt
 from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.linearity import Linearity, linearity
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
-from mgsgraph.adjustment.problems import HeldProblem
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import OUT, Rows
