@@ -8,8 +8,8 @@ import numpy as np
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shared_vector
 from mgsgraph.adjustment.graph.explicit import explicit_covariances, explicit_graph
-from mgsgraph.adjustment.graph.shared import pass_values, shared_values, shift_values
-from mgsgraph.adjustment.predicted_lines import exactly
+from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shift_values
+from mgsgraph.adjustment.rounds import exactly
 from mgsgraph.adjustment.solution import Solution
 
 

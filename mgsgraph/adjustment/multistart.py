@@ -22,14 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.batch import BundleProblem, HeldProblem, levenberg_marquardt
-from mgsgraph.adjustment.covariances import orientation_covariance
+from mgsgraph.adjustment.covariances import MOST_POINTS, MOST_UNKNOWNS, orientation_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import Sweeper
-from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS
-from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
+from mgsgraph.adjustment.marginals import JointCovariance, in_cliques, joint_covariance
 from mgsgraph.adjustment.rounds import Solved, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.square_root import in_cliques
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array

@@ -8,12 +8,11 @@ import pytest
 from explicit_form import by_gtsam
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.covariances import orientation_covariance, point_covariances
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, variable_key
 from mgsgraph.adjustment.graph.explicit import explicit_covariances, explicit_graph
-from mgsgraph.adjustment.nominal import predict
 from mgsgraph.adjustment.rounds import everything, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork

@@ -11,7 +11,7 @@ from networks import network, pair
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.predicted_lines import about_predicted_lines
+from mgsgraph.adjustment.rounds import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.tie_points import PointKind
