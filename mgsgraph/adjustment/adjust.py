@@ -48,8 +48,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
+from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.support import require_observed_nodes
 

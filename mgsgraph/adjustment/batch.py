@@ -26,8 +26,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import Unsolvable
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, Reduction
 from mgsgraph.record import Record
 
 _FIRST_DAMPING = 1e-8

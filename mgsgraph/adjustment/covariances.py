@@ -33,9 +33,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.measurements import row_count
-from mgsgraph.kernel.reduction import Reduction, design
 from mgsgraph.kernel.rows import OUT, Rows, of_points
-from mgsgraph.kernel.sweep import COSTS, ROW_NUMBERS
+from mgsgraph.kernel.sweep import COSTS, ROW_NUMBERS, Reduction, design
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.record import Record

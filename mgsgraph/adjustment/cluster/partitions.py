@@ -26,9 +26,8 @@ from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.reduction import Reduction, all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
-from mgsgraph.kernel.sweep import even_parts, writable
+from mgsgraph.kernel.sweep import Reduction, all_residuals, even_parts, point_covariances, reduce, writable
 
 _COPIES = 2.0
 """Memory for a partition over its own size: what it is unpacked from, or scratch and results."""
