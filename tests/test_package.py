@@ -157,7 +157,7 @@ DOOR = {
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},
-    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.store": {"open"},
+    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.download": {"open"},
     "mgsgraph.project.campaign.record": {"open"},
     "mgsgraph.atomic_write": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip

@@ -19,12 +19,10 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
-from email.utils import parsedate_to_datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
-from urllib.parse import urljoin, urlsplit
+from urllib.parse import urljoin
 
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.needs import require_address
@@ -47,6 +45,8 @@ _LATER = (429, 500, 502, 503, 504)
 _NOT_THERE = (404, 410)
 _NOTHING_MORE = 416
 """Status of a file that ends before the byte asked for."""
+_REDIRECTS = 10
+"""Followed at the most."""
 _LONGEST_PAGE = 1 << 22
 """bytes of a listing that are looked at."""
 _SPARE = 1 << 20
@@ -289,10 +289,8 @@ class Remote:
 
         Raises
         ------
-        NotInArchive
-            No such file.
         InputError
-            Everything else, one line.
+            NotInArchive where there is no such file; everything else, one line.
         """
         part = PartialFile(path, url)
         self._persist(url, lambda: self._attempt(url, part, limit, progress), lambda: part.size)
@@ -352,13 +350,13 @@ class Remote:
     def _followed(self, url: str, headers: Mapping[str, str]) -> "requests.Response":
         """The answer at an address, or where redirects lead from there; nothing of these' own content is read."""
         address = url
-        for _ in range(REDIRECTS + 1):
+        for _ in range(_REDIRECTS + 1):
             answer = self._asked(url, address, headers)
             if not answer.is_redirect:
                 return answer
             answer.close()
-            address = led_to(url, address, answer.headers["Location"])
-        raise InputError(url, f"more than {REDIRECTS} redirects", "a file", _ELSEWHERE)
+            address = _led_to(url, address, answer.headers["Location"])
+        raise InputError(url, f"more than {_REDIRECTS} redirects", "a file", _ELSEWHERE)
 
     def _asked(self, url: str, address: str, headers: Mapping[str, str]) -> "requests.Response":
         """What one address answers."""
@@ -438,7 +436,7 @@ def _require_content(url: str, answer: "requests.Response") -> None:
     if answer.status_code in _NOT_THERE:
         raise NotInArchive(url, f"not there ({status})", remedy="check the mirror, or the archive's own pages")
     if answer.status_code in _LATER:
-        raise _Trouble(f"the server says {status}", _later(answer.headers.get("Retry-After", "")))
+        raise _Trouble(f"the server says {status}", _count(answer.headers.get("Retry-After", "")) or 0.0)
     if answer.status_code not in (200, 206, _NOTHING_MORE):
         raise Refused(url, f"the server says {status}", "the file", _ELSEWHERE)
     if answer.headers.get("Content-Encoding", "identity").lower() not in ("identity", ""):
@@ -484,51 +482,29 @@ def _first(answer: "requests.Response") -> int | None:
 
 
 def _count(text: str) -> int | None:
-    """A number of bytes; None for anything else."""
+    """A number of bytes, or of seconds; None for anything else."""
     return int(text) if re.fullmatch(r"\s*[0-9]{1,18}\s*", text) else None
-
-
-def _later(text: str) -> float:
-    """Seconds from now, of a Retry-After in seconds or as a date; 0 for none."""
-    if text.strip().isdecimal():
-        return float(text)
-    try:
-        return max(0.0, (parsedate_to_datetime(text) - datetime.now(UTC)).total_seconds())
-    except (ValueError, TypeError):
-        return 0.0
 
 
 def _words(error: Exception) -> str:
     """The innermost reason of an exception of requests, in a few words."""
     reason: object = error
-    while isinstance(reason, Exception):
-        inner = [getattr(reason, "reason", None), *reason.args]
-        deeper = next((one for one in inner if isinstance(one, Exception)), None)
-        if deeper is None:
-            break
-        reason = deeper
+    while inner := [one for one in (getattr(reason, "reason", None), *getattr(reason, "args", ()))
+                    if isinstance(one, Exception)]:  # fmt: skip
+        reason = inner[0]
     text = getattr(reason, "strerror", None) or str(reason)
     return " ".join(str(text).rpartition(": ")[2].split())[:120]
 
 
-REDIRECTS = 10
-"""Followed at the most."""
-
-
-def led_to(url: str, address: str, location: str) -> str:
-    """The address that a redirect of another one leads to; `url` is what was asked for.
-
-    Raises
-    ------
-    InputError
-        None of http or https; from https to http.
+def _led_to(url: str, address: str, location: str) -> str:
+    """The address that a redirect of another one leads to (`url` was asked for); InputError where it is none of http or
+    https, or leads from https to http.
     """
     try:
         to = urljoin(address, location)
-        parts, before = urlsplit(to), urlsplit(address)
     except ValueError:
         raise InputError(url, f"redirected to {location!r}", "an address", _ELSEWHERE) from None
     require_address(to.partition("?")[0].partition("#")[0], f"{url}, redirected")
-    if before.scheme == "https" and parts.scheme != "https":
+    if address.startswith("https:") and not to.startswith("https:"):
         raise InputError(url, f"redirected to {to}, which is not encrypted", "https", _ELSEWHERE)
     return to

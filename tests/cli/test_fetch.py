@@ -62,7 +62,7 @@ def test_fetch(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["nonsense"], "not the id of an image of MOC, CTX, LROC NAC or HRSC; expected one such as E02/00665"),
         ([], "at least one id"),
         (["M04/02852", "--mirror", "nowhere.toml"], "nowhere.toml: no such file"),
-        (["M04/02852", "--verify"], "No such option '--verify'; the same fetch again holds the folder against its lock"),
+        (["M04/02852", "--verify"], "No such option '--verify'; the same fetch again holds the folder"),
         (["M04/02852", "--mirror", "ftp://x.org"], "an address such as https://"),
     ],
 )
