@@ -10,7 +10,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.pictures import read_picture_part
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.equations import SplinePicture
-from mgsgraph.matching.least_squares import LeastSquaresSettings, MatchStatus, match_least_squares
+from mgsgraph.matching.least_squares import MatchStatus, match_least_squares
 from mgsgraph.matching.measuring import FINEST
 from mgsgraph.studio.block import Block
 from mgsgraph.studio.linked import LinkedImages
@@ -79,7 +79,7 @@ def refine(
     begin = start + found.jacobian @ (anchor - place)
     match = match_least_squares(
         template, other, (anchor - first)[None], (begin - second)[None], found.jacobian[None], _HALF,
-        settings=LeastSquaresSettings(reach=_REACH), threads=1,
+        reach=_REACH, threads=1,
     )  # fmt: skip
     if not match.converged[0]:
         words = _WORDS[MatchStatus(int(match.status[0]))]
