@@ -238,11 +238,11 @@ class Tiles:
     """
 
     def __init__(self, pictures: Mapping[str, tuple[Path | None, int, int]]) -> None:
-        self._pictures, self._open, self._lock = pictures, dict[str, Pyramid](), Lock()
+        self.pictures, self._open, self._lock = pictures, dict[str, Pyramid](), Lock()
 
     def has(self, image: str) -> bool:
         """Whether a file is known of an image's pixels."""
-        return self._pictures.get(image, (None, 0, 0))[0] is not None
+        return self.pictures.get(image, (None, 0, 0))[0] is not None
 
     def picture(self, image: str) -> Pyramid:
         """The picture of an image, read anew where its file has changed.
@@ -252,7 +252,7 @@ class Tiles:
         InputError
             No file of it is known; what `open_picture` refuses.
         """
-        path, lines, samples = self._pictures.get(image, (None, 0, 0))
+        path, lines, samples = self.pictures.get(image, (None, 0, 0))
         if path is None:
             raise InputError(
                 f"image {image}", "no file of its pixels is known, so that its geometry is drawn alone",
