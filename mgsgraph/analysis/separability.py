@@ -14,24 +14,25 @@ covariance of all unknowns (points eliminated) and N its inverse:
     together     sqrt(1 - 1 / (S_kk N_kk))                      multiple correlation with all others
 
 S_kk N_kk is the variance inflation factor of regression. Both correlations are the posterior's, priors included.
-
-Unknowns that images share, and whether they can be separated from along-track pointing.
-
-*Likeness* is the cosine of the angle between what two unknowns do to the measures, points free and priors left out: at
-1 the measures cannot separate them, whatever the sigmas are. *Correlation* is the posterior's, priors included.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import chain
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.datum import Part, in_words, parts_of, simple_basis
+from mgsgraph.adjustment.frames import Frames, camera_axes, flight_axes
+from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.square_root import SquareRoot
-from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.measures import unknown_name
+from mgsgraph.analysis.statistics import strip_turns
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index
@@ -39,6 +40,9 @@ from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
 from mgsgraph.record import Record
 from mgsgraph.units import MRAD
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 LIMIT = 0.95
 """Correlation above which two quantities are inseparable."""
@@ -139,11 +143,11 @@ def inseparable(
     for group in _groups(correlation, limit):
         members = known[group].tolist()
         mine = [Quantity(named[k][0], named[k][1], named[k][2], float(sigmas[k])) for k in members]
-        found.append(_described(mine, correlation[np.ix_(group, group)]))
+        found.append(_inseparable(mine, correlation[np.ix_(group, group)]))
     return tuple(sorted(found, key=lambda one: one.sigma / one.quantities[0].sigma))
 
 
-def _described(mine: list[Quantity], correlation: Array) -> Inseparable:
+def _inseparable(mine: list[Quantity], correlation: Array) -> Inseparable:
     values, vectors = np.linalg.eigh(correlation)
     sigmas = np.array([one.sigma for one in mine])
     lead = int(np.abs(vectors[:, 0]).argmax()) if abs(vectors[0, 0]) < _LEAST_SHARE else 0
@@ -253,18 +257,35 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Separation(Record):
-    """What tells one component of a shared unknown apart."""
+    """One component of a shared unknown: its estimate, and what separates it. Units of reports: s, mrad, m, ppm."""
 
     name: str
     """Unknown and component."""
-    gain: float
-    """Posterior over a-priori sigma."""
+    unknown: SharedUnknown
+    """That it is of."""
+    axis: str
+    """x, y or z of the camera, of a boresight or lever arm; else empty."""
+    unit: str
+    """s, mrad, m or ppm."""
+    value: float
+    """Estimated value, in that unit."""
+    sigma: float
+    """Its standard deviation, for sigma0 = 1."""
+    prior_sigma: float
+    """Its a-priori standard deviation."""
+    ground: float
+    """m on the ground, per unit of it, in the middle of its first image; NaN where it moves none there."""
     other: str
     """The unknown with which it correlates most; empty without any other."""
     correlation: float
     """With that one, with its sign."""
     together: float
     """Multiple correlation with all others, 0 to 1."""
+
+    @property
+    def gain(self) -> float:
+        """Posterior over a-priori sigma."""
+        return self.sigma / self.prior_sigma
 
     @property
     def verdict(self) -> Verdict:
@@ -299,19 +320,29 @@ def separations(solution: Solution) -> tuple[Separation, ...]:
     sigmas, mine = solution.joint_covariance.sigmas, covariance[own, np.arange(own.size)]
     correlation = covariance / np.outer(sigmas, np.sqrt(mine))
     correlation[own, np.arange(own.size)] = 0.0
-    prior = np.concatenate([one.sigmas for one in network.shared])
-    informations = np.diag(information(root, own))
-    others = np.abs(correlation).argmax(axis=0)
-    return tuple(
-        Separation(
-            names[own[k]],
-            float(np.sqrt(mine[k]) / prior[k]),
-            names[other] if root.columns > 1 else "",
-            float(correlation[other, k]),
-            float(np.sqrt(max(0.0, 1.0 - 1.0 / (mine[k] * informations[k])))),
-        )
-        for k, other in enumerate(others.tolist())
-    )
+    informations, others = np.diag(information(root, own)), np.abs(correlation).argmax(axis=0)
+    found = list[Separation]()
+    for unknown, values in zip(network.shared, solution.shared, strict=True):
+        factor, unit = unknown.kind.reported
+        ground = _ground(network, unknown) * factor
+        for c, axis in enumerate(unknown.kind.components):
+            k = len(found)
+            other, sigma = int(others[k]), float(np.sqrt(mine[k])) / factor
+            found.append(Separation(
+                names[own[k]], unknown, axis, unit, float(values[c]) / factor, sigma,
+                float(unknown.sigmas[c]) / factor, float(ground[c]),
+                names[other] if root.columns > 1 else "", float(correlation[other, k]),
+                float(np.sqrt(max(0.0, 1.0 - 1.0 / (mine[k] * informations[k])))),
+            ))  # fmt: skip
+    return tuple(found)
+
+
+def _ground(network: Network, unknown: SharedUnknown) -> Array:
+    """(c,) m per s, rad, m or 1 of each component, in the middle of its first image; NaN where it moves none there."""
+    kind = unknown.kind
+    if not unknown.images.size or not (kind.moves_instrument or kind is SharedKind.ALTIMETER_BORESIGHT):
+        return np.full(kind.width, np.nan)
+    return np.asarray(np.linalg.norm(ground_shift(network.images[int(unknown.images[0])], kind), axis=1))
 
 
 def _shared_columns(solution: Solution) -> Index:
@@ -342,126 +373,211 @@ def information(root: SquareRoot, columns: Index) -> Array:
     return information
 
 
-_COMPARED = 0.1
-"""Share of the largest effect on the ground from which an image is compared at all."""
-_TAKES_PART = 0.1
-"""Share of the largest pitch from which an image is named among those that together do the same."""
+
+_DENSE = 2000
+"""Columns up to which the whole matrix is decomposed."""
+_LANCZOS = 1e-4
+"""Relative accuracy of Lanczos's eigenvalues; those of equals hardly converge any further."""
+_EQUAL = 0.01
+"""Difference of sigmas up to which directions are equally weak."""
+_TURNED = 60
+"""Directions, of equals, that are turned to simple structure at least: those that move most."""
 
 
-@dataclass(frozen=True, slots=True)
-class SharedEstimate:
-    """One column of a shared unknown: its value, and what it may be taken for. Units of reports: s, mrad, m, ppm."""
+class _EqualDirections(NamedTuple):
+    """Directions that are equally weak."""
 
-    name: str
-    """Name of the unknown."""
-    kind: SharedKind
-    """Kind of the unknown."""
-    axis: str
-    """x, y or z of the camera, of a boresight or lever arm; else empty."""
-    unit: str
-    """s, mrad, m or ppm."""
-    value: float
-    """Estimated value, in that unit."""
+    vectors: Array
+    """(columns, k) unit vectors, orthogonal where the priors are of single unknowns."""
+    number: int
+    """How many such directions there are, k or more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeakDirection(Record):
+    """A direction of the shared unknowns of which little was learnt."""
+
+    ratio: float
+    """Ratio of its sigma to the a-priori one."""
     sigma: float
-    """Its standard deviation, for sigma0 = 1."""
-    prior_sigma: float
-    """Its a-priori standard deviation."""
-    image: str
-    """Image whose constant pitch (`pitch_axis`) it is most like; empty where all are held."""
-    correlation: float
-    """Correlation with that pitch."""
-    likeness: float
-    """Likeness with that pitch, 0 to 1."""
-    together: float
-    """Likeness with the best mixture of constant pitches of all its images, 0 to 1."""
-    mixture: tuple[str, ...]
-    """Images of this mixture."""
-    ground: float
-    """m on the ground, per unit of it, in the middle of that image; NaN where it moves none there."""
+    """m or rad, how far one sigma moves the axis of its main part."""
+    unit: str
+    """Of that: m or rad."""
+    parts: tuple[Part, ...]
+    """Largest share first; shares below 1 % are left out."""
+    sentence: str
+    """What it is, and how weak."""
+    equals: int
+    """Directions, it among them, that are as weak to 1 %; at least as many where not all were found."""
+    direction: Array
+    """(columns,) unit vector, in units of the a-priori sigmas (`Layout.scales`)."""
 
 
-def shared_estimates(solution: Solution) -> list[SharedEstimate]:
-    """All columns of all shared unknowns, in their order."""
-    return [one for k in range(len(solution.network.shared)) for one in _columns(solution, k)]
+def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, ...]:
+    """The directions of which the adjustment has learnt least, weakest first.
 
+    Parameters
+    ----------
+    count : int
+        How many are wanted.
 
-def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
-    shared, values = solution.network.shared[k], solution.shared[k]
-    factor, unit = shared.kind.reported
-    sigmas = np.sqrt(np.diag(solution.shared_covariance(k)))
-    images = shared.images[solution.network.with_polynomial[shared.images]]
-    correlation, likeness, shares, together = _with_pitch(solution, k, images)
-    found = []
-    ground = np.array([_grounds(solution, shared, j) for j in images.tolist()]).reshape(images.size, shared.kind.width)
-    for c, axis in enumerate(shared.kind.components):
-        size = np.nan_to_num(ground[:, c], nan=1.0) if images.size else np.zeros(0)
-        compared = size >= _COMPARED * size.max(initial=0.0)  # a pitch of an image that it does not move is no rival
-        rival = np.where(compared, np.maximum(np.abs(correlation[c]), likeness[c]), -1.0)
-        nearest = int(np.argmax(rival)) if images.size else -1
-        named = images[nearest] if images.size else next(iter(shared.images.tolist()), 0)
-        strong = np.abs(shares[c]) > _TAKES_PART * np.abs(shares[c]).max(initial=0.0)
-        found.append(SharedEstimate(
-            shared.name, shared.kind, axis, unit,
-            float(values[c]) / factor, float(sigmas[c]) / factor, float(shared.sigmas[c]) / factor,
-            solution.network.images[named].name if images.size else "",
-            float(correlation[c, nearest]) if images.size else float("nan"),
-            float(likeness[c, nearest]) if images.size else float("nan"),
-            float(together[c]),
-            tuple(solution.network.images[j].name for j in images[strong].tolist()),
-            float(_grounds(solution, shared, int(named))[c]) * factor,
-        ))  # fmt: skip
-    return found
+    Raises
+    ------
+    InputError
+        When `count` is not positive, or all orientation was held.
 
-
-def _grounds(solution: Solution, shared: SharedUnknown, image: int) -> Array:
-    """(c,) metres per s, rad, m or 1 of each column, in the middle of an image; NaN where it moves nothing there."""
-    if not (shared.kind.moves_instrument or shared.kind is SharedKind.ALTIMETER_BORESIGHT):
-        return np.full(shared.kind.width, np.nan)
-    return np.asarray(np.linalg.norm(ground_shift(solution.network.images[image], shared.kind), axis=1))
-
-
-def _with_pitch(solution: Solution, k: int, images: Index) -> tuple[Array, Array, Array, Array]:
-    """Correlation and likeness (c, m) of an unknown's columns with the constant pitches of images, how much (c, m) of
-    each pitch makes up their best mixture, and the likeness (c,) with that.
+    Examples
+    --------
+    >>> from mgsgraph.analysis.separability import weak_directions
+    >>> for direction in weak_directions(solution, 2):
+    ...     print(direction)
+    constant along-track position against pitch of image SIM/B (100 %): one sigma is 24.2 m against 0.0593 mrad,
+    1.00 of what was known before
+    constant across-track position against roll of image SIM/B (100 %): one sigma is 24.7 m against 0.0565 mrad,
+    1.00 of what was known before
     """
-    joint, variable = solution.joint_covariance, solution.shared_variable(k)
-    root, width, m = joint.square_root, solution.network.shared[k].kind.width, images.size
-    axes = [_axes(solution, j) for j in images.tolist()]
-    pitches = [pitch_axis(solution.network.images[j]) for j in images.tolist()]
-    correlation = np.empty((width, m))
-    for place, j in enumerate(images.tolist()):
-        pitch = pitches[place] @ axes[place]
-        variance = pitch @ joint.block(j, j)[3:6, 3:6] @ pitch
-        own = np.diag(joint.block(variable, variable))
-        correlation[:, place] = pitch @ joint.block(j, variable)[3:6] / np.sqrt(variance * own)
-    columns = np.concatenate([
-        *(root.first[j] + np.arange(3, 6) for j in images.tolist()), root.first[variable] + np.arange(width)
-    ])  # fmt: skip
-    priors = [solution.network.priors[j].sigmas[0, 3:] for j in images.tolist()]
-    known = information(root, columns) - np.diag(1.0 / np.concatenate([*priors, solution.network.shared[k].sigmas])**2)
-    turn = np.zeros((columns.size, m + width))
-    for place in range(m):
-        turn[3 * place : 3 * place + 3, place] = np.linalg.solve(axes[place], pitches[place])
-    turn[3 * m :, m:] = np.eye(width)
-    normal = turn.T @ known @ turn
-    size = np.sqrt(np.maximum(np.diag(normal), np.finfo(np.float64).tiny))
-    cosine = normal / np.outer(size, size)
-    shares = np.linalg.lstsq(cosine[:m, :m], cosine[:m, m:], rcond=1e-10)[0]
-    together = np.sqrt(np.clip(np.einsum("mc,mc->c", shares, cosine[:m, m:]), 0.0, 1.0))
-    return correlation, np.minimum(np.abs(cosine[m:, :m]), 1.0), (shares / size[:m, None]).T, together
+    layout = lay_out(solution.network, solution.settings, solution.places)
+    return weakest(layout, solution.joint_covariance, count)
 
 
-def pitch_axis(image: PushbroomImage) -> Array:
-    """(3,) unit, in camera axes: along the detector, so that turning about it lifts the camera's view forward."""
-    middle = np.array([0.5 * image.samples])
-    along = np.append(image.interior.focal_plane(middle)[1][0], 0.0)
-    pose = image.pose(np.array([0.5 * image.lines]))
-    forward = np.cross(along, [0.0, 0.0, 1.0]) @ pose.matrix[0] @ pose.velocity[0]
-    return np.asarray(along / np.linalg.norm(along) * np.sign(forward))
+def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[WeakDirection, ...]:
+    """The directions of a layout's shared unknowns of which a covariance says least, weakest first."""
+    if count < 1:
+        raise InputError("weak directions, count", f"{count}", "1 or more")
+    if joint.columns == 0 or joint.columns != layout.columns:
+        raise InputError(
+            "weak directions", f"a covariance of {joint.columns} unknowns",
+            f"one of {layout.columns or 'at least one'}, as the network has",
+            "give an adjustment with free orientation",
+        )  # fmt: skip
+    frames, found = Frames(layout), list[WeakDirection]()
+    prior = layout.prior.whitening(layout.scales)
+    values, vectors = spectrum(joint, layout.scales, min(count, layout.columns), prior)
+    runs = _runs(values, vectors)
+    if values.size < layout.columns:
+        runs = chain(_single_images(frames, joint, float(values[0]), count), runs)
+    for run in runs:
+        if len(found) >= count:
+            break
+        for direction in _legible(frames, run, max(_TURNED, count))[:, : count - len(found)].T:
+            whitened = _before(prior, direction) / layout.scales
+            variance = whitened @ joint.square_root.covariance_times(whitened)
+            found.append(_described(frames, direction, float(np.sqrt(variance)), run.number))
+    return tuple(found)
 
 
-def _axes(solution: Solution, image: int) -> Array:
-    """(3, 3) how the camera turns about its axes, per rad of each rotation component, in the middle of an image."""
-    picture = solution.network.images[image]
-    middle = np.array([0.5 * picture.lines])
-    return np.asarray(solution.correction(image).axes(picture.pose(middle), picture.moments(middle))[0])
+def _before(prior: "csr_array | None", direction: Array) -> Array:
+    """(columns,) R'R d / |R d|: with it the covariance gives the share that is left along a direction d."""
+    if prior is None:
+        return direction
+    whitened = prior @ direction
+    return np.asarray(prior.T @ whitened / np.linalg.norm(whitened))
+
+
+def spectrum(
+    joint: JointCovariance, scales: Array, count: int, prior: "csr_array | None" = None, dense: int = _DENSE
+) -> tuple[Array, Array]:
+    """Eigenvalues, largest first, and directions (columns, k) of the covariance in units of `scales` (columns,), or of
+    R S R' with the a-priori square root R = `prior` in these units (`Prior.whitening`).
+
+    All of them up to `dense` columns; above, by Lanczos's method on the square root, the first `count` (and some more).
+    """
+    whole = joint.columns <= max(dense, count + 1)
+    values, vectors = (_dense_spectrum if whole else _lanczos)(joint, scales, count, prior)
+    if prior is None:
+        return values, vectors
+    # R S R' w = l w belongs to the direction S R' w, and R S R' w / l = w
+    turned = np.stack([joint.square_root.covariance_times(w / scales) / scales for w in (prior.T @ vectors).T], axis=1)
+    return values, turned / np.linalg.norm(turned, axis=0)
+
+
+def _dense_spectrum(
+    joint: JointCovariance, scales: Array, count: int, prior: "csr_array | None"
+) -> tuple[Array, Array]:
+    covariance = joint.dense() / scales / scales[:, None]
+    if prior is not None:
+        covariance = prior @ (prior @ covariance).T
+    values, vectors = np.linalg.eigh(covariance)
+    few = slice(None) if prior is None else slice(-max(4 * count, 40), None)
+    return values[few][::-1], vectors[:, few][:, ::-1]
+
+
+def _lanczos(joint: JointCovariance, scales: Array, count: int, prior: "csr_array | None") -> tuple[Array, Array]:
+    from scipy.sparse.linalg import LinearOperator, eigsh  # slow to import
+
+    size, root = joint.columns if prior is None else prior.shape[0], joint.square_root
+
+    def times(x: Array) -> Array:
+        whitened = x.ravel() if prior is None else prior.T @ x.ravel()
+        covered = root.covariance_times(whitened / scales) / scales
+        return np.asarray(covered if prior is None else prior @ covered)
+
+    operator = LinearOperator((size, size), matvec=times, dtype=np.float64)
+    start = np.random.default_rng(1).normal(size=size)  # the same result each time
+    few = min(size, max(4 * count, 40))
+    values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=_LANCZOS, ncv=few)
+    order = np.argsort(-values)
+    return values[order], vectors[:, order]
+
+
+def _single_images(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_EqualDirections]:
+    """Directions of single images that are as weak as the weakest, where there are `count`; those that move most."""
+    layout, found = frames.layout, list[tuple[slice, Array]]()
+    for variable in (v for v in layout.variables.adjusted() if v not in layout.prior.joined):
+        columns = layout.columns_of(variable)
+        scales = layout.scales[columns]
+        values, vectors = np.linalg.eigh(joint.block(variable, variable) / scales / scales[:, None])
+        weak = vectors[:, values >= largest * (1.0 - _EQUAL) ** 2]
+        found.append((columns, _longest(weak, frames.moved(columns, weak))))
+    each = [(columns, vector) for columns, vectors in found for vector in vectors.T]
+    if len(each) < count:
+        return
+    lengths = [np.linalg.norm(frames.moved(columns, vectors), axis=0) for columns, vectors in found]
+    chosen = np.argsort(-np.concatenate(lengths), kind="stable")[: max(_TURNED, count)]
+    together = np.zeros((layout.columns, chosen.size))
+    for place, k in enumerate(chosen):
+        together[each[k][0], place] = each[k][1]
+    yield _EqualDirections(together, len(each))
+
+
+def _runs(values: Array, vectors: Array) -> Iterator[_EqualDirections]:
+    """Runs of equally weak directions."""
+    first, sigmas = 0, np.sqrt(np.maximum(values, 0.0))
+    while first < sigmas.size:
+        last = max(int(np.searchsorted(-sigmas, -sigmas[first] * (1.0 - _EQUAL), side="right")), first + 1)
+        yield _EqualDirections(vectors[:, first:last], last - first)
+        first = last
+
+
+def _longest(vectors: Array, moved: Array) -> Array:
+    """Directions turned to the main axes of what they move, (columns or c, k) m, the longest first."""
+    return np.asarray(vectors @ np.linalg.eigh(moved.T @ moved)[1][:, ::-1])
+
+
+def _legible(frames: Frames, run: _EqualDirections, most: int) -> Array:
+    """(columns, k) directions of one run, `most` at the most, turned to simple structure, what moves most first."""
+    every, vectors = slice(0, run.vectors.shape[0]), run.vectors
+    if vectors.shape[1] > most:
+        vectors = _longest(vectors, frames.moved(every, vectors))[:, :most]
+    vectors = vectors @ simple_basis(frames.turned(vectors))
+    length = np.linalg.norm(frames.moved(every, vectors), axis=0)
+    return np.asarray(vectors[:, np.argsort(-np.round(length, 3), kind="stable")])
+
+
+def _described(frames: Frames, direction: Array, ratio: float, equals: int) -> WeakDirection:
+    turned = frames.turned(direction[:, None])[:, 0]
+    direction = direction * (1.0 if turned[np.argmax(np.abs(np.round(turned, 9)))] >= 0.0 else -1.0)
+    parts = parts_of(frames, direction)
+    main = parts[0]
+    variable = frames.layout.sigmas[frames.layout.columns_of(main.axis.variable)]
+    before = "1 km and 10 mrad (nothing was known before)" if np.any(np.isinf(variable)) else "what was known before"
+    direction.flags.writeable = False
+    return WeakDirection(
+        ratio=ratio,
+        sigma=abs(main.amount) * ratio,
+        unit=main.axis.unit,
+        parts=parts,
+        sentence=f"{in_words(frames, parts, ratio)}, {ratio:.2f} of {before}",
+        equals=equals,
+        direction=direction,
+    )

@@ -16,8 +16,7 @@ import numpy as np
 
 from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
-from mgsgraph.analysis.flight import overhead, point_sigmas, pose_sigmas
-from mgsgraph.analysis.statistics import mean_and_rms
+from mgsgraph.analysis.statistics import mean_and_rms, overhead, point_sigmas, pose_sigmas
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection

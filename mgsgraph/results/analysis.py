@@ -13,11 +13,10 @@ from mgsgraph.analysis.likelihood import LEVELS, Profile, linearity_of
 from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.residual_spectrum import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
-from mgsgraph.analysis.separability import inseparable
+from mgsgraph.analysis.separability import inseparable, weakest
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
-from mgsgraph.analysis.vibrations import ResidualVibrations, residual_vibrations
-from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers

@@ -17,7 +17,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.weak import spectrum, weak_directions
+from mgsgraph.analysis.separability import spectrum, weak_directions
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior

@@ -11,8 +11,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.residual_spectrum import Series, SeriesSpectrum, residual_series
-from mgsgraph.analysis.vibrations import residual_vibrations
+from mgsgraph.analysis.residual_spectrum import Series, SeriesSpectrum, residual_series, residual_vibrations
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.vibrations import vibrations_sheet
