@@ -44,7 +44,7 @@ quantiles = quantile_sheet(residual_statistics(solution), solution.name)
 
 # %%
 # Of what least was learnt: directions in which the sigma after is nearly the sigma before.
-from mgsgraph.analysis.separability import weak_directions
+from mgsgraph.analysis.weak import weak_directions
 
 print(*(one.sentence for one in weak_directions(solution, 3)), sep="\n")
 

@@ -15,8 +15,9 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_spectrum import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
-from mgsgraph.analysis.separability import inseparable, weakest
+from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
+from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mgsgraph.analysis.overlap_sigmas import SigmaGrid, sigma_grid
+from mgsgraph.analysis.places import SigmaGrid, sigma_grid
 from mgsgraph.analysis.statistics import span
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import digits

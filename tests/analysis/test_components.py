@@ -18,17 +18,14 @@ from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import (
-    CORRELATED,
     Component,
     Judgement,
-    Redundancy,
     components_from_redundancy,
     components_of,
-    group_redundancy,
     iterated_components,
     judge_groups,
 )
-from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
+from mgsgraph.analysis.grouping import CORRELATED, Grouping, Redundancy, group_redundancy, group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.residual_tests import (
     PROMISED,

@@ -14,7 +14,8 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows, tail
-from mgsgraph.analysis.unexplained import EffectKind, named_effects, unexplained
+from mgsgraph.analysis.systematic import EffectKind
+from mgsgraph.analysis.unexplained import named_effects, unexplained
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north

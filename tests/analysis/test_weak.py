@@ -16,8 +16,8 @@ from mgsgraph.adjustment.nominal import predict
 from mgsgraph.adjustment.rounds import everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis import separability
-from mgsgraph.analysis.separability import WeakDirection, spectrum, weak_directions, weakest
+from mgsgraph.analysis import weak
+from mgsgraph.analysis.weak import WeakDirection, spectrum, weak_directions, weakest
 from mgsgraph.errors import InputError, WeakNetwork
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
@@ -195,7 +195,7 @@ def test_lanczos_finds_the_same_eigenvalues() -> None:
 def test_a_large_network_names_single_images_as_weak_as_the_weakest(monkeypatch: pytest.MonkeyPatch) -> None:
     layout, solution = on_strip(12)
     dense = weakest(layout, solution.joint_covariance, 4)
-    monkeypatch.setattr(separability.spectrum, "__defaults__", (0,))
+    monkeypatch.setattr(weak.spectrum, "__defaults__", (0,))
     found = weakest(layout, solution.joint_covariance, 4)
     covariance = solution.joint_covariance.dense() / layout.scales / layout.scales[:, None]
     for direction, other in zip(found, dense, strict=True):

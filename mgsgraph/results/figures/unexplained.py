@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mgsgraph.analysis.unexplained import EffectKind, Pattern, Unexplained
+from mgsgraph.analysis.systematic import EffectKind
+from mgsgraph.analysis.unexplained import Pattern, Unexplained
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 
