@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.covariances import Linearised, PointRows
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.linearised import Linearised, PointRows
-from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.square_root import product
+from mgsgraph.adjustment.marginals import JointCovariance, product
 from mgsgraph.analysis.linearised import prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior

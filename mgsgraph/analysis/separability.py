@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mgsgraph.adjustment.frames import camera_axes, flight_axes
-from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.analysis.measures import unknown_name
 from mgsgraph.analysis.statistics import strip_turns
 from mgsgraph.geometry.image import PushbroomImage

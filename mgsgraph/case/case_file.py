@@ -30,6 +30,7 @@ _FORMER = {
     "strips": ("[[passes]] with a prior", "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"),
     "mola": ("[[shots]]", "its key pedr is file"),
     "pedr": ("file", ""),
+    "form": ("no choice of the form: every adjustment eliminates its points", "take it out"),
     "method": ("no choice of the solver's method", "take it out"),
     "leap_seconds": ("no such key: leap seconds are built in", "take it out"),
 }
