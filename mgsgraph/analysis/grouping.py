@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.covariances import Linearised, PointRows
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.marginals import JointCovariance, one_thread
 from mgsgraph.analysis.linearised import prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior

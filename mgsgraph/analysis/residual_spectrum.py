@@ -1,5 +1,4 @@
-"""Residuals of image rays over time, and the spectrum of one series of them: fits of a cosine and a sine at all
-frequencies, and what noise alone shows.
+"""Residuals of image rays over time, their spectra, and the vibrations that these show.
 
 At each frequency a cosine and a sine of a turn are fitted to an image's residuals by least squares (Lomb 1976),
 together with a polynomial of time, most of which any adjustment has taken up; rays need not be even in time. The fit
@@ -14,10 +13,7 @@ often as W sqrt(z) independent ones, W = f sqrt(4 pi var t) (Baluev 2008).
 
 A series is the residuals of one image's rays over time. Of a ray that lies off residuals show what its point doesn't
 follow, with orientation known (`ResidualRows.own`). In a stereo pair that is one half at right angles to the epipolar
-line, and nothing along it: there the point takes up all, as a height.
-
-A pitch moves rays along lines, a roll along samples, a yaw along lines in proportion to the sample's distance from the
-middle. Motions of the spacecraft do the same: residuals don't separate them from turns.
+line, and nothing along it: there the point takes up all, as a height. Motions of the spacecraft look like turns.
 """
 
 import math
@@ -137,7 +133,7 @@ FALSE_ALARMS = 0.01
 _FINE = 6.0
 """Frequencies per reciprocal of the time that an image takes."""
 _ZOOM = 41
-"""Places on either side of a peak where its frequency is looked for."""
+"""Places tried about a peak."""
 _LOWEST = 4.0
 """Periods in that time, of the lowest frequency: what is slower is a drift."""
 _PER_WAVE = 4.0
