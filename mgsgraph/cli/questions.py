@@ -46,7 +46,7 @@ _WEAK = 5
 @click.option(
     "--reliability", type=click.IntRange(1), metavar="N", help="Redundancy and tests of all measures, N worst shown."
 )
-@click.option("--snoop", is_flag=True, help="Adjust again without what data snooping finds.")
+@click.option("--snoop", is_flag=True, help="Adjust again with the blunder search of adjust --reject.")
 @click.option("--alpha", type=float, help="Baarda's level, share of false alarms; 0.001 when absent.")
 @click.option("--power", type=float, help="Share of minimal detectable blunders that are found; 0.8 when absent.")
 @click.option(

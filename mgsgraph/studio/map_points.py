@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.overlap_sigmas import SigmaGrid, sigma_grid
+from mgsgraph.analysis.places import SigmaGrid, sigma_grid
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.statistics import counts, medians, span
 from mgsgraph.errors import InputError
