@@ -238,48 +238,30 @@ def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> 
     return Candidate(name, "profile", addition, "", tuple(image.name for image in addition.images))
 
 
-def planned_control(
-    coverage: ImageCoverage, name: str, place: Array, covariance: Array, sigma: float,
-    images: Sequence[str] | None = None,
-) -> Candidate:  # fmt: skip
-    """A candidate control point.
-
-    Parameters
-    ----------
-    place : (3,)
-        m, body-fixed.
-    covariance : (3, 3)
-        m^2, body-fixed, of the place.
-    sigma : float
-        px, of its image coordinates.
-    images : sequence of str, optional
-        In which it would be measured; all that show it when absent.
+def planned_point(
+    coverage: ImageCoverage, name: str, place: Array, covariance: Array | None, sigma: float
+) -> Candidate:
+    """A candidate control point at a place (3,) in m, body-fixed, with its covariance (3, 3) in m^2, or a tie point
+    without; measured to `sigma` px in all images that show it.
     """
     _require_new(coverage, (name,), name)
-    views = coverage.near(place[None]) if images is None else [coverage.views[one] for one in images]
-    point, seen, places = coverage.rays(place[None], views)
-    if not seen:
-        return Candidate(name, "control point", None, "no image of the network shows it")
-    points = GroundPoints(
-        Names.of([name]), np.array([int(PointClass.CONTROL)]), np.array([int(PointKind.CONSTRAINED)]), place[None],
-        covariance[None],
-    )  # fmt: skip
-    addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))
-    return Candidate(name, "control point", addition, "", tuple(seen))
-
-
-def planned_tie(coverage: ImageCoverage, name: str, place: Array, sigma: float) -> Candidate:
-    """A candidate tie point at a place (3,) in m, body-fixed, measured to `sigma` px in all images that show it."""
-    _require_new(coverage, (name,), name)
     point, seen, places = coverage.rays(place[None], coverage.near(place[None]))
-    if len(seen) < 2:
-        return Candidate(name, "tie point", None, "fewer than two images of the network show it", tuple(seen))
-    points = GroundPoints(
-        Names.of([name]), np.array([int(PointClass.TIE)]), np.array([int(PointKind.FREE)]), place[None],
-        np.zeros((1, 3, 3)),
-    )  # fmt: skip
-    return Candidate(name, "tie point", _network(coverage, points, (point, seen, places, np.full(places.shape, sigma))),
-                     "", tuple(seen))  # fmt: skip
+    kind: Kind = "tie point" if covariance is None else "control point"
+    if len(seen) < (2 if covariance is None else 1):
+        few = "fewer than two images of the network show it"
+        few = few if covariance is None else "no image of the network shows it"
+        return Candidate(name, kind, None, few, tuple(seen))
+    known = None if covariance is None else covariance[None]
+    points = _points([name], PointClass.TIE if known is None else PointClass.CONTROL, place[None], known)
+    addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))
+    return Candidate(name, kind, addition, "", tuple(seen))
+
+
+def _points(ids: Iterable[str], kind: PointClass, places: Array, covariances: Array | None = None) -> GroundPoints:
+    """Points at places (n, 3) in m: constrained with their covariances (n, 3, 3) in m^2, free without."""
+    n, constrained = places.shape[0], PointKind.FREE if covariances is None else PointKind.CONSTRAINED
+    known = np.zeros((n, 3, 3)) if covariances is None else covariances
+    return GroundPoints(Names.of(ids), np.full(n, int(kind)), np.full(n, int(constrained)), places, known)
 
 
 def _require_new(coverage: ImageCoverage, ids: Sequence[str], name: str) -> None:

@@ -82,12 +82,6 @@ class Update:
             block += signed[layout.columns_of(v)] @ self.change[layout.columns_of(w)].T
         return flat
 
-    def covariance(self, unknown: Unknown) -> Array:
-        """(d, d) m and rad, of one present unknown."""
-        v = self.present.names.index(unknown)
-        change = self.change[self.present.layout.columns_of(v)]
-        return self.present.joint.block(v, v) + (change * self.signs) @ change.T
-
     def joint_of(self, names: Sequence[Unknown]) -> Array:
         """(d, d) m and rad, joint covariance of some present unknowns."""
         present, columns = self.present, self.present.columns(names)

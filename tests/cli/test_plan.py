@@ -161,11 +161,6 @@ def test_nothing_worth_anything_is_no_error(adjusted: Path, capsys: pytest.Captu
             '[[control]]\nname = "c"\nlongitude_deg = 0.0\nlatitude_deg = 0.0\nradius_m = 3392.9\n',
             "3392.9 m from the body's centre",
         ),
-        (
-            '[[control]]\nname = "c"\nlongitude_deg = 0.0\nlatitude_deg = 0.0\nheight_m = 0.0\n'
-            f'images = ["{strip(_ALL).images[0].name}", "{strip(_ALL).images[0].name}"]\n',
-            "an image twice",
-        ),
         (image(4) + image(4), "two candidates named"),
         (image(4, "ties = 3\nties_per_cell = 1.0"), "both ties and ties_per_cell"),
         ('[[profiles]]\nname = "p"\n', "neither file nor every_s"),
