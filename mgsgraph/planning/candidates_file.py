@@ -49,32 +49,16 @@ _FAR = 0.1
 class CandidateImage(ImageInput, forbid_unknown_fields=True, frozen=True):
     """An image that might be added: as in a case file, and the tie points that it would get."""
 
-    ties: Annotated[int, msgspec.Meta(ge=0, le=_MOST_TIES)] | None = None
-    """New tie points on an even grid over each overlap with an image of the network; 20 when neither this nor
-    ties_per_cell is said."""
-    ties_per_cell: Positive | None = None
-    """New tie points in each cell of the overlap, instead."""
-    cell_px: Positive = 512.0
-    """Side of such a cell, in the image of the two that covers less ground."""
+    ties: Annotated[int, msgspec.Meta(ge=0, le=_MOST_TIES)] = 20
+    """New tie points on an even grid over each overlap with an image of the network, each measured in all images that
+    show it."""
     sigma_px: Sigma = 1.0
     """Sigma of line and sample of these; in the candidate measure_sigma_px, where that is said."""
     existing: bool = False
     """Whether tie points of the network that it shows are measured in it, too."""
-    everywhere: bool = True
-    """Whether a new tie point is measured in all images that show it, or in the two of the overlap alone."""
     of_pass: str = ""
     """Name of the pass of the network on whose trajectory it is taken, which goes on over its lines; when absent it has
     an orientation of its own."""
-
-    def planned(self, where: str) -> PlannedTies:
-        """As the planner takes them."""
-        if self.ties is not None and self.ties_per_cell is not None:
-            raise InputError(where, "both ties and ties_per_cell", "one of them")
-        count = 20 if self.ties is None else self.ties
-        return PlannedTies(
-            count, self.ties_per_cell, self.cell_px, self.sigma_px, self.measure_sigma_px, self.existing,
-            self.everywhere,
-        )  # fmt: skip
 
 
 class CandidateProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -186,7 +170,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
     where = f"{path}, images[{k}]"
     orientation = entry.orientation or wanted.orientation
     prior = orientation.prior(f"{where}.orientation" if entry.orientation else f"{path}, orientation")
-    ties = entry.planned(where)
+    ties = PlannedTies(entry.ties, entry.sigma_px, entry.measure_sigma_px, entry.existing)
     if entry.name in coverage.views:
         found = f"the image {entry.name!r}, which is in the network already"
         raise InputError(where, found, "a new image", "take it out of the candidates")

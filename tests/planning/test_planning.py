@@ -24,10 +24,8 @@ from mgsgraph.planning.candidates import (
     planned_profile,
 )
 from mgsgraph.planning.coverage import ImageCoverage, even_places
-from mgsgraph.planning.plan import Evaluator, plan
-from mgsgraph.planning.state import CurrentState, state_of_solution
-from mgsgraph.planning.targets import TargetSigmas, targets_of
-from mgsgraph.planning.update import added, updated
+from mgsgraph.planning.plan import Evaluator, TargetSigmas, plan, targets_of
+from mgsgraph.planning.state import CurrentState, added, state_of_solution, updated
 
 AS_PROMISED = 0.01
 """Share by which a predicted sigma may differ from the one really had: the issue's."""
@@ -249,8 +247,6 @@ def test_sigmas_are_those_asked_for() -> None:
     own = np.array([one.name for one in planned.images])[planned.rays.image] == known.image.name
     assert set(planned.rays.sigmas[own].ravel()) == {0.3}
     assert set(planned.rays.sigmas[~own].ravel()) == {0.7}
-    pairs = planned_image(coverage(), known, PlannedTies(5, everywhere=False))
-    assert set(np.bincount(addition(pairs).rays.point)) == {2}
 
 
 def test_a_candidate_without_overlap_is_worthless_not_an_error() -> None:
