@@ -118,7 +118,7 @@ def export(
 
     spice: SPK, CK, their frames, clock and camera, and a meta-kernel. csm: image support data and model states of
     usgscsm. isis: control network with adjusted points, lidar data, jigsaw's tables. asp: matches, control points,
-    cameras. gis: a GeoPackage, a project for QGIS that shows it, and with --raster a GeoTIFF.
+    cameras. gis: a GeoPackage, and with --raster a GeoTIFF.
     """
     from mgsgraph.export.solution_export import ExportSettings, export_solution
     from mgsgraph.project.reading import results_of

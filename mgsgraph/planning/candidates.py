@@ -4,8 +4,9 @@ The measures are projections of planned positions with the network's adjusted or
 is all that a covariance needs, is that of real ones. Their residuals are zero.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -18,7 +19,7 @@ from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.definitions import Definitions, definitions, with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
-from mgsgraph.planning.coverage import CommonGround, ImageCoverage, OrientedImage, even_places
+from mgsgraph.planning.coverage import ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork
 
 Kind = Literal["image", "profile", "control point", "tie point"]
@@ -67,18 +68,12 @@ class PlannedTies:
 
     count: int = 20
     """New ones in each overlap with an image of the network."""
-    per_cell: float | None = None
-    """New ones in each cell of the overlap, instead of a count."""
-    cell: float = 512.0
-    """px, side of such a cell in the image of the two that covers less ground."""
     sigma: float = 1.0
     """px, of line and sample."""
     own_sigma: float | None = None
     """px, of those in the candidate itself; the same when absent."""
     existing: bool = False
     """Whether tie points of the network that it shows are measured in it, too."""
-    everywhere: bool = True
-    """Whether a new one is measured in all images that show it, or in the two of the overlap alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +115,8 @@ def planned_image(
     near = coverage.overlapping(view)
     if not near:
         return Candidate(name, "image", None, "no overlap with an image of the network", overlap=0.0)
-    area = sum(common for _, common, _ in near)
-    others = [one for one, _, _ in near]
+    area = sum(common for _, common in near)
+    others = [one for one, _ in near]
     parts = _new_ties(coverage, view, others, ties, passes), _existing_ties(coverage, view, ties, passes)
     additions = [one for one in parts if one is not None]
     if not additions:
@@ -140,20 +135,10 @@ def _new_ties(
     points = np.concatenate(grids)
     if points.shape[0] == 0:
         return None
-    if ties.everywhere:
-        point, images, places = coverage.rays(points, [*near, view])
-    else:
-        first = np.cumsum([0, *(grid.shape[0] for grid in grids)]).tolist()
-        found = [coverage.rays(grid, [other, view]) for grid, other in zip(grids, near, strict=True)]
-        point = np.concatenate([one[0] + start for one, start in zip(found, first, strict=False)])
-        images, places = [name for one in found for name in one[1]], np.concatenate([one[2] for one in found])
-    n = points.shape[0]
-    ground = GroundPoints(
-        Names.of(f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(len(grid))),
-        np.full(n, int(PointClass.TIE)), np.full(n, int(PointKind.FREE)), points, np.zeros((n, 3, 3)),
-    )  # fmt: skip
+    point, images, places = coverage.rays(points, [*near, view])
+    ids = (f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(len(grid)))
     rays = point, images, places, _sigmas(images, view, ties)
-    network = _network(coverage, ground, rays, new_image=view.known, passes=passes)
+    network = _network(coverage, _points(ids, PointClass.TIE, points), rays, new_image=view.known, passes=passes)
     if network is None:
         return None
     state = coverage.state
@@ -165,19 +150,11 @@ def _new_ties(
 def _tie_places(coverage: ImageCoverage, view: OrientedImage, other: OrientedImage, ties: PlannedTies) -> Array:
     """(n, 3) m, new tie points on an even grid over the overlap of two images."""
     small, large = sorted((view, other), key=lambda one: one.footprint.area)
-    shows = CommonGround(coverage, small, large, other.height)
     shape = (small.image.lines, small.image.samples)
-    count = ties.count
-    if ties.per_cell is not None:
-        count = max(round(ties.per_cell * _shared_pixels(shape, shows) / ties.cell**2), 1)
-    return shows.ground(even_places(shape, shows, count)) if count else np.zeros((0, 3))
-
-
-def _shared_pixels(shape: tuple[int, int], shows: CommonGround) -> float:
-    """Pixels of an image that show ground of another."""
-    lines, samples = (np.arange(64) + 0.5) / 64.0 * shape[0], (np.arange(16) + 0.5) / 16.0 * shape[1]
-    raster = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
-    return float(shows(raster).mean() * shape[0] * shape[1])
+    if not ties.count:
+        return np.zeros((0, 3))
+    shared = partial(coverage.common_ground, small, large, other.height)
+    return shared(even_places(shape, lambda places: shared(places)[1], ties.count))[0]
 
 
 def _existing_ties(
@@ -192,10 +169,7 @@ def _existing_ties(
     if some.size == 0:
         return None
     old, n = members[some], some.size
-    points = GroundPoints(
-        network.points.ids[old], network.points.classes[old],
-        np.full(n, int(PointKind.FREE)), state.places[old], np.zeros((n, 3, 3)),
-    )  # fmt: skip
+    points = _points(network.points.ids[old], PointClass.TIE, state.places[old])
     names = [view.image.name] * n
     rays = np.arange(n), names, places, _sigmas(names, view, ties)
     return _network(coverage, points, rays, view.known, old=True, passes=passes)
@@ -216,10 +190,7 @@ def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> 
         return Candidate(name, "profile", None, "no shot falls in an image of the network")
     ids = Names.of(f"{name}:{i + 1}" for i in range(n))
     _require_new(coverage, ids, name)
-    points = GroundPoints(
-        ids, np.full(n, int(PointClass.LASER)), np.full(n, int(PointKind.CONSTRAINED)), shots.footprints,
-        shots.covariances,
-    )  # fmt: skip
+    points = _points(ids, PointClass.LASER, shots.footprints, shots.covariances)
     rays: _Rays = (np.zeros(0, dtype=np.int64), [], np.zeros((0, 2)), np.zeros((0, 2)))
     if shots.image_sigma is not None:
         point, images, places = coverage.rays(shots.footprints, coverage.near(shots.footprints))
@@ -238,48 +209,30 @@ def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> 
     return Candidate(name, "profile", addition, "", tuple(image.name for image in addition.images))
 
 
-def planned_control(
-    coverage: ImageCoverage, name: str, place: Array, covariance: Array, sigma: float,
-    images: Sequence[str] | None = None,
-) -> Candidate:  # fmt: skip
-    """A candidate control point.
-
-    Parameters
-    ----------
-    place : (3,)
-        m, body-fixed.
-    covariance : (3, 3)
-        m^2, body-fixed, of the place.
-    sigma : float
-        px, of its image coordinates.
-    images : sequence of str, optional
-        In which it would be measured; all that show it when absent.
+def planned_point(
+    coverage: ImageCoverage, name: str, place: Array, covariance: Array | None, sigma: float
+) -> Candidate:
+    """A candidate control point at a place (3,) in m, body-fixed, with its covariance (3, 3) in m^2, or a tie point
+    without; measured to `sigma` px in all images that show it.
     """
     _require_new(coverage, (name,), name)
-    views = coverage.near(place[None]) if images is None else [coverage.views[one] for one in images]
-    point, seen, places = coverage.rays(place[None], views)
-    if not seen:
-        return Candidate(name, "control point", None, "no image of the network shows it")
-    points = GroundPoints(
-        Names.of([name]), np.array([int(PointClass.CONTROL)]), np.array([int(PointKind.CONSTRAINED)]), place[None],
-        covariance[None],
-    )  # fmt: skip
-    addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))
-    return Candidate(name, "control point", addition, "", tuple(seen))
-
-
-def planned_tie(coverage: ImageCoverage, name: str, place: Array, sigma: float) -> Candidate:
-    """A candidate tie point at a place (3,) in m, body-fixed, measured to `sigma` px in all images that show it."""
-    _require_new(coverage, (name,), name)
     point, seen, places = coverage.rays(place[None], coverage.near(place[None]))
-    if len(seen) < 2:
-        return Candidate(name, "tie point", None, "fewer than two images of the network show it", tuple(seen))
-    points = GroundPoints(
-        Names.of([name]), np.array([int(PointClass.TIE)]), np.array([int(PointKind.FREE)]), place[None],
-        np.zeros((1, 3, 3)),
-    )  # fmt: skip
-    return Candidate(name, "tie point", _network(coverage, points, (point, seen, places, np.full(places.shape, sigma))),
-                     "", tuple(seen))  # fmt: skip
+    kind: Kind = "tie point" if covariance is None else "control point"
+    if len(seen) < (2 if covariance is None else 1):
+        few = "fewer than two images of the network show it"
+        few = few if covariance is None else "no image of the network shows it"
+        return Candidate(name, kind, None, few, tuple(seen))
+    known = None if covariance is None else covariance[None]
+    points = _points([name], PointClass.TIE if known is None else PointClass.CONTROL, place[None], known)
+    addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))
+    return Candidate(name, kind, addition, "", tuple(seen))
+
+
+def _points(ids: Iterable[str], kind: PointClass, places: Array, covariances: Array | None = None) -> GroundPoints:
+    """Points at places (n, 3) in m: constrained with their covariances (n, 3, 3) in m^2, free without."""
+    n, constrained = places.shape[0], PointKind.FREE if covariances is None else PointKind.CONSTRAINED
+    known = np.zeros((n, 3, 3)) if covariances is None else covariances
+    return GroundPoints(Names.of(ids), np.full(n, int(kind)), np.full(n, int(constrained)), places, known)
 
 
 def _require_new(coverage: ImageCoverage, ids: Sequence[str], name: str) -> None:

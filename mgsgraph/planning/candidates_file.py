@@ -29,12 +29,13 @@ from mgsgraph.planning.candidates import (
     Candidate,
     PlannedShots,
     PlannedTies,
-    planned_control,
     planned_image,
+    planned_point,
     planned_profile,
 )
 from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.state import NetworkState
+from mgsgraph.text import some
 from mgsgraph.units import DEG
 
 _MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000
@@ -48,32 +49,16 @@ _FAR = 0.1
 class CandidateImage(ImageInput, forbid_unknown_fields=True, frozen=True):
     """An image that might be added: as in a case file, and the tie points that it would get."""
 
-    ties: Annotated[int, msgspec.Meta(ge=0, le=_MOST_TIES)] | None = None
-    """New tie points on an even grid over each overlap with an image of the network; 20 when neither this nor
-    ties_per_cell is said."""
-    ties_per_cell: Positive | None = None
-    """New tie points in each cell of the overlap, instead."""
-    cell_px: Positive = 512.0
-    """Side of such a cell, in the image of the two that covers less ground."""
+    ties: Annotated[int, msgspec.Meta(ge=0, le=_MOST_TIES)] = 20
+    """New tie points on an even grid over each overlap with an image of the network, each measured in all images that
+    show it."""
     sigma_px: Sigma = 1.0
     """Sigma of line and sample of these; in the candidate measure_sigma_px, where that is said."""
     existing: bool = False
     """Whether tie points of the network that it shows are measured in it, too."""
-    everywhere: bool = True
-    """Whether a new tie point is measured in all images that show it, or in the two of the overlap alone."""
     of_pass: str = ""
     """Name of the pass of the network on whose trajectory it is taken, which goes on over its lines; when absent it has
     an orientation of its own."""
-
-    def planned(self, where: str) -> PlannedTies:
-        """As the planner takes them."""
-        if self.ties is not None and self.ties_per_cell is not None:
-            raise InputError(where, "both ties and ties_per_cell", "one of them")
-        count = 20 if self.ties is None else self.ties
-        return PlannedTies(
-            count, self.ties_per_cell, self.cell_px, self.sigma_px, self.measure_sigma_px, self.existing,
-            self.everywhere,
-        )  # fmt: skip
 
 
 class CandidateProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -115,9 +100,7 @@ class CandidateControl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     sigma_m: Sigma | list[Sigma] = 1.0
     """Sigma of the place: one number, or eastward, northward and upward."""
     sigma_px: Sigma = 1.0
-    """Sigma of line and sample in the images."""
-    images: tuple[str, ...] | None = None
-    """Images in which it would be measured; all that show it when absent."""
+    """Sigma of line and sample in all images that show it."""
 
 
 class CandidatesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -187,7 +170,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
     where = f"{path}, images[{k}]"
     orientation = entry.orientation or wanted.orientation
     prior = orientation.prior(f"{where}.orientation" if entry.orientation else f"{path}, orientation")
-    ties = entry.planned(where)
+    ties = PlannedTies(entry.ties, entry.sigma_px, entry.measure_sigma_px, entry.existing)
     if entry.name in coverage.views:
         found = f"the image {entry.name!r}, which is in the network already"
         raise InputError(where, found, "a new image", "take it out of the candidates")
@@ -218,7 +201,9 @@ def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: in
         found = "neither file nor every_s" if entry.file is None else "both file and every_s"
         raise InputError(where, found, "a file, or image and every_s")
     if entry.image is not None:
-        _require_image(coverage, entry.image, where)
+        if entry.image not in coverage.views:
+            known = some(list(coverage.views), len(coverage.views))
+            raise InputError(where, f"the image {entry.image!r}", f"an image of the network ({known})")
     elif entry.file is None:
         raise InputError(where, "every_s without image", "the image of the network along whose track shots are planned")
     if entry.file is None:
@@ -286,10 +271,6 @@ def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: in
     if (entry.height_m is None) == (entry.radius_m is None):
         found = "neither height_m nor radius_m" if entry.height_m is None else "both height_m and radius_m"
         raise InputError(where, found, "one of them")
-    for name in entry.images or ():
-        _require_image(coverage, name, where)
-    if entry.images is not None and len(set(entry.images)) < len(entry.images):
-        raise InputError(f"{where}, images", "an image twice", "each once")
     at = entry.longitude_deg * DEG, entry.latitude_deg * DEG
     if entry.height_m is not None:
         place = from_geodetic(np.array([*at, entry.height_m]), coverage.network.images[0].body)
@@ -304,10 +285,4 @@ def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: in
         raise InputError(f"{where}, sigma_m", f"{sigmas.size} numbers", "one, or three: eastward, northward, upward")
     axes = east_north_up(place[None])[0]
     covariance = axes.T @ np.diag(np.broadcast_to(sigmas, 3) ** 2) @ axes
-    return planned_control(coverage, entry.name, place, covariance, entry.sigma_px, entry.images)
-
-
-def _require_image(coverage: ImageCoverage, name: str, where: str) -> None:
-    if name not in coverage.views:
-        known = ", ".join(list(coverage.views)[:4])
-        raise InputError(where, f"the image {name!r}", f"an image of the network ({known})")
+    return planned_point(coverage, entry.name, place, covariance, entry.sigma_px)

@@ -94,21 +94,15 @@ class ImageCoverage:
         correction = correction_of(known, settings, with_expected(self.state.values, mine), mine)
         return OrientedImage(known, correction, self._height, footprint(known.image, self._height))
 
-    def overlapping(self, one: OrientedImage) -> list[tuple[OrientedImage, float, float]]:
-        """Images of the network that overlap with another, with the area in m^2 and its share of the smaller one."""
-        views = list(self.views.values())
-        reach = [_radius(view.footprint) for view in views]
-        centre, own = one.footprint.centre, _radius(one.footprint)
+    def overlapping(self, one: OrientedImage) -> list[tuple[OrientedImage, float]]:
+        """Images of the network that overlap with another, with the area in m^2."""
+        reach = _radius(one.footprint)
         near = [
-            view for view, radius in zip(views, reach, strict=True)
-            if np.linalg.norm(view.footprint.centre - centre) <= 1.1 * (radius + own)
+            view for view in self.views.values()
+            if np.linalg.norm(view.footprint.centre - one.footprint.centre) <= 1.1 * (_radius(view.footprint) + reach)
         ]  # fmt: skip
-        found = []
-        for view in near:
-            both = overlaps([one.footprint, view.footprint])
-            if both.areas.size:
-                found.append((view, float(both.areas[0]), float(both.shares[0])))
-        return found
+        areas = [overlaps([one.footprint, view.footprint]).areas for view in near]
+        return [(view, float(area[0])) for view, area in zip(near, areas, strict=True) if area.size]
 
     def ground(self, view: OrientedImage, lines: Array, samples: Array, height: float) -> Array:
         """(n, 3) m, where rays of an image meet the terrain model, or where there is none a height (m) above the
@@ -122,6 +116,15 @@ class ImageCoverage:
             heights -= np.where(np.isfinite(above), above, 0.0)
             points, _ = view.image.image_to_ground(lines, samples, heights, view.correction)
         return points
+
+    def common_ground(
+        self, one: OrientedImage, other: OrientedImage, height: float, places: Array
+    ) -> tuple[Array, Mask]:
+        """(n, 3) m, the `ground` at places (n, 2) of an image, and (n,) where another one shows it."""
+        ground, seen = self.ground(one, places[:, 0], places[:, 1], height), np.zeros(places.shape[0], dtype=bool)
+        there = np.flatnonzero(np.isfinite(ground[:, 0]))
+        seen[there[other.shown(ground[there])[0]]] = True
+        return ground, seen
 
     def below(self, places: Array, height: float) -> Array:
         """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
@@ -193,22 +196,3 @@ def _grid(size: Array, low: Array, high: Array, step: float) -> Array:
         axes.append(a + (b - a) * (np.arange(cells) + 0.5) / cells)
     lines, samples = np.meshgrid(*axes, indexing="ij")
     return np.column_stack([lines.ravel(), samples.ravel()])
-
-
-class CommonGround:
-    """Which places of one image show ground that another shows, too."""
-
-    def __init__(self, coverage: ImageCoverage, one: OrientedImage, other: OrientedImage, height: float) -> None:
-        self._scene, self._one, self._other, self._height = coverage, one, other, height
-
-    def __call__(self, places: Array) -> Mask:
-        """(n,) for places (n, 2)."""
-        mask, ground = np.zeros(places.shape[0], dtype=bool), self.ground(places)
-        there = np.flatnonzero(np.isfinite(ground[:, 0]))
-        some, _ = self._other.shown(ground[there])
-        mask[there[some]] = True
-        return mask
-
-    def ground(self, places: Array) -> Array:
-        """(n, 3) m."""
-        return self._scene.ground(self._one, places[:, 0], places[:, 1], self._height)

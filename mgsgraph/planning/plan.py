@@ -1,18 +1,183 @@
 """The plan: every candidate judged by itself, then one chosen after the other, each in sight of those before it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.incremental.state import ground_motion
 from mgsgraph.errors import InputError, WeakNetwork
-from mgsgraph.network import Network
-from mgsgraph.network.parts import Unknown, unknowns
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass
+from mgsgraph.network.corrections import designs
+from mgsgraph.network.parts import KnownImage, Unknown, unknowns
 from mgsgraph.planning.candidates import Candidate, Kind
-from mgsgraph.planning.state import CurrentState, NetworkState
-from mgsgraph.planning.targets import Criterion, Sigmas, Targets, TargetSigmas, summarised, targets_of
-from mgsgraph.planning.update import AddedInformation, added, updated
+from mgsgraph.planning.state import CurrentState, NetworkState, Update, added, updated
+from mgsgraph.record import Record
+
+Criterion = Literal["mean", "worst"]
+WORDS = ("ties", "all")
+"""Targets that are no names."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets(Record):
+    """Points and images whose sigmas count."""
+
+    points: tuple[str, ...]
+    """Names of points."""
+    images: tuple[str, ...]
+    """Names of images: what counts is the place of the ground under the image's middle line, on the ellipsoid."""
+    wanted: tuple[str, ...]
+    """Targets as they were requested."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all targets, points first."""
+        return (*self.points, *self.images)
+
+    def __len__(self) -> int:
+        return len(self.points) + len(self.images)
+
+    @property
+    def words(self) -> str:
+        """The targets in words."""
+        named = {"ties": "tie points", "all": "points"}
+        if len(self.wanted) == 1 and self.wanted[0] in named:
+            return f"{len(self)} {named[self.wanted[0]]}"
+        return ", ".join(self.wanted)
+
+
+@dataclass(frozen=True, slots=True)
+class Sigmas:
+    """Sigmas of the targets in one figure each: their mean, or those of the worst one, in m."""
+
+    total: float
+    """Root of the trace of the covariance."""
+    east: float
+    """Sigma eastward."""
+    north: float
+    """Sigma northward."""
+    up: float
+    """Sigma upward."""
+    worst: str
+    """The target whose total is largest."""
+
+
+def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
+    """Targets by name.
+
+    Parameters
+    ----------
+    wanted : sequence of str
+        "ties", "all" (points), or names of points and images; each once.
+
+    Raises
+    ------
+    InputError
+        For a name that is neither, and for one that has no sigma: a fixed point, a held image.
+    """
+    network = state.network
+    ids = network.points.ids
+    moving = network.points.kinds != PointKind.FIXED
+    wanted = tuple(dict.fromkeys(wanted))
+    if wanted in (("ties",), ("all",)):
+        mine = moving & (network.points.classes == PointClass.TIE) if wanted == ("ties",) else moving
+        if not np.any(mine):
+            raise InputError("target", f"no {'tie ' if wanted == ('ties',) else ''}point that moves", "another target")
+        return Targets(tuple(ids[i] for i in np.flatnonzero(mine).tolist()), (), wanted)
+    place, images = {name: i for i, name in enumerate(ids)}, {image.name: j for j, image in enumerate(network.images)}
+    for name in wanted:
+        if name in WORDS:
+            raise InputError("target", f"{name!r} beside names", "either 'ties' or 'all', or names")
+        if name not in place and name not in images:
+            known = ", ".join([*ids[:2], *list(images)[:2]])
+            found = f"{name!r}, which is no determined point and no image of the network"
+            raise InputError("target", found, f"'ties', 'all', or names ({known}, ...)")
+        if (name in place and not moving[place[name]]) or (name in images and network.held[images[name]]):
+            raise InputError("target", f"{name!r}, which is held and has no sigma", "an adjusted one")
+    if not wanted:
+        raise InputError("target", "none", "'ties', 'all', or names of points and images")
+    return Targets(tuple(n for n in wanted if n in place), tuple(n for n in wanted if n not in place), wanted)
+
+
+class TargetSigmas:
+    """Sigmas of targets in the present network, and after an update."""
+
+    def __init__(self, present: CurrentState, targets: Targets) -> None:
+        self.present, self.targets = present, targets
+        network, layout = present.state.network, present.layout
+        self._index = np.array([present.index_of[name] for name in targets.points], dtype=np.int64)
+        out = np.ones(len(network.points), dtype=bool)
+        out[self._index] = False
+        every = np.ones(network.rays.point.size, dtype=bool), np.ones(network.ranges.point.size, dtype=bool)
+        self._rows = layout.active(*every, out | ~present.determined)
+        number = {image.name: j for j, image in enumerate(network.images)}
+        chosen = [number[name] for name in targets.images]
+        known = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
+        self._ground = [self._motion(one, j) for one, j in zip(known, chosen, strict=True)]
+        under = np.array([_under(one) for one in known]).reshape(-1, 3)
+        self._axes = east_north_up(np.concatenate([present.state.places[self._index], under]))
+
+    def before(self) -> Array:
+        """(t, 4) m: total, east, north, up of every target in the present network."""
+        flat = self.present.layout.blocks.filled(self.present.joint)
+        joint = self.present.joint
+        return self._sigmas(self._of_points(flat), [joint.of(list(one)) for one, _ in self._ground])
+
+    def after(self, update: Update) -> Array:
+        """(t, 4) m: total, east, north, up of every target after planned measures."""
+        points = self._of_points(update.pairs()) if self._index.size else np.zeros((0, 3, 3))
+        place = {name: k for k, name in enumerate(self.targets.points)}
+        ids = update.added.after.network.points.ids
+        again = np.array([i for i, name in enumerate(ids) if name in place], dtype=np.int64)
+        if again.size:
+            found, _ = update.point_covariances()
+            points[[place[ids[i]] for i in again.tolist()]] = found[again]
+        names = self.present.names
+        return self._sigmas(points, [update.joint_of([names[v] for v in one]) for one, _ in self._ground])
+
+    def _motion(self, known: KnownImage, image: int) -> tuple[tuple[int, ...], Array]:
+        """Variables that the orientation of an image's middle line depends on, and by how much the ground under it
+        moves with them (3, d), m per m and per rad.
+        """
+        angles, network = self.present.state.settings.angles, self.present.network
+        (parts,) = designs(network, image, angles, np.array([0.5 * known.image.lines]))
+        return tuple(parts), ground_motion(known, angles)[:, :6] @ np.hstack(list(parts.values()))
+
+    def _of_points(self, flat: Array) -> Array:
+        """(p, 3, 3) m^2 with the joint covariance in blocks."""
+        present, layout = self.present, self.present.layout
+        points = present.reduction.points
+        found = IN_PROCESS.covariances(layout, self._rows, present.values, flat, points)
+        return np.asarray(layout.network_order(found)[self._index])
+
+    def _sigmas(self, points: Array, images: Sequence[Array]) -> Array:
+        ground = [motion @ spread @ motion.T for (_, motion), spread in zip(self._ground, images, strict=True)]
+        every = np.concatenate([points, np.array(ground).reshape(-1, 3, 3)])
+        local = np.einsum("tij,tjk,tik->ti", self._axes, every, self._axes)
+        return np.asarray(np.sqrt(np.maximum(np.column_stack([local.sum(axis=1), local]), 0.0)))
+
+
+def _under(known: KnownImage) -> Array:
+    """(3,) m, the ground under an image's middle; where it looks past the body, the camera."""
+    image = known.image
+    line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
+    ground, _ = image.image_to_ground(line, sample)
+    return np.asarray(ground[0] if np.all(np.isfinite(ground)) else image.pose(line).position[0])
+
+
+def summarised(sigmas: Array, targets: Targets, criterion: Criterion) -> Sigmas:
+    """Sigmas (t, 4) of all targets in one figure each."""
+    worst = int(np.argmax(sigmas[:, 0]))
+    total, east, north, up = (sigmas[worst] if criterion == "worst" else sigmas.mean(axis=0)).tolist()
+    return Sigmas(total, east, north, up, targets.names[worst])
+
+
 
 Progress = Callable[[int, int], None]
 """Called with how many judgements are done, and how many there will be at most."""
@@ -102,15 +267,11 @@ class Evaluator:
     criterion : "mean" or "worst"
     since : sequence of Unknown
         Unknowns that chosen candidates have brought: gains don't count on them.
-    known : dict, optional
-        What single candidates add, by their names, as far as an earlier judge has found out; more is put there.
     """
 
     def __init__(
-        self, state: NetworkState, targets: Targets, criterion: Criterion, since: Sequence[Unknown] = (),
-        known: dict[str, AddedInformation] | None = None,
-    ) -> None:  # fmt: skip
-        self._known: dict[str, AddedInformation] = {} if known is None else known
+        self, state: NetworkState, targets: Targets, criterion: Criterion, since: Sequence[Unknown] = ()
+    ) -> None:
         self.present, self._criterion, self._targets = CurrentState(state), criterion, targets
         self._watch = TargetSigmas(self.present, targets)
         brought = set(since)
@@ -128,20 +289,13 @@ class Evaluator:
         reason, after, bits = "; ".join(one.reason for one in candidates if one.reason), self.now, 0.0
         if additions:
             try:
-                update = updated(self.present, self._added(name, additions))
+                update = updated(self.present, added(self.present, additions))
             except WeakNetwork as error:
                 reason = str(error)
             else:
                 after = summarised(self._watch.after(update), self._targets, self._criterion)
                 bits = update.bits_on(self._since)
         return Evaluation(name, kind, self.now, after, bits, *counts, images, overlap, reason)
-
-    def _added(self, name: str, additions: Sequence[Network]) -> AddedInformation:
-        if len(additions) > 1:
-            return added(self.present, additions)
-        if name not in self._known:
-            self._known[name] = added(self.present, additions)
-        return self._known[name]
 
 
 def plan(
@@ -179,8 +333,7 @@ def plan(
     """
     _require_candidates(candidates, choose)
     targets = targets_of(state, wanted)
-    known = dict[str, AddedInformation]()
-    judge = Evaluator(state, targets, criterion, known=known)
+    judge = Evaluator(state, targets, criterion)
     useful = [one for one in sorted(candidates, key=lambda one: one.name) if one.addition is not None]
     steps = min(choose, len(useful))
     most, done = sum(len(useful) - k for k in range(max(steps, 1))) + (steps > 1), 0
@@ -194,11 +347,12 @@ def plan(
 
     ranking = sorted((judged(judge, one) for one in useful), key=_order)
     worthless = [judge.of(one) for one in candidates if one.addition is None]
+    there = set(unknowns(state.network))
     chosen, left, now = list[Evaluation](), {one.name: one for one in useful}, ranking
     at, since = state, list[Unknown]()
     for number in range(steps):
         if number:
-            later = Evaluator(at, targets, criterion, since, known)
+            later = Evaluator(at, targets, criterion, since)
             now = sorted((judged(later, one) for one in left.values()), key=_order)
         best = now[0]
         if best.reason or best.bits <= 0.0:
@@ -208,8 +362,7 @@ def plan(
         if number + 1 < steps:
             assert taken.addition is not None
             at = at.extended([taken.addition])
-            _forget(known, left.values(), taken)
-            since = [unknown for unknown in _unknowns(at) if unknown not in _unknowns(state)]
+            since = [unknown for unknown in unknowns(at.network) if unknown not in there]
     first, plain = {one.name: one for one in useful}, ranking[0] if chosen else None
     if len(chosen) > 1:
         plain = judge.of(*(first[one.name] for one in ranking[: len(chosen)]))
@@ -218,26 +371,10 @@ def plan(
     return Plan(name, targets, criterion, judge.now, (*ranking, *last), tuple(chosen), plain)
 
 
-def _forget(known: dict[str, AddedInformation], left: Iterable[Candidate], taken: Candidate) -> None:
-    """Forget what candidates add that measure a point which the taken one measures, too: it says more now."""
-    assert taken.addition is not None
-    measured = set(taken.addition.points.ids)
-    for one in left:
-        if one.addition is not None and not measured.isdisjoint(one.addition.points.ids):
-            known.pop(one.name, None)
-
-
-def _unknowns(state: NetworkState) -> tuple[Unknown, ...]:
-    return unknowns(state.network)
-
-
 def _order(one: Evaluation) -> tuple[bool, float, float, str]:
     """Best first: what can't be judged last; then the fall of the sigma, the information, the name."""
-    return bool(one.reason), -_rounded(one.drop), -_rounded(one.bits), one.name
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_ALIKE - 1}e}")
+    drop, bits = (float(f"{value:.{_ALIKE - 1}e}") for value in (one.drop, one.bits))
+    return bool(one.reason), -drop, -bits, one.name
 
 
 def _require_candidates(candidates: Sequence[Candidate], choose: int) -> None:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.files.output.table import Column, Table, numbers
-from mgsgraph.planning.plan import Evaluation, Plan
-from mgsgraph.planning.targets import Sigmas
+from mgsgraph.planning.plan import Evaluation, Plan, Sigmas
 from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 from mgsgraph.units import KM

@@ -21,7 +21,7 @@ from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import MatchStatus, match_least_squares
 from mgsgraph.matching.measuring import FINEST
 from mgsgraph.network import PointClass
-from mgsgraph.planning.candidates import planned_tie
+from mgsgraph.planning.candidates import planned_point
 from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.plan import plan
 from mgsgraph.project.edits import point_state
@@ -328,7 +328,7 @@ def next_measures(opened: Opened, linked: LinkedImages, choose: int = 5) -> dict
     coverage = ImageCoverage(state)
     places = _grid(linked)
     names = [f"next-{k + 1}" for k in range(len(places))]
-    wanted = [planned_tie(coverage, name, place, _SIGMA) for name, place in zip(names, places, strict=True)]
+    wanted = [planned_point(coverage, name, place, None, _SIGMA) for name, place in zip(names, places, strict=True)]
     wanted = [one for one in wanted if one.addition is not None]
     if not wanted:
         raise InputError(str(opened.path), "no ground that two images see", "images that overlap")

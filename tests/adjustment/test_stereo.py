@@ -21,8 +21,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.stereo_surface import heights_above, packed
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
+from mgsgraph.planning.plan import Targets, TargetSigmas
 from mgsgraph.planning.state import CurrentState, state_of_solution
-from mgsgraph.planning.targets import Targets, TargetSigmas
 from mgsgraph.results import archive_arrays
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.simulation.observations import NoiseSettings

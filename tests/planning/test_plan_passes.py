@@ -15,10 +15,8 @@ from mgsgraph.network.definitions import Definitions, definitions, with_definiti
 from mgsgraph.network.parts import KnownImage, known_images, with_images, without_images
 from mgsgraph.planning.candidates import PlannedTies, planned_image
 from mgsgraph.planning.coverage import ImageCoverage
-from mgsgraph.planning.plan import plan
-from mgsgraph.planning.state import CurrentState, correction_of, state_of_solution, together
-from mgsgraph.planning.targets import TargetSigmas, targets_of
-from mgsgraph.planning.update import added, updated
+from mgsgraph.planning.plan import TargetSigmas, plan, targets_of
+from mgsgraph.planning.state import CurrentState, added, correction_of, state_of_solution, together, updated
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import in_segments
 from mgsgraph.units import MGON

@@ -19,15 +19,13 @@ from mgsgraph.network.parts import KnownImage, Unknown
 from mgsgraph.planning.candidates import (
     PlannedShots,
     PlannedTies,
-    planned_control,
     planned_image,
+    planned_point,
     planned_profile,
 )
 from mgsgraph.planning.coverage import ImageCoverage, even_places
-from mgsgraph.planning.plan import Evaluator, plan
-from mgsgraph.planning.state import CurrentState, state_of_solution
-from mgsgraph.planning.targets import TargetSigmas, targets_of
-from mgsgraph.planning.update import added, updated
+from mgsgraph.planning.plan import Evaluator, TargetSigmas, plan, targets_of
+from mgsgraph.planning.state import CurrentState, added, state_of_solution, updated
 
 AS_PROMISED = 0.01
 """Share by which a predicted sigma may differ from the one really had: the issue's."""
@@ -82,7 +80,7 @@ def test_a_profile_brings_what_was_promised() -> None:
 
 
 def test_a_control_point_brings_what_was_promised() -> None:
-    chosen = planned_control(coverage(), "surveyed", state().places[3], 0.04 * np.eye(3), 0.3)
+    chosen = planned_point(coverage(), "surveyed", state().places[3], 0.04 * np.eye(3), 0.3)
     names, predicted = promised(addition(chosen))
     assert_kept(names, predicted, totals(really(solved(), addition(chosen), truth(made())), names))
 
@@ -106,7 +104,7 @@ def test_terrain_shifts_and_a_robust_loss_hold_too(loss: Loss, considered: tuple
     settings = SolverSettings(loss=loss)
     whole = replace(with_shift_and_surface(network(pair(ties=24, shots=9))), considered=considered)
     place = ImageCoverage(state_of_solution(adjust_network(whole, settings)))
-    chosen = planned_control(place, "surveyed", place.state.places[0], np.eye(3), 0.5)
+    chosen = planned_point(place, "surveyed", place.state.places[0], np.eye(3), 0.5)
     present = CurrentState(place.state)
     targets = targets_of(place.state, ["all"])
     predicted = TargetSigmas(present, targets).after(updated(present, added(present, [addition(chosen)])))
@@ -145,7 +143,7 @@ def schmidt(present: CurrentState) -> np.ndarray:
 def test_considered_unknowns_are_carried_before_and_after(considered: tuple[str, ...]) -> None:
     whole = replace(with_shift_and_surface(network(pair(ties=24, shots=9))), considered=considered)
     place = ImageCoverage(state_of_solution(adjust_network(whole, SolverSettings())))
-    chosen = planned_control(place, "surveyed", place.state.places[0], np.eye(3), 0.5)
+    chosen = planned_point(place, "surveyed", place.state.places[0], np.eye(3), 0.5)
     present, anew = (CurrentState(one) for one in (place.state, place.state.extended([addition(chosen)])))
     update, scale = updated(present, added(present, [addition(chosen)])), np.sqrt(np.diagonal(schmidt(present)))
     for one in (present, anew):
@@ -181,7 +179,7 @@ def test_the_update_equals_the_network_put_together_anew(existing: bool) -> None
 def test_gains_of_a_chain_add_up(existing: bool) -> None:
     """Candidates 8 and 9 measure the same points of the network again: what one says changes what the other adds."""
     chain = [candidate(8, existing=existing), candidate(9, existing=existing)]
-    chain.append(planned_control(coverage(), "surveyed", state().places[3], np.eye(3), 0.3))
+    chain.append(planned_point(coverage(), "surveyed", state().places[3], np.eye(3), 0.3))
     found = plan(state(), chain, 3)
     assert len(found.chosen) == 3
     together = Evaluator(state(), found.targets, "mean").of(*chain)
@@ -194,7 +192,7 @@ def test_gains_of_a_chain_add_up(existing: bool) -> None:
 
 
 def test_greedy_is_as_good_as_every_pair() -> None:
-    controls = [planned_control(coverage(), f"c{i}", state().places[i], np.eye(3), 0.5) for i in (0, 120, 240)]
+    controls = [planned_point(coverage(), f"c{i}", state().places[i], np.eye(3), 0.5) for i in (0, 120, 240)]
     every = [candidate(8), candidate(9), *controls]
     found = plan(state(), every, 2)
     judge = Evaluator(state(), found.targets, "mean")
@@ -207,8 +205,8 @@ def test_greedy_is_as_good_as_every_pair() -> None:
 def test_a_redundant_candidate_falls() -> None:
     """Two control points on the same ground head the ranking; the second is worth little beside the first."""
     here = state().places[100]
-    twins = [planned_control(coverage(), name, here, 0.01 * np.eye(3), 0.3) for name in ("one", "other")]
-    far = planned_control(coverage(), "far", state().places[300], 0.01 * np.eye(3), 0.5)
+    twins = [planned_point(coverage(), name, here, 0.01 * np.eye(3), 0.3) for name in ("one", "other")]
+    far = planned_point(coverage(), "far", state().places[300], 0.01 * np.eye(3), 0.5)
     found = plan(state(), [*twins, far], 2)
     assert {one.name for one in found.ranking[:2]} in ({"one", "other"}, {"one", "far"})
     assert {one.name for one in found.chosen} == {"one", "far"}
@@ -249,8 +247,6 @@ def test_sigmas_are_those_asked_for() -> None:
     own = np.array([one.name for one in planned.images])[planned.rays.image] == known.image.name
     assert set(planned.rays.sigmas[own].ravel()) == {0.3}
     assert set(planned.rays.sigmas[~own].ravel()) == {0.7}
-    pairs = planned_image(coverage(), known, PlannedTies(5, everywhere=False))
-    assert set(np.bincount(addition(pairs).rays.point)) == {2}
 
 
 def test_a_candidate_without_overlap_is_worthless_not_an_error() -> None:
