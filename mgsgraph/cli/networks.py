@@ -63,7 +63,7 @@ def convert(
         raise click.UsageError("one file alone: name what is written, last or by --out")
     inputs, output = (files[:-1], files[-1]) if out is None else (files, out)
     names = ("case", "sizes", "radii", "target", "rename", "prefix")
-    setting = setting_of(*map(given.pop, names), shifted=not nvm_no_shift)
+    setting = setting_of(**{name: given.pop(name) for name in names}, shifted=not nvm_no_shift)
     selection = Selection(Duplicates(duplicates), *map(given.pop, ("only", "thin", "split")))
     try:
         made = make(

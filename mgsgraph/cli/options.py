@@ -54,7 +54,7 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     def with_overrides(**given: Any) -> None:
         from mgsgraph.results.results import Overrides
 
-        chosen = {name: given.pop(name) for name in ("form", "loss", "reject", "starts", "tables", "device")}
+        chosen = {name: given.pop(name) for name in ("loss", "reject", "starts", "tables", "device")}
         chosen |= {name: not given.pop(f"no_{name}") for name in ("laser", "figures")}
         verb(overrides=Overrides(**chosen), **given)
 

@@ -79,12 +79,12 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         require_replaceable(out, ANALYSIS)
     nothing = not any(value for name, value in asked.items() if name not in _DETAILS)
     points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
-    about = [asked[name] for name in ("points", "pairs", "poses", "pose_pairs", "projections")]
+    about = {name: asked[name] for name in ("points", "pairs", "poses", "pose_pairs", "projections")}
     given = {name: asked[name] is not None for name in ("cell_m", "probability", "sigma_px", "alpha", "power")}
     for option, stated, useful, of in (
         ("--image, --cell-m", asked["images"] or given["cell_m"], raster, "--raster"),
         ("--raster", raster, out, "--out FOLDER, for the GeoTIFF"),
-        ("--correlations", asked["correlations"], any(about) or pixels, "question (--point, --pose, ...)"),
+        ("--correlations", asked["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
         ("--probability", given["probability"], points or pixels, "--point or --pixel"),
         ("--sigma-px", given["sigma_px"], pixels or raster, "--pixel or --raster"),
         ("--alpha, --power", given["alpha"] or given["power"], nothing or asked["reliability"] or asked["snoop"],
@@ -94,7 +94,8 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         require_used(option, bool(stated), bool(useful), of)
     sigma = asked["sigma_px"] if given["sigma_px"] else 1.0
     probability = asked["probability"] if given["probability"] else 0.95
-    questions = Questions(*about, tuple(Pixel(*pixel, sigma) for pixel in pixels), asked["correlations"], probability)
+    measures = tuple(Pixel(image, line, sample, sigma) for image, line, sample in pixels)
+    questions = Questions(**about, pixels=measures, correlations=asked["correlations"], probability=probability)
     levels = Levels(*(asked[name] if given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
     wanted = Wanted(
         questions, asked["curves"], asked["images"] if raster else None, asked["cell_m"], sigma,
