@@ -12,9 +12,9 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import components_of
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.residual_spectrum import ResidualVibrations
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.analysis.unexplained import unexplained
-from mgsgraph.analysis.vibrations import ResidualVibrations
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights

@@ -23,7 +23,7 @@ import dem_truth
 import numpy as np
 from study import DOCS, at_least, command, show, status, table
 
-from mgsgraph.analysis.vibrations import residual_vibrations
+from mgsgraph.analysis.residual_spectrum import residual_vibrations
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.archive import read_solution
 from mgsgraph.simulation.case_files import image_file, json_text, support_data

@@ -17,7 +17,7 @@ from study import DOCS, at_least, command, table, write_page
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.vibrations import residual_vibrations
+from mgsgraph.analysis.residual_spectrum import residual_vibrations
 from mgsgraph.simulation.ctx import (
     PIXEL,
     ControlSettings,

@@ -6,8 +6,7 @@ Simulated HRSC strips of five lines, nodes 5 s apart at most, 1,600 points, no t
 depart from bias and drift by Gauss-Markov processes of 30 s; their strengths, asked for as `estimated`, begin three
 times too large.
 
-* *position*, *attitude*: found over planted, and the stated sigma of it (of the logarithm). *rays*: the sigma of image
-  coordinates, found over planted.
+* *position*, *attitude*: found over planted, and the stated sigma of it (of the logarithm).
 * *z*: logarithm of found over planted in stated sigmas. *z' C^-1 z*: mean squared normalised error of both, a strength.
 """
 
@@ -29,7 +28,7 @@ from mgsgraph.units import KM
 
 ERRORS = TrajectoryErrors(correlation_time=30.0, position_wander=10.0)
 TOO_LARGE = 3.0
-HEAD = ("seed", "position", "attitude", "rays", "z of position", "z of attitude", "z' C^-1 z / 2", "remarks")
+HEAD = ("seed", "position", "attitude", "z of position", "z of attitude", "z' C^-1 z / 2", "remarks")
 Row = tuple[list[str], tuple[float, float, float] | None]
 
 
@@ -46,13 +45,13 @@ def one(seed: int, length: float) -> Row:
     try:
         found = estimated_strengths(network, SolverSettings())
     except MgsgraphError as error:
-        return [str(seed), *["-"] * 6, str(error)], None
+        return [str(seed), *["-"] * 5, str(error)], None
     ratios = np.array([strength.sigma for strength in found.strengths]) / planted
     sigmas, logs = np.sqrt(np.diagonal(found.covariance)), np.log(ratios)
     z, error = logs / sigmas, float(logs @ np.linalg.solve(found.covariance, logs)) / logs.size
     remarks = [] if found.converged else ["not converged"]
     remarks += ["zero" for strength in found.strengths if strength.zero][:1]
-    cells = [str(seed), *(f"{a:.3f} +- {b:.3f}" for a, b in zip(ratios, sigmas, strict=True)), f"{found.rays:.3f}"]
+    cells = [str(seed), *(f"{a:.3f} +- {b:.3f}" for a, b in zip(ratios, sigmas, strict=True))]
     return [*cells, *(f"{value:.2f}" for value in z), f"{error:.2f}", ", ".join(remarks)], (*z.tolist(), error)
 
 

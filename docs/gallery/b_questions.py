@@ -38,6 +38,6 @@ curve = curve_sheet(posterior.poses(first, np.linspace(0.0, pair.images[0].lines
 
 # %%
 # And the sigmas that points measured to half a pixel would have anywhere on the ground that both images show.
-from mgsgraph.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.analysis.places import sigma_grid
 
 raster = raster_sheet(sigma_grid(posterior, cell=300.0, sigma=0.5), "sigmas")

@@ -7,7 +7,7 @@ Two strips of 100 km, five lines of the camera each; orientation is unknown at n
 """
 
 from mgsgraph import SolverSettings, adjust_network
-from mgsgraph.analysis.flight import strip_reports
+from mgsgraph.analysis.statistics import strip_reports
 from mgsgraph.results.figures.orientation import orientation_sheets
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 

@@ -22,8 +22,17 @@ from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.helmert import CORRELATED, Redundancy, given, group_redundancy, most_correlated, nearest
+from mgsgraph.analysis.grouping import (
+    CORRELATED,
+    Grouping,
+    Redundancy,
+    given,
+    group_redundancy,
+    group_rows,
+    most_correlated,
+    nearest,
+    scaled,
+)
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index

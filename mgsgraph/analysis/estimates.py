@@ -4,18 +4,23 @@ estimates that the posterior gives: positions, differences, poses, pixels, each 
 Every question to the posterior is put in one form: dq = sum_v J_v dx_v + sum_i N_i e_i, x_v the shared unknowns
 (covariance S), e_i noise of unit covariance that point i keeps for itself when x is known (S_p = V^-1 + V^-1 W' S W
 V^-1, docs/theory.md, Sigmas). Two quantities covary by J1 S J2' + sum_i N1_i N2_i'.
+
+Ground points that two solutions have in common: how far they are apart, and how well each solution knows them.
 """
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.names import Names
 from mgsgraph.record import Record
 from mgsgraph.units import MRAD
 
@@ -395,3 +400,65 @@ class PixelEstimate(Record):
             f"PixelEstimate(point {self.point!r} in image {self.image!r}: line {self.pixel[0]:.2f} sigma "
             f"{line:.3g} px, sample {self.pixel[1]:.2f} sigma {sample:.3g} px)"
         )
+
+
+@dataclass(frozen=True)
+class CommonPoints:
+    """Determined ground points that two solutions have under the same name."""
+
+    solution: Solution
+    """The later one."""
+    earlier: Solution
+    """The earlier one."""
+
+    @cached_property
+    def _pairs(self) -> Index:
+        """(n, 2) numbers of every common name in the later and in the earlier solution."""
+        found = Names.of(self.earlier.network.points.ids).find(self.solution.network.points.ids)
+        here = np.flatnonzero(found >= 0)
+        return np.stack([here, found[here]], axis=1)
+
+    @property
+    def shared(self) -> int:
+        """Points of the same name, determined or not."""
+        return len(self._pairs)
+
+    @cached_property
+    def rows(self) -> tuple[Index, Index]:
+        """(n,) numbers in the later and in the earlier solution, of those that both determine."""
+        here, there = self._pairs.T
+        sound = self.solution.determined[here] & self.earlier.determined[there]
+        return here[sound], there[sound]
+
+    @cached_property
+    def places(self) -> Array:
+        """(n, 3) m, body-fixed, of the later solution."""
+        return np.asarray(self.solution.places[self.rows[0]])
+
+    @cached_property
+    def moved(self) -> Array:
+        """(n, 3) m east, north and up, later minus earlier."""
+        there = self.earlier.places[self.rows[1]]
+        return np.asarray(np.einsum("nij,nj->ni", east_north_up(self.places), self.places - there))
+
+    @cached_property
+    def sigmas(self) -> tuple[Array, Array]:
+        """(n,) m, 3-D sigmas of the earlier and of the later solution."""
+        here, there = self.rows
+        one, other = (np.trace(solution.covariances[k], axis1=1, axis2=2)
+                      for solution, k in ((self.earlier, there), (self.solution, here)))  # fmt: skip
+        return np.sqrt(np.maximum(one, 0.0)), np.sqrt(np.maximum(other, 0.0))
+
+    @property
+    def in_sigmas(self) -> Array:
+        """(n,) distance over the larger of both 3-D sigmas; NaN for points without any."""
+        sigma = np.maximum(*self.sigmas)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(sigma > 0.0, np.linalg.norm(self.moved, axis=1) / sigma, np.nan)
+
+    @property
+    def ratio(self) -> Array:
+        """(n,) later 3-D sigma over the earlier one; NaN where a point has none in either."""
+        earlier, later = self.sigmas
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where((earlier > 0.0) & (later > 0.0), later / earlier, np.nan)

@@ -1,24 +1,227 @@
-"""Ground places in an image, and image places on the ground, with the orientation as it stands: nominal or adjusted.
+"""Sigmas that new points would have over the overlap of images, on a grid of longitude and latitude.
 
-What an adjustment knows of the orientation goes into sigmas, by the law of error propagation: of image places through
-their derivatives by the pose at their line, of ground places as far as the ray moves over the ground, which is held.
+Each cell's ground place is projected into the images that see it, and the covariance of the intersection of these rays
+is the law of error propagation with the orientation's joint covariance and the measures' noise: nothing is observed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.body import Ellipsoid, east_north_up, intersect_ellipsoid, planetocentric
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import (
+    Ellipsoid,
+    east_north_up,
+    from_planetocentric,
+    geodetic,
+    intersect_ellipsoid,
+    planetocentric,
+)
+from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import designs
+from mgsgraph.record import Record
+from mgsgraph.text import some
+from mgsgraph.units import DEG
+
+BANDS = ("sigma east", "sigma north", "sigma up", "sigma of position")
+"""What each band holds, m: the last is the root of the trace of the covariance."""
+MOST_CELLS = 4_000_000
+_CELLS = 20_000
+"""Cells in all, about, where nothing is asked for."""
+_POLAR = 85.0 * DEG
+"""Latitude from which a grid of longitude and latitude makes no sense."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SigmaGrid(Record):
+    """Sigmas of newly intersected points by cells, rows from north to south, columns from west to east.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.places import sigma_grid
+    >>> grid = sigma_grid(posterior, cell=500.0, sigma=0.5)
+    >>> grid.values.shape, int(grid.rays.max())
+    ((4, 45, 12), 2)
+    """
+
+    images: tuple[str, ...]
+    """Of which two or more see each cell."""
+    sigma: float
+    """px, of the line and sample of each measure."""
+    west: float
+    """rad, planetocentric, western edge."""
+    north: float
+    """rad, northern edge."""
+    steps: tuple[float, float]
+    """rad, sides of a cell in longitude and in latitude; about square on the ground."""
+    values: Array
+    """(4, rows, columns) m, `BANDS`; NaN where fewer than two images see the ground, or all from the same side."""
+    rays: Index
+    """(rows, columns) number of images that see each cell."""
+
+    @property
+    def sentence(self) -> str:
+        """What it says, in a sentence."""
+        inside = np.isfinite(self.values[0])
+        middle = [float(np.median(band[inside])) for band in self.values[:3]]
+        worst = float(self.values[2][inside].max())
+        return (
+            f"points measured to {self.sigma:g} px in {some(self.images, len(self.images))} would have sigmas of "
+            f"{middle[0]:.3g} m east, {middle[1]:.3g} m north and {middle[2]:.3g} m up (medians over "
+            f"{int(inside.sum())} cells); up is worst at {worst:.3g} m"
+        )
+
+
+def sigma_grid(
+    posterior: Posterior, images: Sequence[str] = (), cell: float | None = None, sigma: float = 1.0
+) -> SigmaGrid:
+    """Sigmas over the overlap of images.
+
+    Parameters
+    ----------
+    images : sequence of str
+        Names, two or more; all images of the network when empty.
+    cell : float, optional
+        m, side of a cell; so that there are some twenty thousand when absent.
+    sigma : float
+        px, of the line and sample of each measure.
+
+    Raises
+    ------
+    InputError
+        Where no two of them see the same ground, or there would be too many cells.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.places import sigma_grid
+    >>> print(sigma_grid(posterior, cell=500.0, sigma=0.5).sentence)
+    points measured to 0.5 px in SIM/A, SIM/B would have sigmas of 6.63 m east, 7 m north and 20.8 m up (medians
+    over 255 cells); up is worst at 24.3 m
+    """
+    names = tuple(images) or tuple(image.name for image in posterior.network.images)
+    numbers = [posterior.network.image_number(name) for name in names]
+    if len(numbers) < 2 or len(set(names)) < len(names):
+        raise InputError("sigma raster", f"images {', '.join(names)}", "two or more different images")
+    height = _ground_height(posterior)
+    west, north, steps, rows, columns = _extent(posterior, numbers, names, height, cell)
+    longitude = west + steps[0] * (np.arange(columns) + 0.5)
+    latitude = north - steps[1] * (np.arange(rows) + 0.5)
+    ground = _ground(posterior, np.stack(np.meshgrid(longitude, latitude), axis=-1).reshape(-1, 2), height)
+    seen, places = _seen(posterior, numbers, ground)
+    several = np.flatnonzero(seen.sum(axis=1) >= 2)
+    if several.size == 0:
+        raise _no_overlap(names)
+    values = np.full((4, rows * columns), np.nan)
+    image, cell_of = np.nonzero(seen[several].T)
+    rays = ImageRays(
+        cell_of, np.array(numbers)[image], places[several[cell_of], image], np.full((cell_of.size, 2), sigma)
+    )
+    _, covariances = posterior.intersections(rays)
+    frame = east_north_up(ground[several])
+    variances = np.einsum("nij,njk,nik->ni", frame, covariances, frame)
+    values[:3, several] = np.sqrt(variances).T
+    values[3, several] = np.sqrt(variances.sum(axis=1))
+    if not np.any(np.isfinite(values)):
+        found = f"rays of {some(names, len(names))} that are all but parallel"
+        raise InputError("sigma raster", found, "images that look from different sides")
+    counts = seen.sum(axis=1).reshape(rows, columns)
+    return SigmaGrid(names, sigma, west, north, steps, values.reshape(4, rows, columns), counts)
+
+
+def _ground_height(posterior: Posterior) -> float:
+    """Height above the ellipsoid, m: the middle of the adjusted points'."""
+    at = posterior.linearised
+    places = at.points[np.linalg.norm(at.points, axis=1) > 0.0]
+    return float(np.median(geodetic(places, posterior.network.images[0].body)[:, 2])) if places.size else 0.0
+
+
+def _ground(posterior: Posterior, places: Array, height: float) -> Array:
+    """(n, 3) m, ground at longitudes and planetocentric latitudes (n, 2): on the terrain model where there is one, else
+    at a height above the ellipsoid.
+    """
+    body, surface = posterior.network.images[0].body, posterior.network.surface
+    unit = from_planetocentric(np.column_stack([places, np.ones(places.shape[0])]))
+    axes = np.array([body.equatorial, body.equatorial, body.polar])
+    ground = unit * (1.0 / np.linalg.norm(unit / axes, axis=1, keepdims=True) + height)
+    if surface is None:
+        return np.asarray(ground)
+    radius, _, _ = surface.grid.radius(places[:, 0], places[:, 1])
+    return np.asarray(np.where(np.isfinite(radius)[:, None], unit * radius[:, None], ground))
+
+
+def _extent(
+    posterior: Posterior, numbers: Sequence[int], names: Sequence[str], height: float, cell: float | None
+) -> tuple[float, float, tuple[float, float], int, int]:
+    """West and north edge, sides of a cell (rad), rows and columns: where the boxes of two or more footprints meet."""
+    boxes = _boxes(posterior, numbers, height)
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for (low_a, high_a), (low_b, high_b) in combinations(boxes, 2):
+        inner = np.maximum(low_a, low_b), np.minimum(high_a, high_b)
+        if np.all(inner[0] < inner[1]):
+            low, high = np.minimum(low, inner[0]), np.maximum(high, inner[1])
+    if not np.all(low < high):
+        raise _no_overlap(names)
+    if np.abs([low[1], high[1]]).max() > _POLAR:
+        found = f"an overlap up to {np.abs([low[1], high[1]]).max() / DEG:.1f} deg of latitude"
+        expected = f"at most {_POLAR / DEG:.0f} deg"
+        raise InputError("sigma raster", found, expected, "choose images farther from the pole")
+    radius, shrunk = posterior.network.images[0].body.equatorial, np.array([np.cos(0.5 * (low[1] + high[1])), 1.0])
+    side = float(np.sqrt(np.prod((high - low) * shrunk) / _CELLS)) if cell is None else cell / radius
+    if not (np.isfinite(side) and 0.0 < side < (high - low).max()):
+        found = f"cells of {side * radius:.3g} m"
+        raise InputError("sigma raster", found, f"less than the overlap, of {(high - low).max() * radius:.3g} m")
+    steps = side / shrunk
+    columns, rows = (max(int(np.ceil(size)), 1) for size in (high - low) / steps)
+    if rows * columns > MOST_CELLS:
+        found = f"{rows} x {columns} cells of {side * radius:.3g} m"
+        raise InputError("sigma raster", found, f"{MOST_CELLS} at most", "choose larger cells, or fewer images")
+    return float(low[0]), float(high[1]), (float(steps[0]), float(steps[1])), rows, columns
+
+
+def _boxes(posterior: Posterior, numbers: Sequence[int], height: float) -> list[tuple[Array, Array]]:
+    """Least and largest longitude and latitude of each footprint, all within half a turn of the first."""
+    boxes: list[tuple[Array, Array]] = []
+    for j in numbers:
+        found = footprint(posterior.network.images[j], height, posterior.correction(j))
+        if found.pole:
+            what = f"image {found.name}, which covers a pole"
+            raise InputError("sigma raster", what, "images without a pole", "choose others (--image)")
+        if found.outline.shape[0]:
+            low, high = found.longitude_latitude.min(axis=0), found.longitude_latitude.max(axis=0)
+            apart = low[0] + high[0] - (boxes[0][0][0] + boxes[0][1][0] if boxes else 0.0)
+            turn = np.array([2.0 * np.pi * np.round(apart / (4.0 * np.pi)), 0.0])
+            boxes.append((low - turn, high - turn))
+    return boxes
+
+
+def _seen(posterior: Posterior, numbers: Sequence[int], ground: Array) -> tuple[Array, Array]:
+    """(n, images) whether each place (n, 3) falls into an image, and (n, images, 2) where."""
+    places = np.full((ground.shape[0], len(numbers), 2), np.nan)
+    seen = np.zeros((ground.shape[0], len(numbers)), dtype=bool)
+    for k, j in enumerate(numbers):
+        image = posterior.image(j)
+        places[:, k], _ = image.ground_to_image(ground, posterior.correction(j))
+        line, sample = places[:, k].T
+        seen[:, k] = (line >= 0.0) & (line <= image.lines) & (sample >= 0.0) & (sample <= image.samples)
+    return seen, places
+
+
+def _no_overlap(names: Sequence[str]) -> InputError:
+    return InputError("sigma raster", f"no ground that two of {', '.join(names[:4])} see", "images that overlap")
+
+
 
 _RELIEF = 0.1
 """m by which a ray may meet the terrain before a place on it, which is seen all the same (posts' edges, rounding)."""

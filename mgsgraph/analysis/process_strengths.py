@@ -10,9 +10,7 @@ Fisher's scoring takes steps in log s.
 A strength that measures hardly see is not searched for, for it would run away: where the search begins, the expected
 standard deviation of its logarithm has to be less than 1. Its departures are held at nothing, which is said.
 
-Rays that scatter more or less than stated would be taken for a process: with `rays` their sigmas are multiplied by the
-factor of Foerstner's estimate, v'v / r over all tie rays, in the same rounds; that is its restricted maximum likelihood
-as well.
+Rays that scatter more than stated would be taken for a process: their sigmas count as right.
 
 The restricted likelihood of strengths follows from an adjustment with other strengths. With everything else eliminated
 the measures say y = x + e of the nodes x of all passes, x being normal with the covariance K = sum_i s_i^2 C_i + trend:
@@ -41,10 +39,8 @@ from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.grouping import group_rows
-from mgsgraph.analysis.helmert import group_redundancy
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.separability import LIMIT, Inseparable, inseparable
+from mgsgraph.analysis.separability import LIMIT
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
@@ -55,17 +51,6 @@ _INNER, _HALVINGS, _AT_REST = 30, 8, 1e-3
 """Steps of scoring for one adjustment, and halvings of one; log strengths, in their standard deviations."""
 Block = tuple[slice, Array]
 """Rows of a pass's component among all that are sought, and a covariance (k, k) of its nodes, m^2 or rad^2."""
-
-
-class Member(NamedTuple):
-    """A process of a pass along one axis."""
-
-    of_pass: int
-    """Number of the pass."""
-    number: int
-    """Of the process, within its part."""
-    component: int
-    """0 .. 5: X, Y, Z, x, y, z."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,39 +65,25 @@ class Evidence:
     """Of each strength the covariances that it scales, as they are in the adjustment."""
 
     @classmethod
-    def of(cls, solution: Solution, wanted: Sequence[Sequence[Member]]) -> "Evidence":
-        """Of strengths (p), each of some members."""
+    def of(cls, solution: Solution, wanted: "Sequence[Strength]") -> "Evidence":
+        """Of strengths (p), one at least."""
         network = solution.network
-        pairs = sorted({(one.of_pass, one.component) for members in wanted for one in members})
-        sizes = [len(network.passes[k].nodes) for k, _ in pairs]
-        ends = np.concatenate([[0], np.cumsum(sizes)]).tolist()
+        pairs = sorted({(k, c) for one in wanted for k, _ in one.members for c in one.components})
+        ends = np.cumsum([0, *(len(network.passes[k].nodes) for k, _ in pairs)]).tolist()
         rows = {pair: slice(ends[i], ends[i + 1]) for i, pair in enumerate(pairs)}
         known = _known(solution, rows)
         found, push = known.prior - known.prior @ known.posterior @ known.prior, known.prior @ known.values
-        parts = [
-            tuple(
-                (rows[one.of_pass, one.component], _process_covariance(network.passes[one.of_pass], one))
-                for one in members
-            )
-            for members in wanted
-        ]
-        return cls(0.5 * (found + found.T), push, tuple(parts))
 
-    def without(self, kept: Index) -> "Evidence":
-        """Of some strengths alone; the others stay as they are."""
-        parts = [self.parts[i] for i in kept.tolist()]
-        mine = sorted({(block.start, block.stop) for part in parts for block, _ in part})
-        rows = np.concatenate([np.arange(*one) for one in mine] or [np.zeros(0, dtype=np.int64)])
-        ends = np.concatenate([[0], np.cumsum([stop - start for start, stop in mine])]).tolist()
-        moved = {one: slice(ends[i], ends[i + 1]) for i, one in enumerate(mine)}
-        taken = tuple(tuple((moved[b.start, b.stop], matrix) for b, matrix in part) for part in parts)
-        return Evidence(self.start[np.ix_(rows, rows)], self.push[rows], taken)
+        def scaled(k: int, number: int, c: int, part: str) -> Block:
+            process, nodes = _processes(network, k, part)[number], network.passes[k].nodes
+            return rows[k, c], dense_covariance((process,), c % 3, nodes)
+
+        parts = (tuple(scaled(*of, c, one.part) for of in one.members for c in one.components) for one in wanted)
+        return cls(0.5 * (found + found.T), push, tuple(parts))
 
     def maximum(self, most: float) -> Array:
         """(p,) change of the log strengths to the largest likelihood, by Fisher's scoring; `most` upward at most."""
         steps = np.zeros(len(self.parts))
-        if not steps.size:
-            return steps
         here = self.likelihood(steps)
         for _ in range(_INNER):
             move = np.clip(np.linalg.solve(here.information + 0.05 * np.eye(steps.size), here.score), -1.0, 1.0)
@@ -182,12 +153,6 @@ class Likelihood(NamedTuple):
     (tr C)^2 / tr(C^2)."""
 
 
-def _process_covariance(one: Pass, member: Member) -> Array:
-    assert isinstance(one.prior, ProcessPrior)
-    part = one.prior.position if member.component < 3 else one.prior.attitude
-    return dense_covariance((part[member.number],), member.component % 3, one.nodes)
-
-
 def _known(solution: Solution, rows: dict[tuple[int, int], slice]) -> Known:
     """Of components of passes, (number, component) by the rows they have."""
     network = solution.network
@@ -247,12 +212,10 @@ class Strength(Record):
     """Of process."""
     frequency: float
     """Hz, of jitter; of others 0."""
-    axes: tuple[int, ...]
-    """Components (0 .. 5) that it is of."""
-    members: tuple[Member, ...]
-    """Processes of passes that have it, along these axes."""
+    members: tuple[tuple[int, int], ...]
+    """Passes and the number of the process within the part of each."""
     sigma: float = 0.0
-    """m or rad (per s^1.5 of an integrated Wiener process): of the first of its axes."""
+    """m or rad (per s^1.5 of an integrated Wiener process): of its first axis."""
     error: float = 0.0
     """Standard deviation of `sigma`, of the likelihood's information; 0 where it was not searched for."""
     zero: bool = False
@@ -261,6 +224,11 @@ class Strength(Record):
     """Share of the departures' a-priori variance that measures take away; 0: not observable."""
     searched: bool = True
     """Whether it was searched for; else hardly seen."""
+
+    @property
+    def components(self) -> tuple[int, int, int]:
+        """X, Y, Z or x, y, z, of 0 .. 5."""
+        return (0, 1, 2) if self.part == "position" else (3, 4, 5)
 
     @property
     def name(self) -> str:
@@ -294,12 +262,6 @@ class EstimatedStrengths(Record):
     """p of them."""
     covariance: Array
     """(p, p) of their natural logarithms."""
-    rays: float
-    """Factor of the sigmas of tie rays, in total; 1 where it wasn't asked for."""
-    rays_error: float
-    """Its standard deviation; 0 where it wasn't asked for."""
-    inseparable: tuple[Inseparable, ...]
-    """Positions, rotations and shared unknowns of passes that can't be separated."""
     converged: bool
     """Whether the last round changed nothing by more than the tolerance."""
     rounds: int
@@ -319,13 +281,10 @@ class EstimatedStrengths(Record):
     def sentences(self) -> list[str]:
         """One for each strength, for pairs that can't be told apart, and for how it ended."""
         lines = [one.sentence for one in self.strengths]
-        if self.rays_error:
-            lines.append(f"sigmas of tie rays: times {self.rays:.4g} +- {self.rays_error:.2g}")
         entangled = np.argwhere(np.triu(np.abs(self.correlation) > LIMIT, 1)).tolist()
         for i, k in entangled:
             names = f"{self.strengths[i].name} and {self.strengths[k].name}"
             lines.append(f"{names}: not separable (correlation {self.correlation[i, k]:.3f} of their strengths)")
-        lines += [one.sentence for one in self.inseparable]
         end = "at rest" if self.converged else "NOT at rest"
         return [*lines, f"Strengths {end} after {self.rounds} adjustments."]
 
@@ -333,7 +292,6 @@ class EstimatedStrengths(Record):
 def estimated_strengths(
     network: Network,
     settings: SolverSettings,
-    rays: bool = True,
     most: int = 15,
     tolerance: float = 0.01,
     name: str = "adjustment",
@@ -346,8 +304,6 @@ def estimated_strengths(
     network : Network
         Of passes with `ProcessPrior`; the search begins with the sigmas of the first pass that has a process.
     settings : SolverSettings
-    rays : bool
-        Estimate one factor of the sigmas of tie rays, too.
     most : int
         Adjustments.
     tolerance : float
@@ -363,31 +319,26 @@ def estimated_strengths(
     InputError
         Where nothing is to be estimated, or a pass has too many nodes; and what `adjust_network` raises.
     """
-    sought, total, begin = _sought(network), 1.0, network
+    sought, begin = _sought(network), network
     network = _with_changes(network, sought, np.zeros(len(sought)))
     left_in = unmarked(network) if settings.reject == 0.0 else None
     searched, shares = np.zeros(0, dtype=np.int64), np.zeros(0)
     for done in range(most):
         solution = adjust_network(network, settings, name, progress, left_in=left_in)
-        factor, spread = _ray_factor(solution) if rays else (1.0, 0.0)
-        every = Evidence.of(solution, [one.members for one in sought])
         if done == 0:
-            start = every.likelihood(np.zeros(len(sought)))
+            start = Evidence.of(solution, sought).likelihood(np.zeros(len(sought)))
             searched, shares = np.flatnonzero(np.diagonal(start.information) > _SEEN), start.shares
-        evidence = every.without(searched)
-        covariance = _covariance(evidence, searched)
-        change, zero = _changes(
-            searched, evidence.maximum(_STEP), _sigmas(network, sought), _FLOOR * _sigmas(begin, sought)
-        )
+        steps, covariance = np.zeros(0), np.zeros((0, 0))
+        if searched.size:
+            evidence = Evidence.of(solution, [sought[i] for i in searched.tolist()])
+            steps, covariance = evidence.maximum(_STEP), _covariance(evidence)
+        change, zero = _changes(searched, steps, _sigmas(network, sought), _FLOOR * _sigmas(begin, sought))
         # a strength that is known to a tenth only need not be at rest to a hundredth
         sizes = tolerance * np.maximum(1.0, 10.0 * np.minimum(np.sqrt(np.diagonal(covariance)), 1.0))
-        converged = bool(np.all(np.abs(change[searched]) <= sizes)) and abs(factor - 1.0) <= tolerance
-        converged &= done > 0 or searched.size == len(sought)
+        converged = bool(np.all(np.abs(change[searched]) <= sizes)) and (done > 0 or searched.size == len(sought))
         if converged or done == most - 1:
             break
         network = _with_changes(network, sought, change)
-        if rays:
-            network, total = _with_rays(network, factor), total * factor
     now, logs = _sigmas(network, sought), np.zeros((len(sought), len(sought)))
     logs[np.ix_(searched, searched)] = covariance
     errors = now * np.sqrt(np.diagonal(logs))
@@ -396,36 +347,31 @@ def estimated_strengths(
                 searched=i in searched)
         for i, one in enumerate(sought)
     )  # fmt: skip
-    joint = at_solution(solution).of_estimator().joint
-    combined = inseparable(solution.network, joint, solution.settings.angles)
-    return EstimatedStrengths(
-        network, solution, strengths, logs, total, total * spread, combined, converged, done + 1
-    )
+    return EstimatedStrengths(network, solution, strengths, logs, converged, done + 1)
 
 
 def _sought(network: Network) -> list[Strength]:
-    """What is to be found: processes alike in part, kind and frequency, and along the same axes, are one."""
-    found = dict[tuple[str, str, float, int, tuple[int, ...]], list[Member]]()
+    """What is to be found: processes alike in part, kind and frequency are one, of all passes."""
+    found = dict[tuple[str, str, float, int], list[tuple[int, int]]]()
     for k, one in enumerate(network.passes):
         for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
-            first, alike = 0 if part == "position" else 3, list[tuple[str, float]]()
-            own = first, first + 1, first + 2
+            alike = list[tuple[str, float]]()
             for number, process in enumerate(_processes(network, k, part)):
                 kind = process.kind, process.frequency
                 if process.estimated:
-                    members = found.setdefault((part, *kind, alike.count(kind), own), [])
-                    members += [Member(k, number, c) for c in own]
+                    found.setdefault((part, *kind, alike.count(kind)), []).append((k, number))
                 alike.append(kind)
-        if len(one.nodes) > _MOST and any(m.of_pass == k for members in found.values() for m in members):
+        if len(one.nodes) > _MOST and any(k == of for members in found.values() for of, _ in members):
             remedy = "state the strengths that a shorter part of the pass gives"
             raise InputError(f"pass {one.name!r}, strengths", f"{len(one.nodes)} nodes", f"{_MOST} at most", remedy)
     if not found:
         raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
     return [
-        Strength(tuple(dict.fromkeys(network.passes[m.of_pass].name for m in members)), part, kind, frequency, axes,
-                 tuple(members))
-        for (part, kind, frequency, _, axes), members in found.items()
-    ]  # fmt: skip
+        Strength(
+            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, frequency, tuple(members)
+        )
+        for (part, kind, frequency, _), members in found.items()
+    ]
 
 
 def _processes(network: Network, number: int, part: str) -> tuple[Process, ...]:
@@ -435,24 +381,21 @@ def _processes(network: Network, number: int, part: str) -> tuple[Process, ...]:
     return prior.position if part == "position" else prior.attitude
 
 
-def _sigma(network: Network, one: Strength, component: int) -> float:
-    """Of the first pass that has a strength: along an axis."""
-    (first,) = [m for m in one.members if m.component == component and m.of_pass == one.members[0].of_pass]
-    return float(_processes(network, first.of_pass, one.part)[first.number].sigmas[component % 3])
+def _first(network: Network, one: Strength) -> Array:
+    """(3,) sigmas of the first pass that has a strength."""
+    of_pass, number = one.members[0]
+    return _processes(network, of_pass, one.part)[number].sigmas
 
 
-def _sigmas(network: Network, sought: list[Strength]) -> Array:
+def _sigmas(network: Network, sought: Sequence[Strength]) -> Array:
     """(p,) of the first axis of each."""
-    return np.array([_sigma(network, one, one.axes[0]) for one in sought])
+    return np.array([_first(network, one)[0] for one in sought])
 
 
-def _covariance(evidence: Evidence, searched: Index) -> Array:
+def _covariance(evidence: Evidence) -> Array:
     """(s, s) of the log strengths that are searched for, by the information that is expected."""
-    if not searched.size:
-        return np.zeros((0, 0))
-    information = evidence.likelihood(np.zeros(searched.size)).information
-    regular = information + np.diag(1e-6 + 1e-9 * np.diagonal(information))
-    return np.asarray(np.linalg.solve(regular, np.eye(searched.size)))
+    information = evidence.likelihood(np.zeros(len(evidence.parts))).information
+    return np.asarray(np.linalg.inv(information + np.diag(1e-6 + 1e-9 * np.diagonal(information))))
 
 
 def _changes(searched: Index, steps: Array, now: Array, floor: Array) -> tuple[Array, Index]:
@@ -465,16 +408,15 @@ def _changes(searched: Index, steps: Array, now: Array, floor: Array) -> tuple[A
     return change, zero
 
 
-def _with_changes(network: Network, sought: list[Strength], change: Array) -> Network:
+def _with_changes(network: Network, sought: Sequence[Strength], change: Array) -> Network:
     """With log strengths (p,) changed; those of all passes then are that of the first."""
     passes = list(network.passes)
     for one, growth in zip(sought, np.exp(change).tolist(), strict=True):
-        for of_pass, number, component in one.members:
+        sigmas = growth * _first(network, one)
+        for of_pass, number in one.members:
             prior = passes[of_pass].prior
             assert isinstance(prior, ProcessPrior)
             part = list(prior.position if one.part == "position" else prior.attitude)
-            sigmas = np.array(part[number].sigmas)
-            sigmas[component % 3] = growth * _sigma(network, one, component)
             part[number] = replace(part[number], sigmas=sigmas)
             if one.part == "position":
                 prior = replace(prior, position=tuple(part))
@@ -482,25 +424,3 @@ def _with_changes(network: Network, sought: list[Strength], change: Array) -> Ne
                 prior = replace(prior, attitude=tuple(part))
             passes[of_pass] = replace(passes[of_pass], prior=prior)
     return replace(network, passes=tuple(passes))
-
-
-def _tie_rays(network: Network) -> Index:
-    """(k,) whether each ray is a measured one of a tie, as 1 or 0."""
-    grouping = group_rows(network)
-    ties = [g for g, name in enumerate(grouping.names) if name == "tie image points"]
-    return np.isin(grouping.rays, ties).astype(np.int64)
-
-
-def _ray_factor(solution: Solution) -> tuple[float, float]:
-    """Factor of the sigmas of tie rays, and its standard deviation."""
-    found = group_redundancy(at_solution(solution).of_estimator(), group_rows(solution.network))
-    mine = [g for g, name in enumerate(found.names) if name == "tie image points"]
-    redundancy = float(found.redundancy[mine].sum())
-    if redundancy < 1.0:
-        return 1.0, 0.0
-    return math.sqrt(float(found.squares[mine].sum()) / redundancy), 1.0 / math.sqrt(2.0 * redundancy)
-
-
-def _with_rays(network: Network, factor: float) -> Network:
-    of_rays = np.where(_tie_rays(network) == 1, factor, 1.0)
-    return replace(network, rays=replace(network.rays, sigmas=network.rays.sigmas * of_rays[:, None]))

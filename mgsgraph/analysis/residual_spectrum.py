@@ -1,5 +1,4 @@
-"""Residuals of image rays over time, and the spectrum of one series of them: fits of a cosine and a sine at all
-frequencies, and what noise alone shows.
+"""Residuals of image rays over time, their spectra, and the vibrations that these show.
 
 At each frequency a cosine and a sine of a turn are fitted to an image's residuals by least squares (Lomb 1976),
 together with a polynomial of time, most of which any adjustment has taken up; rays need not be even in time. The fit
@@ -12,36 +11,27 @@ freedom above, exceeding q / s^2 by chance with (1 + q / (s^2 v))^(-v/2), v from
 median. Of all frequencies the largest counts: those of a spectrum up to a frequency f exceed z = q / (2 s^2) at most as
 often as W sqrt(z) independent ones, W = f sqrt(4 pi var t) (Baluev 2008).
 
-A series is the residuals of one image's rays over time (`residual_series`). Of a ray that lies off by d (2,) px, as the
-camera that took it looked elsewhere, residuals show what the point doesn't follow. With J a ray's slopes by the point,
-W its weight and C the point's covariance (all of its rays, and what else is known of it),
-
-    v_k = d_k - J_k C J_k' W_k d_k   of the ray itself,      v_i = - J_i C J_k' W_k d_k   of the point's other rays.
-
-The share that is left is the ray's redundancy when orientation is known. In a stereo pair it is one half at right
-angles to the epipolar line, and nothing along it: there the point takes up all, as a height.
-
-A pitch moves rays along lines, a roll along samples, a yaw along lines in proportion to the sample's distance from the
-middle. Motions of the spacecraft do the same: residuals don't separate them from turns.
+A series is the residuals of one image's rays over time. Of a ray that lies off residuals show what its point doesn't
+follow, with orientation known (`ResidualRows.own`). In a stereo pair that is one half at right angles to the epipolar
+line, and nothing along it: there the point takes up all, as a height. Motions of the spacecraft look like turns.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from mgsgraph.adjustment.covariances import Linearised
-from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.spacing import known_besides_rays, point_covariances, ray_slopes
+from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.rows import OUT
-from mgsgraph.network import Network
+from mgsgraph.kernel.rows import IMAGE
+from mgsgraph.record import Record
+from mgsgraph.text import some
 
 Turn = Literal["pitch", "roll", "yaw"]
 """What moves rays: along lines, along samples, along lines at the image's left and right edge the opposite way."""
@@ -58,20 +48,15 @@ class Series(NamedTuple):
     turn: Turn
     """Which."""
     own: Index
-    """(k,) of `Residuals.rays`."""
+    """(k,) of `ResidualRows`: line (pitch, yaw) or sample (roll) of each."""
     times: Array
     """(k,) s from the middle of the first and last."""
     moves: Array
-    """(k,) px of line (pitch, yaw) or sample (roll) per px of amplitude: 1, or of a yaw the place between the edges."""
+    """(k,) px per px of amplitude: 1, or of a yaw the place between the edges."""
     shares: Array
     """(k,) of such a move that is left in the ray's own residual."""
     weights: Array
     """(k,) per px^2."""
-
-    @property
-    def component(self) -> int:
-        """Of a residual: 0 line, 1 sample."""
-        return 1 if self.turn == "roll" else 0
 
     @property
     def share(self) -> float:
@@ -86,97 +71,61 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """All rays that took part, by image and line; r of them."""
+    """All r rows, and series of those of rays."""
 
-    rays: Index
-    """(r,) of the network."""
+    rows: ResidualRows
+    """Of all points."""
     values: Array
-    """(r, 2) px, line and sample, measured minus predicted."""
-    point: Index
-    """(r,) network point."""
-    slopes: Array
-    """(r, 2, 3) px per m, J."""
-    spread: Array
-    """(n, 3, 3) m^2, C of each network point; zero of a fixed one."""
-    weights: Array
-    """(r, 2) per px^2."""
+    """(r,) px, measured minus predicted, of rays; else 0."""
     series: tuple[Series, ...]
     """Three for each image with rays enough."""
 
     def shown(self, one: Series, moved: Array) -> Array:
-        """(r, 2) px, what residuals show of rays of a series that lie off by `moved` (k,) px."""
-        found = np.zeros_like(self.values)
-        off = np.zeros((one.own.size, 2))
-        off[:, one.component] = moved
-        found[one.own] = off
-        pulled = np.zeros((self.spread.shape[0], 3))
-        pull = np.einsum("kij,ki->kj", self.slopes[one.own], self.weights[one.own] * off)
-        np.add.at(pulled, self.point[one.own], pull)
-        follow = np.einsum("nij,nj->ni", self.spread, pulled)
-        return np.asarray(found - np.einsum("rij,rj->ri", self.slopes, follow[self.point]))
+        """(r,) px, what residuals show of rays of a series that lie off by `moved` (k,) px."""
+        off, scale, own = np.zeros(self.values.size), self.rows.scale, self.rows.own
+        off[one.own] = moved * scale[one.own]
+        return _pixels(self.rows, off - own @ (own.T @ off))
+
+
+def _pixels(rows: ResidualRows, whitened: Array) -> Array:
+    """(r,) px of whitened numbers (r,) of rays; 0 of other rows."""
+    there = rows.of_kind(IMAGE)
+    found = np.zeros(whitened.size)
+    found[there] = whitened[there] / rows.scale[there]
+    return found
 
 
 def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
-    """Residuals of an adjustment as series over time.
+    """Residuals of an adjustment as series over time, of images with so many rays that took part; back-projected ones
+    have no noise and don't count.
 
-    Parameters
-    ----------
-    of : Solution or Linearised
-        Its rays used count; those that were made from other knowledge (back-projected) have no noise and don't.
-    fewest : int
-        Rays that an image needs.
-
-    Raises
-    ------
-    InputError
-        Where no image has as many.
+    Raises InputError where no image has as many.
     """
     at = at_solution(of) if isinstance(of, Solution) else of
-    network, rays, layout = at.network, at.network.rays, at.layout
-    places, misfits = layout.network_order(at.points), residuals(layout, at.orientation, at.points).image
-    taken_part = at.rows.weight[0, layout.observation_rows.rays] > 0.0
-    able = taken_part & (layout.network_order(at.rows.kind) != OUT)[rays.point] & np.isfinite(misfits).all(axis=1)
+    rays, rows = at.network.rays, residual_rows(at, np.arange(len(at.network.points)))
+    mine = rows.of_kind(IMAGE)
     if rays.back_projected is not None:
-        able &= ~rays.back_projected
-    taken = np.flatnonzero(able)
-    taken = taken[np.lexsort((rays.places[taken, 0], rays.image[taken]))]
-    slopes = ray_slopes(network, taken, places)
-    seen = np.isfinite(slopes).all(axis=(1, 2))
-    taken, slopes = taken[seen], slopes[seen]
-    weights, point = rays.sigmas[taken] ** -2.0, rays.point[taken]
-    spread = _spread(network, places, point, slopes, weights)
-    shares = 1.0 - np.einsum("rki,rij,rkj->rk", slopes, spread[point], slopes) * weights
-    series = [one for j in np.unique(rays.image[taken]).tolist()
-              for one in _of_image(network, j, taken, shares, weights, fewest)]  # fmt: skip
+        mine = mine[~rays.back_projected[rows.measure[mine]]]
+    image = rays.image[rows.measure[mine]]
+    series = [one for j in np.unique(image).tolist() for one in _of_image(rows, j, mine[image == j], fewest)]
     if not series:
         raise InputError("residuals over time", f"no image with {fewest} rays that took part", "ties matched densely")
-    return Residuals(taken, misfits[taken], point, slopes, spread, weights, tuple(series))
+    return Residuals(rows, _pixels(rows, rows.residuals), tuple(series))
 
 
-def _spread(network: Network, places: Array, point: Index, slopes: Array, weights: Array) -> Array:
-    """(n, 3, 3) m^2, of all points when orientation is known; zero of fixed ones and of those that nothing places."""
-    normal = known_besides_rays(network, np.arange(len(network.points)), places)
-    normal = np.where(np.isfinite(normal), normal, 0.0)
-    np.add.at(normal, point, np.einsum("rki,rk,rkj->rij", slopes, weights, slopes))
-    spread = point_covariances(normal)
-    spread[network.points.kinds == PointKind.FIXED] = 0.0
-    return np.where(np.isfinite(spread), spread, 0.0)
-
-
-def _of_image(
-    network: Network, image: int, taken: Index, shares: Array, weights: Array, fewest: int
-) -> Iterator[Series]:
-    """Three of an image with rays enough."""
-    own = np.flatnonzero(network.rays.image[taken] == image)
-    one, places = network.images[image], network.rays.places[taken[own]]
-    times = one.timing.at(places[:, 0])[0]
-    if own.size < fewest or not np.ptp(times) > 0.0:
-        return
-    times = times - 0.5 * (times.min() + times.max())
+def _of_image(rows: ResidualRows, image: int, mine: Index, fewest: int) -> Iterator[Series]:
+    """Three of an image, with the rows of its rays, where these are enough."""
+    one = rows.at.network.images[image]
     for turn in TURNS:
-        c = 1 if turn == "roll" else 0
+        own = mine[rows.component[mine] == (1 if turn == "roll" else 0)]
+        places = rows.at.network.rays.places[rows.measure[own]]
+        times = one.timing.at(places[:, 0])[0]
+        if own.size < fewest or not np.ptp(times) > 0.0:
+            return
         moves = 2.0 * places[:, 1] / one.samples - 1.0 if turn == "yaw" else np.ones(own.size)
-        yield Series(image, one.name, turn, own, times, moves, shares[own, c], weights[own, c])
+        shares = 1.0 - rows.own[own].power(2).sum(axis=1)
+        middle = 0.5 * (times.min() + times.max())
+        yield Series(image, one.name, turn, own, times - middle, moves, shares, rows.scale[own] ** 2)
 
 
 FALSE_ALARMS = 0.01
@@ -184,7 +133,7 @@ FALSE_ALARMS = 0.01
 _FINE = 6.0
 """Frequencies per reciprocal of the time that an image takes."""
 _ZOOM = 41
-"""Places on either side of a peak where its frequency is looked for."""
+"""Places tried about a peak."""
 _LOWEST = 4.0
 """Periods in that time, of the lowest frequency: what is slower is a drift."""
 _PER_WAVE = 4.0
@@ -369,3 +318,203 @@ def level_of_test(probability: float, width: float, freedom: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if chance(middle, width, freedom) > probability else (low, middle)
     return high
+
+
+
+BLIND = 0.01
+"""Share of a move, on the average, below which residuals count as not showing it: what they show then is of other
+turns, or nothing."""
+_FEWEST = 60
+"""Rays of an image without which nothing is asked."""
+_MOST_NAMED = 12
+_ALIKE = 0.5
+"""Share of a vibration's test that it has elsewhere, where it may be as well."""
+_TRACE, _NEAR = 0.25, 2.0
+"""Of the test of a vibration: what is less sure, of the same turn, and nearer than so many reciprocals of the time, is
+a trace of it: of an amplitude that isn't quite constant, or of two images' vibrations, whose times run otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vibration(Record):
+    """A vibration that residuals show."""
+
+    image: str
+    """Whose residuals show it best."""
+    turn: str
+    """pitch (lines), roll (samples) or yaw (lines, by the sample)."""
+    frequency: float
+    """Hz."""
+    frequency_sigma: float
+    """Hz."""
+    amplitude: float
+    """px, were it of this image alone; of a yaw at the image's edges."""
+    sigma: float
+    """px, of the amplitude."""
+    probability: float
+    """That noise alone shows one as clear at any frequency of this image and turn."""
+    alternatives: tuple[str, ...]
+    """Images, with their turns, of which it may be as well, or in part: residuals don't tell."""
+
+    @property
+    def sentence(self) -> str:
+        """In a sentence."""
+        chance = f"p = {self.probability:.1g}" if self.probability > 1e-12 else "p < 1e-12"
+        way = {"pitch": "along lines", "roll": "along samples", "yaw": "along lines at the edges"}[self.turn]
+        digits = max(2, min(4, 1 - math.floor(math.log10(max(self.frequency_sigma, 1e-9)))))
+        other = ""
+        if self.alternatives:
+            other = f"; or of {', '.join(self.alternatives)}, or of both: residuals show their difference alone"
+        return (
+            f"{self.image}: vibration of {self.frequency:.{digits}f} +- {self.frequency_sigma:.{digits}f} Hz, "
+            f"{self.amplitude:.2f} +- {self.sigma:.2f} px {way} ({self.turn}, or a motion that looks the same; "
+            f"{chance}){other}."
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSpectrum:
+    """What residuals of one image show of one turn of its camera."""
+
+    image: str
+    """Its name."""
+    turn: str
+    """pitch, roll or yaw."""
+    share: float
+    """Of a move along it that residuals show, mean over the rays."""
+    frequencies: Array
+    """(f,) Hz, increasing."""
+    amplitudes: Array
+    """(f,) px, before anything was taken out."""
+    floor: Array
+    """(f,) px, rms of what noise alone shows."""
+    level: Array
+    """(f,) px, amplitude that counts as a vibration, of the phase found there."""
+    peaks: tuple[Peak, ...]
+    """Vibrations that are named here."""
+
+    @property
+    def blind(self) -> bool:
+        """Whether residuals show so little of such a turn that vibrations of it stay unseen: points take them up."""
+        return self.share < BLIND
+
+    @property
+    def limit(self) -> float:
+        """px, amplitude from which on a vibration would be named, median over the frequencies."""
+        return float(np.median(self.level))
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualVibrations(Record):
+    """All that residuals show."""
+
+    spectra: tuple[ImageSpectrum, ...]
+    """Three of each image."""
+    vibrations: tuple[Vibration, ...]
+    """Clearest first."""
+
+    @property
+    def sentences(self) -> list[str]:
+        """Sentences: each vibration, and what would not be seen."""
+        found = [one.sentence for one in self.vibrations]
+        if not found:
+            found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per turn)."]
+        blind = [f"{one.turn} of {one.image}" for one in self.spectra if one.blind and one.turn != "yaw"]
+        if blind:
+            found.append(
+                f"Not seen would be vibrations in {some(blind, len(blind))}: points take them up as heights. To see "
+                "them, give control (laser, terrain model) or a third image."
+            )
+        return found
+
+
+def residual_vibrations(
+    of: Solution | Linearised,
+    false_alarms: float = FALSE_ALARMS,
+    progress: Callable[[int, int], None] = lambda _done, _most: None,
+) -> ResidualVibrations:
+    """Search the residuals of all images for vibrations, of which a share of `false_alarms` of calm turns has one.
+
+    Orientation should not be able to follow the vibrations looked for (polynomials, wide nodes): what close nodes have
+    followed is no longer in residuals. `progress` is called with the number of searches done, and of all at most.
+
+    Raises InputError where no image has rays enough.
+    """
+    residuals = residual_series(of, _FEWEST)
+    able = [SeriesSpectrum(one) for one in residuals.series]
+    found = _Found(residuals, able, false_alarms)
+    while len(found.waves) < _MOST_NAMED and found.next():
+        progress(len(found.waves), _MOST_NAMED)
+    progress(_MOST_NAMED, _MOST_NAMED)
+    return ResidualVibrations(found.spectra(), tuple(found.vibrations))
+
+
+class _Found:
+    """Vibrations named one after another."""
+
+    def __init__(self, residuals: Residuals, able: Sequence[SeriesSpectrum], false_alarms: float) -> None:
+        self._residuals, self._able, self._false_alarms = residuals, able, false_alarms
+        self._values = residuals.values
+        self._first = self._fits()
+        self._now = self._first
+        self.vibrations = list[Vibration]()
+        self.waves = list[tuple[int, Wave]]()
+        """Of each the number of its search; with traces."""
+
+    def _fits(self) -> list[WaveFits]:
+        return [one.fits(self._values[one.series.own]) for one in self._able]
+
+    def next(self) -> bool:
+        """Name the surest, and take it out; False where there is none."""
+        seeing = [k for k, one in enumerate(self._able) if one.series.share >= BLIND]
+        best = min(seeing, key=lambda k: self._now[k].probability, default=-1)
+        if best < 0 or self._now[best].probability > self._false_alarms:
+            return False
+        one = self._able[best]
+        wave = one.wave(self._values[one.series.own], self._now[best])
+        trace = any(self._traces(one, wave, *before) for before in self.waves)
+        near = [each.near(wave.peak.frequency, one.resolution) for each in self._now]
+        self._values = self._values - self._residuals.shown(one.series, wave.moved)
+        self._now = self._fits()
+        # what was as clear in another image, and has gone with it, may as well be that image's
+        alike = tuple(
+            f"{self._able[k].series.name} ({self._able[k].series.turn})" for k in seeing
+            if self._able[k].series.image != one.series.image and near[k] > _ALIKE * near[best]
+            and self._now[k].near(wave.peak.frequency, one.resolution) < _TRACE * near[k]
+        )  # fmt: skip
+        self.waves.append((best, wave))
+        if not trace:
+            self.vibrations.append(_vibration(one.series, wave.peak, alike))
+        return True
+
+    def _traces(self, one: SeriesSpectrum, wave: Wave, number: int, before: Wave) -> bool:
+        """Whether a wave is a trace of one that was named before it."""
+        near = abs(wave.peak.frequency - before.peak.frequency) < _NEAR * one.resolution
+        same = self._able[number].series.turn == one.series.turn
+        return near and same and wave.peak.test < _TRACE * before.peak.test
+
+    def spectra(self) -> tuple[ImageSpectrum, ...]:
+        """Before anything was taken out."""
+        named = {(one.image, one.turn, one.frequency) for one in self.vibrations}
+        return tuple(
+            _spectrum(one, self._first[k], [wave.peak for j, wave in self.waves if j == k], named, self._false_alarms)
+            for k, one in enumerate(self._able)
+        )
+
+
+def _vibration(series: Series, peak: Peak, alternatives: tuple[str, ...]) -> Vibration:
+    spread = math.sqrt(3.0) * peak.sigma / (math.pi * series.duration * peak.amplitude)
+    return Vibration(
+        series.name, series.turn, peak.frequency, spread, peak.amplitude, peak.sigma, peak.probability, alternatives
+    )
+
+
+def _spectrum(
+    one: SeriesSpectrum, fits: WaveFits, peaks: Sequence[Peak], named: set[tuple[str, str, float]], false_alarms: float
+) -> ImageSpectrum:
+    amplitudes, (image, turn) = np.hypot(*fits.values.T), (one.series.name, one.series.turn)
+    needed = level_of_test(false_alarms, one.width, fits.freedom)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = np.where(fits.tests > 0.0, amplitudes * np.sqrt(needed / fits.tests), np.inf)
+    floor = np.sqrt(fits.floor * np.trace(fits.covariance, axis1=1, axis2=2))
+    mine = tuple(peak for peak in peaks if (image, turn, peak.frequency) in named)
+    return ImageSpectrum(image, turn, one.series.share, one.grid, amplitudes, floor, level, mine)

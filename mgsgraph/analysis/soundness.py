@@ -15,7 +15,10 @@ import numpy as np
 from mgsgraph.adjustment.fit import ABSURD, Strained
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import ray_statistics, rejected_points
-from mgsgraph.network import PointClass
+from mgsgraph.files.tie_points import PointKind
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, PointClass, SharedKind, SharedUnknown
+from mgsgraph.network.shared import ground_shift
 
 MOST = 0.5
 """Share of a kind of observations beyond which what is left of it proves nothing."""
@@ -119,3 +122,132 @@ def soundness(solution: Solution) -> Soundness:
 def is_result(solution: Solution) -> bool:
     """Whether a solution may be taken for a result: it came to rest, on observations that prove something."""
     return solution.converged and soundness(solution).sound
+
+
+
+_BEYOND = 5.0
+"""Expected sizes beyond which residuals are named; of 10,000 images none is by chance."""
+_FEWEST_MEASURES = 3
+"""Measures of an image without which nothing is said of it."""
+
+
+class Unexplained(NamedTuple):
+    """An image whose nominal residuals its priors don't explain."""
+
+    image: int
+    """Which."""
+    median: float
+    """pixels, of the length of its residuals."""
+    expected: float
+    """pixels, one sigma of them by the priors of all images together; an upper limit."""
+
+
+class UnexplainedRanges(NamedTuple):
+    """An image whose laser ranges have a mean residual that its orbit's sigmas don't explain."""
+
+    image: int
+    """Which."""
+    mean: float
+    """m, measured minus nominal."""
+    expected: float
+    """m, one sigma of it by those of the orbit, the footprints and the ranges; an upper limit."""
+
+
+
+def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplained, ...]:
+    """Images whose residuals (k, 2), pixels, with the nominal orientation, are too large for the a-priori sigmas of
+    orientation, of passes and of the unknowns that images share.
+    """
+    expected = np.array([_pixels(network, j) for j in range(len(network.images))])
+    whole = float(np.sqrt(np.sum(expected**2)))
+    found = list[Unexplained]()
+    rays, size = network.rays, np.linalg.norm(residuals, axis=1)
+    ground = np.hypot(_place_sigmas(network), _shift_sigmas(network))[rays.point]
+    for j in range(len(network.images)):
+        mine = np.flatnonzero((rays.image == j) & np.isfinite(size))
+        if mine.size < _FEWEST_MEASURES:
+            continue
+        sigma = np.hypot(whole, float(np.median(np.linalg.norm(rays.sigmas[mine], axis=1))))
+        sigma = float(np.hypot(sigma, np.median(ground[mine]) / _scale(network, j)[0]))
+        median = float(np.median(size[mine]))
+        if median > _BEYOND * sigma:
+            found.append(Unexplained(j, median, sigma))
+    return tuple(sorted(found, key=lambda one: -one.median))
+
+
+def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedRanges, ...]:
+    """Images whose range residuals (r,), m, with the nominal orientation, have too large a mean for the a-priori sigmas
+    of orbit and footprints, all of whose errors are taken to be common.
+
+    Nothing is said of images that share unknowns by which ranges change.
+    """
+    ranges, points, found = network.ranges, network.points, list[UnexplainedRanges]()
+    places, shifts = _place_sigmas(network), _shift_sigmas(network)
+    felt = [one for one in network.shared if one.kind.acts_on_ranges or one.kind.moves_footprints]
+    moved = {j for one in felt for j in one.images.tolist()}
+    for j in np.unique(ranges.image).tolist():
+        mine = np.flatnonzero((ranges.image == j) & np.isfinite(residuals))
+        mine = mine[points.kinds[ranges.point[mine]] != PointKind.FREE]
+        if mine.size < _FEWEST_MEASURES or j in moved:
+            continue
+        orbit = 0.0 if network.held[j] else float(np.linalg.norm(_sigmas(network, j)[:, :3]))
+        ground, shift = (float(np.median(one[ranges.point[mine]])) for one in (places, shifts))
+        common = ground, float(np.median(ranges.sigmas[mine])), orbit, shift
+        sigma, mean = float(np.linalg.norm(common)), float(np.mean(residuals[mine]))
+        if abs(mean) > _BEYOND * sigma:
+            found.append(UnexplainedRanges(j, mean, sigma))
+    return tuple(sorted(found, key=lambda one: -abs(one.mean)))
+
+
+def _place_sigmas(network: Network) -> Array:
+    """(n,) m, of the a-priori places of points, all axes together."""
+    return np.asarray(np.sqrt(np.trace(network.points.covariances, axis1=1, axis2=2)))
+
+
+def _shift_sigmas(network: Network) -> Array:
+    """(n,) m, of the shifts of the profiles that points are of, both directions together."""
+    if network.shifts is None:
+        return np.zeros(len(network.points))
+    return np.asarray(np.sqrt(2.0) * np.append(network.shifts.sigmas, 0.0)[network.shifts.profile])
+
+
+def _sigmas(network: Network, image: int) -> Array:
+    """(k, 6) m and rad, of an image's own coefficients; of an image of a pass (1, 6), the largest of its nodes."""
+    owner = int(network.pass_of[image])
+    if owner < 0:
+        return network.priors[image].sigmas
+    one = network.passes[owner]
+    return np.asarray(one.prior.own_sigmas(one.nodes).max(axis=0)[None])
+
+
+def _pixels(network: Network, image: int) -> float:
+    """pixels, by which an image's places are off by one sigma of all that moves them together, at most."""
+    sigmas = np.zeros((1, 6)) if network.held[image] else _sigmas(network, image)
+    spacing, away = _scale(network, image)
+    own = np.hypot(np.linalg.norm(sigmas[:, :3]), np.linalg.norm(sigmas[:, 3:]) * away) / spacing
+    shared = [_shared_pixels(network, image, one, spacing) for one in network.shared]
+    return float(np.hypot(own, np.linalg.norm(shared)))
+
+
+def _shared_pixels(network: Network, image: int, one: SharedUnknown, spacing: float) -> float:
+    """pixels, by which an image's places are off by one sigma of a shared unknown; infinite where that isn't known."""
+    picture = network.images[image]
+    if not (one.of(image) and one.kind.acts_on_rays):
+        return 0.0
+    if one.kind is SharedKind.FOCAL_LENGTH:
+        return float(one.sigmas[0] / picture.interior.focal_length * 0.5 * picture.samples)
+    if one.kind.is_interior:  # m in the focal plane, of radial distortion at the farthest pixel
+        return float(np.linalg.norm(one.sigmas)) / (picture.pixel_angle * picture.interior.focal_length)
+    if not one.kind.moves_pose or picture.trajectory.spin is None:
+        return np.inf
+    moved = np.linalg.norm(ground_shift(picture, one.kind), axis=1)
+    return float(np.linalg.norm(moved * one.sigmas)) / spacing
+
+
+def _scale(network: Network, image: int) -> tuple[float, float]:
+    """In an image's middle: m per line or sample on the ground, the smaller one, and m from the camera to there."""
+    one = network.images[image]
+    line, sample = np.array([0.5 * one.lines]), np.array([0.5 * one.samples])
+    point, derivative = one.image_to_ground(line, sample)
+    away = np.linalg.norm(point[0] - one.pose(line).position[0])
+    return float(np.linalg.norm(derivative[0], axis=0).min()), float(away)

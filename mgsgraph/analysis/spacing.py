@@ -24,10 +24,11 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.rounds import Selection, unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
+from mgsgraph.kernel.sweep import point_covariances
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.support import LEAST, pass_rays, require_supported
 
@@ -123,82 +124,38 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
     return HeldOut(rays, strip, times)
 
 
-def misfits(solution: Solution, held: HeldOut) -> Array:
+def misfits(solution: Solution, held: HeldOut) -> tuple[Array, Array]:
     """(h, 2) px, measured minus predicted line and sample of rays held out, their points where the solution's other
-    rays place them; NaN where these don't, or the point isn't seen.
+    rays place them, and (h, 2, 3) px per m, how these follow their points; NaN where none places them, or sees them.
     """
     network = solution.network
-    found = np.full((held.rays.size, 2), np.nan)
+    found, slopes = np.full((held.rays.size, 2), np.nan), np.full((held.rays.size, 2, 3), np.nan)
     points, images = network.rays.point[held.rays], network.rays.image[held.rays]
     for j in np.unique(images).tolist():
         mine = np.flatnonzero((images == j) & solution.determined[points])
         measured = network.rays.places[held.rays[mine]]
-        predicted, _ = solution.image(j).ground_to_image(
+        predicted, slopes[mine] = solution.image(j).ground_to_image(
             solution.places[points[mine]], solution.correction(j), start=measured[:, 0]
         )
         found[mine] = measured - predicted
-    return found
+    return found, slopes
 
 
-def whitening(network: Network, held: HeldOut, places: Array) -> Array:
+def whitening(solution: Solution, held: HeldOut) -> Array:
     """(h, 2, 2) per px, inverse roots of the covariances that misfits have when orientation is known; NaN where the
     other rays of a point place it nowhere.
-
-    Parameters
-    ----------
-    places : (n, 3)
-        m, of the points, about.
     """
-    points = network.rays.point[held.rays]
-    chosen = np.full(len(network.points), -1)
-    chosen[points] = np.arange(points.size)
-    taken = np.flatnonzero(held.taken(network) & (chosen[network.rays.point] >= 0))
-    owner, known = chosen[network.rays.point[taken]], known_besides_rays(network, points, places)
-    slopes = ray_slopes(network, taken, places) / network.rays.sigmas[taken][:, :, None]
-    seen = np.isfinite(slopes).all(axis=(1, 2))
-    np.add.at(known, owner[seen], np.swapaxes(slopes[seen], 1, 2) @ slopes[seen])
-    own = ray_slopes(network, held.rays, places)
-    spread = own @ point_covariances(known) @ np.swapaxes(own, 1, 2)
-    spread[network.points.kinds[points] == PointKind.FIXED] = 0.0
+    at, network, points = at_solution(solution), solution.network, solution.network.rays.point[held.rays]
+    layout, known = at.layout, np.zeros_like(at.pair_blocks(at.layout))
+    own = point_covariances(
+        at.rows, layout.groups, layout.blocks.target, layout.model, at.orientation, known, at.points
+    )  # fmt: skip
+    _, slopes = misfits(solution, held)
+    spread = slopes @ layout.network_order(own)[points] @ np.swapaxes(slopes, 1, 2)
     spread[:, [0, 1], [0, 1]] += network.rays.sigmas[held.rays] ** 2
     found = np.full_like(spread, np.nan)
     good = np.isfinite(spread).all(axis=(1, 2))
     found[good] = np.linalg.inv(np.linalg.cholesky(spread[good]))
-    return found
-
-
-def known_besides_rays(network: Network, points: Index, places: Array) -> Array:
-    """(h, 3, 3) per m^2, what is known of points without their rays: a-priori place, and height above the terrain."""
-    known = np.zeros((points.size, 3, 3))
-    constrained = network.points.kinds[points] == PointKind.CONSTRAINED
-    known[constrained] = np.linalg.inv(network.points.covariances[points[constrained]])
-    if network.surface is not None:
-        above, normal = network.surface.grid.height_above(places[points])
-        weight = np.where(np.isfinite(above), network.surface.sigmas[points] ** -2.0, 0.0)
-        normal = np.where(np.isfinite(above)[:, None], normal, 0.0)  # NaN off the model, even of no weight
-        known += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
-    return known
-
-
-def ray_slopes(network: Network, rays: Index, places: Array) -> Array:
-    """(m, 2, 3) px per m, how the line and sample of rays follow their points, nominally."""
-    found = np.full((rays.size, 2, 3), np.nan)
-    points, images = network.rays.point[rays], network.rays.image[rays]
-    for j in np.unique(images).tolist():
-        mine = np.flatnonzero((images == j) & np.isfinite(places[points]).all(axis=1))
-        start = network.rays.places[rays[mine], 0]
-        found[mine] = network.images[j].ground_to_image(places[points[mine]], start=start)[1]
-    return found
-
-
-def point_covariances(matrices: Array) -> Array:
-    """Inverses of (h, 3, 3); NaN where one is singular, as of a point that nothing places."""
-    found = np.full_like(matrices, np.nan)
-    scale = np.trace(matrices, axis1=1, axis2=2) / 3.0
-    good = np.isfinite(scale) & (scale > 0.0)
-    values = np.linalg.eigvalsh(matrices[good] / scale[good, None, None])
-    good[good] = values[:, 0] > 1e-10
-    found[good] = np.linalg.inv(matrices[good])
     return found
 
 
@@ -227,20 +184,6 @@ class SpacingCandidate:
         """Root mean square of the whitened misfits; 1 is noise."""
         return float(np.sqrt(self.squares.mean())) if self.squares.size else float("nan")
 
-    @property
-    def median(self) -> float:
-        """Robust rms of the whitened misfits, from the median; 1 is noise."""
-        return float(np.sqrt(2.0 * np.median(self.squares))) / _MEDIAN if self.squares.size else float("nan")
-
-    @property
-    def median_error(self) -> float:
-        """Its standard error: half the distance of the quantiles half a standard error of a rank beside the median."""
-        if not self.squares.size:
-            return float("nan")
-        beside = 0.5 / np.sqrt(self.squares.size)
-        low, high = np.quantile(self.squares, [max(0.5 - beside, 0.0), min(0.5 + beside, 1.0)])
-        return float(np.sqrt(2.0 * high) - np.sqrt(2.0 * low)) / 2.0 / _MEDIAN
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
@@ -266,8 +209,6 @@ class Choice:
     """Rays held out that no candidate can predict, and that count for none."""
     unjudged: int
     """Rays held out that count for none, as nothing else places their points well enough."""
-    closest: int
-    """Closest candidate that can be adjusted with all rays."""
     rejected: int
     """Rays that took part with no candidate, as blunders of the adjustment of all rays with its nodes."""
 
@@ -323,32 +264,27 @@ def choose_spacing(
         Where there is nothing to choose from, or nothing to judge by.
     """
     require_respaceable(network)
-    held = hold_out(network, share, np.random.default_rng(seed))
-    tried, plain = _distinct(network, spacings), replace(settings, reject=0.0)
+    tried, clean, rejected = _distinct(network, spacings), network, None
     progress(0, len(tried) + 1)
-    closest, whole = _closest(tried, settings, least)
-    clean = network
     if settings.reject > 0.0:
-        clean = network.with_rejected(whole.rays_rejected, whole.ranges_rejected)
-        held = hold_out(clean, share, np.random.default_rng(seed))
-    trials = list[_Trial]()
+        whole = _closest(tried, settings, least)
+        clean, rejected = network.with_rejected(whole.rays_rejected, whole.ranges_rejected), whole.rays_rejected
+    held = hold_out(clean, share, np.random.default_rng(seed))
+    trials, plain = list[_Trial](), replace(settings, reject=0.0)
     for done, (spacing, one) in enumerate(tried):
         progress(done + 1, len(tried) + 1)
         trials.append(_trial(spacing, replace(clean, passes=one.passes), plain, held, least))
     progress(len(tried) + 1, len(tried) + 1)
-    return _choice(network, _judged(clean, trials, held), closest, whole)
+    return _choice(network, trials, held, 0 if rejected is None else int(np.count_nonzero(rejected)))
 
 
-def _closest(tried: Sequence[tuple[float, Network]], settings: SolverSettings, least: int) -> tuple[int, Solution]:
-    """The closest spacing that all rays support, and the adjustment with it; without a blunder limit known blunders, as
-    the network marks them, take no part.
-    """
+def _closest(tried: Sequence[tuple[float, Network]], settings: SolverSettings, least: int) -> Solution:
+    """The adjustment of all rays with the closest spacing that they support."""
     said = ""
-    for k, (spacing, one) in enumerate(tried):
-        name = f"nodes every {spacing:g} s"
+    for spacing, one in tried:
         try:
             require_supported(one, least)
-            return k, adjust_network(one, settings, name, left_in=None if settings.reject > 0.0 else unmarked(one))
+            return adjust_network(one, settings, f"nodes every {spacing:g} s")
         except (InputError, WeakNetwork, SolverError) as error:
             said = f"0 of {len(tried)} that can be adjusted, two needed; of {spacing:g} s: {error}"
     raise InputError("candidate spacings", said)
@@ -386,31 +322,17 @@ def _trial(spacing: float, network: Network, settings: SolverSettings, held: Hel
         solution = adjust_network(network, settings, f"nodes every {spacing:g} s", left_in=held.left_in(network))
     except (InputError, WeakNetwork, SolverError) as error:
         return _Trial(spacing, network, None, np.zeros((0, 2)), str(error))
-    return _Trial(spacing, network, solution, misfits(solution, held), "")
+    return _Trial(spacing, network, solution, misfits(solution, held)[0], "")
 
 
-class _Judged(NamedTuple):
-    """Whitened misfits of the rays held out, trial by trial."""
-
-    candidates: tuple[SpacingCandidate, ...]
-    """One for each trial."""
-    stretch: Index
-    """(h,) stretch of time of each ray that is judged."""
-    blunders: int
-    """Number of rays that no candidate can predict."""
-    unjudged: int
-    """Number of rays whose points nothing else determines well enough."""
-
-
-def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> _Judged:
-    good = [k for k, trial in enumerate(trials) if trial.solution is not None]
+def _choice(network: Network, trials: Sequence[_Trial], held: HeldOut, rejected: int) -> Choice:
+    solved = {k: trial.solution for k, trial in enumerate(trials) if trial.solution is not None}
+    good = list(solved)
     if len(good) < 2:
         last = [trial for trial in trials if trial.refused][-1]
         found = f"{len(good)} of {len(trials)} that can be adjusted, two needed"
         raise InputError("candidate spacings", f"{found}; of {last.spacing:g} s: {last.refused}")
-    solution = trials[good[0]].solution
-    assert solution is not None
-    roots = whitening(network, held, solution.places)
+    roots = whitening(solved[good[0]], held)
     squares = np.stack([0.5 * np.sum(np.einsum("hij,hj->hi", roots, trials[k].misfits) ** 2, axis=1) for k in good])
     judged = np.all(np.isfinite(squares), axis=0)
     if np.count_nonzero(judged) < 2:
@@ -421,8 +343,16 @@ def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> _Judge
     kept = judged & ~blunder
     of_trial = {k: row[kept] for k, row in zip(good, squares, strict=True)}
     candidates = tuple(_candidate(trial, of_trial.get(k, np.zeros(0))) for k, trial in enumerate(trials))
-    blunders, unjudged = int(np.count_nonzero(blunder)), int(np.count_nonzero(~judged))
-    return _Judged(candidates, _stretches(trials, held)[kept], blunders, unjudged)
+    best, stretch = min(good, key=lambda k: candidates[k].rms), _stretches(trials, held)[kept]
+    worse, errors, rms_errors = (np.full(len(candidates), np.nan) for _ in range(3))
+    for k in good:
+        difference = of_trial[k] - of_trial[best]
+        worse[k], errors[k] = float(difference.mean()), error_of_mean(difference, stretch)
+        rms_errors[k] = error_of_mean(of_trial[k], stretch) / (2.0 * candidates[k].rms)
+    return Choice(
+        network, candidates, stretch, rms_errors, worse, errors, best, max(k for k in good if worse[k] <= errors[k]),
+        int(np.count_nonzero(blunder)), int(np.count_nonzero(~judged)), rejected,
+    )  # fmt: skip
 
 
 def _candidate(trial: _Trial, squares: Array) -> SpacingCandidate:
@@ -444,32 +374,6 @@ def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
         found[mine] = first + np.clip(inside, 0, count - 1)
         first += count
     return found
-
-
-def _choice(network: Network, judged: _Judged, closest: int, whole: Solution) -> Choice:
-    candidates = judged.candidates
-    good = [k for k, one in enumerate(candidates) if not one.refused]
-    best = min(good, key=lambda k: candidates[k].rms)
-    worse, errors, rms_errors = (np.full(len(candidates), np.nan) for _ in range(3))
-    for k in good:
-        one = candidates[k]
-        difference = one.squares - candidates[best].squares
-        worse[k], errors[k] = float(difference.mean()), error_of_mean(difference, judged.stretch)
-        rms_errors[k] = error_of_mean(one.squares, judged.stretch) / (2.0 * one.rms)
-    return Choice(
-        network=network,
-        candidates=candidates,
-        stretch=judged.stretch,
-        rms_errors=rms_errors,
-        worse=worse,
-        worse_errors=errors,
-        best=best,
-        chosen=max(k for k in good if worse[k] <= errors[k]),
-        blunders=judged.blunders,
-        unjudged=judged.unjudged,
-        closest=closest,
-        rejected=0 if whole.rays_rejected is None else int(np.count_nonzero(whole.rays_rejected)),
-    )
 
 
 def error_of_mean(values: Array, stretch: Index) -> float:

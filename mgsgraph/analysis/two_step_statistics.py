@@ -16,8 +16,7 @@ import numpy as np
 
 from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
-from mgsgraph.analysis.flight import overhead, point_sigmas, pose_sigmas
-from mgsgraph.analysis.statistics import mean_and_rms
+from mgsgraph.analysis.statistics import flight_axes_at, mean_and_rms, pose_sigmas, sigmas_along
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -178,10 +177,10 @@ def _sigmas(steps: TwoSteps, before: Array, rays: Index) -> Array:
     velocities = np.empty((rays.size, 3))
     for j in np.unique(image).tolist():
         mine = image == j
-        velocities[mine] = overhead(network.images[j], network.rays.places[rays[mine], 0])
-    places = steps.fitted.places[points]
+        velocities[mine] = network.images[j].pose(network.rays.places[rays[mine], 0]).velocity
+    axes = flight_axes_at(steps.fitted.places[points], velocities)
     covariances = (before, steps.free.covariances, steps.fitted.covariances)
-    return np.stack([point_sigmas(one[points], places, velocities) for one in covariances])
+    return np.stack([sigmas_along(axes, one[points]) for one in covariances])
 
 
 def _poses(steps: TwoSteps, image: int) -> Array:

@@ -272,9 +272,7 @@ def adjust(case: Case, progress: "Callable[[Iteration], None]" = lambda _: None)
     from mgsgraph.analysis.process_strengths import estimated_strengths
 
     if any(one.asks_for_strengths for one in case.network.passes):
-        return estimated_strengths(
-            case.network, case.settings, rays=False, name=case.name, progress=progress
-        ).solution
+        return estimated_strengths(case.network, case.settings, name=case.name, progress=progress).solution
     return adjust_network(case.network, case.settings, case.name, progress)
 
 

@@ -112,7 +112,7 @@ def adjust(
         ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, verbose) else 1)
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         if estimating:
-            found = estimated_strengths(read.network, settings, rays=False, name=read.name, progress=bar)
+            found = estimated_strengths(read.network, settings, name=read.name, progress=bar)
             solution, said = found.solution, found.sentences
         else:
             solution, said = adjust_network(read.network, settings, read.name, bar, workers), []

@@ -49,7 +49,7 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
 @click.option(
     "--reliability", type=click.IntRange(1), metavar="N", help="Redundancy and tests of all measures, N worst shown."
 )
-@click.option("--snoop", is_flag=True, help="Adjust again without what data snooping finds.")
+@click.option("--snoop", is_flag=True, help="Adjust again with the blunder search of adjust --reject.")
 @click.option("--alpha", type=float, help="Baarda's level, share of false alarms; 0.001 when absent.")
 @click.option("--power", type=float, help="Share of minimal detectable blunders that are found; 0.8 when absent.")
 @click.option(

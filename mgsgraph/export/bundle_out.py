@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.flight import prior_sigmas
-from mgsgraph.analysis.statistics import PLACES, local_sigmas, rejected_points, used_ray_counts
+from mgsgraph.analysis.statistics import PLACES, local_sigmas, prior_sigmas, rejected_points, used_ray_counts
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import picked, quoted
 from mgsgraph.files.tie_points import PointKind

@@ -22,7 +22,7 @@ import numpy as np
 import shapely
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.overlap_sigmas import SigmaGrid
+from mgsgraph.analysis.places import SigmaGrid
 from mgsgraph.atomic_write import made_beside
 from mgsgraph.errors import InputError, library
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers

@@ -213,7 +213,7 @@ def _asp(solution: Solution, folder: Path, settings: ExportSettings, path: Path)
 
 
 def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
-    from mgsgraph.analysis.overlap_sigmas import sigma_grid
+    from mgsgraph.analysis.places import sigma_grid
     from mgsgraph.analysis.posterior import Posterior
     from mgsgraph.export.gis import write_gis
 

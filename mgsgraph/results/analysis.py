@@ -7,25 +7,26 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.analysis.components import Components, components_of, iterated_components
 from mgsgraph.analysis.likelihood import LEVELS, Profile, linearity_of
 from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.residual_spectrum import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.separability import inseparable
-from mgsgraph.analysis.snooping import snoop
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
-from mgsgraph.analysis.vibrations import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.results.answers import Questions, answered
-from mgsgraph.results.reliability import reliability_section, snooping_section
+from mgsgraph.results.reliability import reliability_section
 from mgsgraph.results.section import Section, drawn, write_sections
 from mgsgraph.results.sigmas import curve_section, raster_section
 from mgsgraph.results.soundness import linearity_section
+from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
 
 _EXPECTED = ", ".join(f"{100.0 * share:.3g}" for share in PROMISED)
@@ -203,12 +204,31 @@ def _iterated(posterior: Posterior) -> Section:
 
 
 def _snooped(posterior: Posterior, levels: Levels) -> Section:
-    """Always by plain least squares, and beginning with all measures: that is what the tests presume."""
-    settings = posterior.linearised.settings
-    found = snooping_section(snoop(posterior.network, replace(settings, loss="none", reject=0.0), levels))
-    if settings.loss == "none" and settings.reject == 0.0:
-        return found
-    return replace(found, title="By plain least squares, without the loss and the blunder limit of this solution")
+    """By plain least squares, beginning with all measures, as the tests presume: those of `adjust --reject`."""
+    network, limit = posterior.network, levels.critical
+    found = adjust_network(network, replace(posterior.linearised.settings, loss="none", reject=limit))
+    rays, ranges, ids, images = network.rays, network.ranges, network.points.ids, network.images
+    gone = dict[int, list[str]]()
+    for kind, marks, points, of in (
+        ("ray", found.rays_rejected, rays.point, rays.image),
+        ("range", found.ranges_rejected, ranges.point, ranges.image),
+        ("height above the stereo surface", found.stereo_rejected, np.arange(len(ids)), None),
+    ):
+        for k in np.flatnonzero(np.zeros(0) if marks is None else marks).tolist():
+            name = f"{kind} of point {ids[points[k]]}" + (f" in image {images[of[k]].name}" if of is not None else "")
+            gone.setdefault(int(points[k]), []).append(name)
+    left = reliability(found, levels)
+    over = np.flatnonzero(left.severity > 1.0)
+    still = some(left.names(over[:NAMED]), over.size)
+    said = (
+        f"The search of `adjust --reject {limit:.3g}` leaves out measurements of {many(len(gone), 'point')}; sigma0 is "
+        f"{found.sigma0:.4g} now. Still over the critical value: {still or 'nothing'}."
+    )
+    names = Column("measures", [some(each, len(each)) for each in gone.values()], text="<", gap=2)
+    return Section("snooping", sentences=[said], tables=[Table("snooping", "Left out", (names,))], numbers={
+        "limit": limit, "sigma0": found.sigma0, "removed": [{"measures": each} for each in gone.values()],
+        "still_over": left.names(over),
+    })  # fmt: skip
 
 
 def _weak(posterior: Posterior, count: int) -> Section:

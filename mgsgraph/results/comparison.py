@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.statistics import PLACES, CommonPoints
+from mgsgraph.analysis.estimates import CommonPoints
+from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.table import Column, Table, cut

@@ -1,4 +1,4 @@
-"""Reliability and data snooping as people and programs read them: the table by suspicion, and all measures as CSV."""
+"""Reliability as people and programs read them: the table by suspicion, and all measures as CSV."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.analysis.reliability import Reliability, Suspect, suspects
-from mgsgraph.analysis.snooping import Snooping
 from mgsgraph.files.output.csv_json import picked
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.section import Section
 from mgsgraph.text import NAMED, many, some
@@ -84,25 +83,3 @@ def reliability_table(found: Reliability, rows: Index | None = None) -> Table:
         Column("joint_test", known(table.joint), meaning="of the whole ray or a-priori place, chi-square"),
         Column("joint_dimensions", known(table.dimensions), meaning="those that something controls"),
     ))  # fmt: skip
-
-
-def snooping_section(found: Snooping) -> Section:
-    """What data snooping has removed, in its order."""
-    said = (
-        f"Data snooping removed {many(len(found.removals), 'group')} of measurements in "
-        f"{many(found.adjustments, 'adjustment')}{'' if found.complete else ', and stopped before its end'}; "
-        f"{many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now."
-    )
-    removed = Table("snooping", "Removed, in this order", (
-        Column("test", np.sqrt(numbers(found.removals, "test")), text=">8.2f"),
-        Column("limit", np.sqrt(numbers(found.removals, "critical")), text=">8.2f"),
-        Column("measures", [some(one.names, len(one.names)) for one in found.removals], text="<", gap=2),
-    ))  # fmt: skip
-    return Section("snooping", sentences=[said], tables=[removed], numbers={
-        "adjustments": found.adjustments, "complete": found.complete, "sigma0": found.solution.sigma0,
-        "removed": [
-            {"measures": list(one.names), "test": one.test, "dimensions": one.dimensions, "critical": one.critical}
-            for one in found.removals
-        ],
-        "readmitted": [list(one.names) for one in found.readmitted],
-    })  # fmt: skip

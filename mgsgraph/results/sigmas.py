@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.frames import FLIGHT_NAMES
-from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
+from mgsgraph.analysis.places import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.output.geotiff import geotiff

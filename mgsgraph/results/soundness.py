@@ -14,9 +14,8 @@ from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.fit import ABSURD, IMPOSSIBLE
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
-from mgsgraph.analysis.input_checks import unexplained_ranges, unexplained_residuals
 from mgsgraph.analysis.residual_tests import ODDS, GroupFit, group_fits
-from mgsgraph.analysis.soundness import MOST, Loss, soundness
+from mgsgraph.analysis.soundness import MOST, Loss, soundness, unexplained_ranges, unexplained_residuals
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array

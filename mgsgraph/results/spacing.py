@@ -36,8 +36,6 @@ def candidates_table(choice: Choice) -> Table:
                json="longest_interval_s"),
         Column("rms", numbers(several, "rms"), text=">8.4f"),
         Column("rms_error", np.asarray(choice.rms_errors), label="+-", text=">7.4f"),
-        Column("median", numbers(several, "median"), text=">8.4f"),
-        Column("median_error", numbers(several, "median_error"), label="+-", text=">7.4f"),
         Column("worse", np.asarray(choice.worse), text=">9.4f", json="worse_than_best"),
         Column("worse_error", np.asarray(choice.worse_errors), label="+-", text=">8.4f"),
         Column("sigma0", numbers(several, "sigma0"), text=">8.4f"),
@@ -57,9 +55,8 @@ def node_statements(choice: Choice) -> list[str]:
     if chosen is good[0] or chosen is good[-1]:
         end, other = ("closest", "closer") if chosen is good[0] else ("widest", "wider")
         found.append(f"That is the {end} candidate that could be adjusted: a {other} one may be better.")
-    closest = choice.candidates[choice.closest].spacing
     for count, why in (
-        (choice.rejected, f"rejected as blunders, with nodes every {closest:g} s, took part with no candidate"),
+        (choice.rejected, f"rejected as blunders, with nodes every {good[0].spacing:g} s, took part with no candidate"),
         (choice.blunders, "held out that no candidate can predict (blunders) don't count"),
         (choice.unjudged, "held out have no prediction (no other rays place their points) and don't count"),
     ):
@@ -76,7 +73,7 @@ def nodes_section(choice: Choice, name: str) -> Section:
         "blunders_held_out": choice.blunders,
         "unjudged_held_out": choice.unjudged,
         "rays_rejected": choice.rejected,
-        "closest_s": choice.candidates[choice.closest].spacing,
+        "closest_s": next(one.spacing for one in choice.candidates if not one.refused),
         "candidates": candidates.drop("standing").records(),
         "best_s": best.spacing,
         "chosen_s": choice.spacing,

@@ -12,8 +12,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import orientation_profile
-from mgsgraph.analysis.components import group_redundancy
-from mgsgraph.analysis.grouping import group_rows, scaled
+from mgsgraph.analysis.grouping import group_redundancy, group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Posterior

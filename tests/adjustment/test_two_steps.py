@@ -24,7 +24,7 @@ from mgsgraph.adjustment.two_steps import (
     without_heights,
     without_terrain,
 )
-from mgsgraph.analysis.flight import flight_axes_at, pose_sigmas
+from mgsgraph.analysis.statistics import flight_axes_at, pose_sigmas
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior

@@ -25,8 +25,7 @@ from mgsgraph.analysis.components import (
     iterated_components,
     judge_groups,
 )
-from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.helmert import CORRELATED, Redundancy, group_redundancy
+from mgsgraph.analysis.grouping import CORRELATED, Grouping, Redundancy, group_redundancy, group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.residual_tests import (
     PROMISED,

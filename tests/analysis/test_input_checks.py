@@ -9,7 +9,7 @@ from rigs import adjusted_rig, rig
 
 from mgsgraph.adjustment.adjust import predict
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.input_checks import unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.soundness import unexplained_ranges, unexplained_residuals
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements

@@ -9,7 +9,7 @@ from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.analysis.places import sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind

@@ -1,4 +1,4 @@
-"""Data snooping: planted blunders go, good measures stay, what can't be told apart goes together."""
+"""`analyze --snoop`: planted blunders go, good measures stay, what can't be told apart goes together."""
 
 from dataclasses import replace
 from functools import cache
@@ -12,11 +12,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import components_of, iterated_components
 from mgsgraph.analysis.linearised import at_solution, at_values
-from mgsgraph.analysis.measures import Levels, MeasureKind
-from mgsgraph.analysis.reliability import reliability
-from mgsgraph.analysis.snooping import Removal, Snooping, nothing_rejected, readmissible, selection, snoop
-from mgsgraph.errors import InputError
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.network import Network
+from mgsgraph.results.analysis import Wanted, analysed
+from mgsgraph.results.section import Section
 from mgsgraph.simulation.observations import NoiseSettings
 
 TIE, SHOT, RANGE, PLACE = 3, 45, 8, 50
@@ -46,131 +45,45 @@ def planted() -> Network:
 
 
 @cache
-def snooped() -> Snooping:
-    return snoop(planted())
+def snooped() -> Section:
+    (found,) = analysed(Posterior.of(adjust_network(planted(), SolverSettings())), Wanted(snooped=True), "pair")
+    return found
 
 
 def test_planted_blunders_go_and_nothing_else_does() -> None:
-    found = snooped()
-    gone = {observation for one in found.removals for observation in one.observations}
-    ties = np.flatnonzero(planted().rays.point == TIE).tolist()
-    shot = int(np.flatnonzero(planted().rays.point == SHOT)[0])
-    assert gone == {
-        *((MeasureKind.RAY, k) for k in (*ties, shot)),
-        (MeasureKind.RANGE, RANGE),
-        (MeasureKind.GROUND, PLACE),
-    }
-    assert found.complete
-    assert found.reliability.severity.max() <= 1.0
-    assert found.solution.sigma0 == pytest.approx(adjust_network(clean(), SolverSettings()).sigma0, abs=0.1)
-
-
-def test_a_tie_with_two_rays_goes_as_a_point() -> None:
-    one = next(one for one in snooped().removals if one.point == TIE)
-    assert len(one.observations) == len(one.names) == 2
-    assert not snooped().solution.determined[TIE]
-    assert one.names[0].startswith("ray of point TIE00004 in image SIM/")
-
-
-def test_several_go_at_a_time_where_they_do_not_disturb_each_other() -> None:
-    found = snooped()
-    assert found.adjustments <= 4
-    assert len({one.point for one in found.removals if one.adjustment == 1}) > 1
-
-
-def test_what_only_seemed_wrong_is_taken_back() -> None:
-    """The point with a wrong place has a precise range: that seems wrong first."""
-    found = snooped()
-    assert [one.observations for one in found.readmitted] == [((MeasureKind.RANGE, PLACE - 40),)]
-    assert not found.taken.ranges[PLACE - 40]
-
-
-def test_marks_are_those_of_a_network() -> None:
-    found = snooped()
-    marked = found.taken.marked(planted())
-    again = at_values(marked, found.solution.settings, found.solution.values, found.solution.places)
-    table = reliability(again).measures
-    assert np.allclose(table.test, found.reliability.measures.test, atol=1e-3, equal_nan=True)
-    assert np.array_equal(found.solution.rays_rejected, found.taken.rays)
-    assert np.array_equal(found.solution.ranges_rejected, found.taken.ranges)
-
-
-def test_known_blunders_stay_out_of_honest_sigmas() -> None:
-    taken, solution = snooped().taken, snooped().solution
-    marked = solution.network
-    assert np.array_equal(marked.rays.rejected, taken.rays)
-    one = components_of(at_values(marked, solution.settings, solution.values, solution.places))
-    first = iterated_components(marked, solution.settings, most=1)
-    assert not np.any(first.solution.rays_used & taken.rays)
-    assert not np.any(first.solution.ranges_used & taken.ranges)
-    for group, again in zip(one.groups, first.components.groups, strict=True):
-        assert (again.name, again.rows) == (group.name, group.rows)
-        assert again.squares == pytest.approx(group.squares, rel=1e-4)
-    rest = iterated_components(marked, solution.settings)
-    assert rest.components["tie image points"].factor == pytest.approx(one["tie image points"].factor, rel=0.05)
-    judged_anew = iterated_components(marked, replace(solution.settings, reject=1e4), most=1).solution
-    assert np.any(judged_anew.rays_used & taken.rays)
-
-
-def test_degrees_of_freedom_are_those_of_what_is_left() -> None:
-    found = snooped()
-    assert found.reliability.degrees_of_freedom == pytest.approx(found.solution.fit.degrees_of_freedom, abs=1e-4)
+    """A tie with two rays goes as a point, and so does what contradicts a wrong a-priori place."""
+    record = snooped().numbers
+    removed = [one["measures"] for one in record["removed"]]
+    assert [f"ray of point TIE00004 in image SIM/{image}" for image in "AB"] in removed
+    assert {names[0].split()[3] for names in removed} == {"TIE00004", "SHOT00006", "SHOT00009", "SHOT00011"}
+    assert record["still_over"] == []
+    assert record["sigma0"] == pytest.approx(adjust_network(clean(), SolverSettings()).sigma0, abs=0.1)
+    assert record["limit"] == pytest.approx(3.29, abs=0.001)
+    assert "measurements of 4 points" in snooped().text(None)
 
 
 def test_a_clean_network_is_left_alone() -> None:
-    found = snoop(clean())
-    assert found.removals == ()
-    assert found.adjustments == 1
+    (found,) = analysed(Posterior.of(adjust_network(clean(), SolverSettings())), Wanted(snooped=True), "pair")
+    assert found.numbers["removed"] == found.numbers["still_over"] == []
 
 
-def test_no_more_goes_than_is_allowed() -> None:
-    found = snoop(planted(), most=2)
-    assert len(found.removals) <= 2
-    assert not found.complete
-
-
-def test_wider_levels_take_less() -> None:
-    net, _ = ray(clean(), SHOT, (0.0, 35.0))
-    assert len(snoop(net, levels=Levels(alpha=0.05)).removals) >= len(snoop(net, levels=Levels(alpha=1e-9)).removals)
-
-
-def test_many_blunders_need_few_adjustments() -> None:
-    net = network(pair(ties=150, shots=20))
-    rng, places = np.random.default_rng(4), net.rays.places.copy()
-    wrong = rng.choice(150, 12, replace=False)
-    for point in wrong:
-        places[np.flatnonzero(net.rays.point == point)[0], 0] += rng.choice([-1.0, 1.0]) * rng.uniform(15.0, 40.0)
-    found = snoop(replace(net, rays=replace(net.rays, places=places)))
-    alarms = reliability(adjust_network(net, SolverSettings()))
-    alarms = alarms.measures.point[alarms.suspected]  # there are some among 300 tests, whatever is planted
-    assert {one.point for one in found.removals} - set(alarms.tolist()) == set(wrong.tolist())
-    assert found.adjustments <= 6
-
-
-@pytest.mark.parametrize(("point", "which"), [(SHOT, [0]), (TIE, [0, 1])])
-def test_what_is_out_is_judged_as_it_would_be_if_it_were_in(point: int, which: list[int]) -> None:
-    """The test of an error of prediction is the joint test that the rows, or the point, have when they take part."""
-    net, settings = clean(), SolverSettings()
-    table = reliability(adjust_network(net, settings)).measures
-    rays = np.flatnonzero(net.rays.point == point)[which].tolist()
-    joint = table.joint[(table.kind == MeasureKind.RAY) & (table.row == rays[0])][0]
-    taken = nothing_rejected(net).changed([(MeasureKind.RAY, k) for k in rays], True)
-    solution = adjust_network(net, settings, left_in=selection(net, taken))
-    names = tuple((MeasureKind.RAY, k) for k in rays)
-    removal = Removal(names, ("ray",) * len(rays), point, 0.0, 2, 0.0, 1)
-    for share, agrees in ((0.97, False), (1.03, True)):
-        limit = share * float(joint)
-        back = readmissible(net, at_solution(solution), solution, taken, [removal], lambda _, limit=limit: limit)
-        assert bool(back) is agrees
-
-
-def test_it_presumes_least_squares() -> None:
-    with pytest.raises(InputError, match="data snooping: loss 'huber'; expected 'none'"):
-        snoop(clean(), SolverSettings(loss="huber"))
-    with pytest.raises(InputError, match="data snooping: reject = 3; expected 0"):
-        snoop(clean(), SolverSettings(reject=3.0))
-    with pytest.raises(InputError, match="most: -1; expected 0 or more"):
-        snoop(clean(), most=-1)
+def test_known_blunders_stay_out_of_honest_sigmas() -> None:
+    solution = adjust_network(planted(), SolverSettings(reject=4.0))
+    rays, ranges = solution.rays_rejected, solution.ranges_rejected
+    assert rays is not None and ranges is not None and np.any(rays)  # noqa: PT018
+    marked = planted().with_rejected(rays, ranges, solution.stereo_rejected)
+    settings = SolverSettings()
+    one = components_of(at_values(marked, settings, solution.values, solution.places))
+    first = iterated_components(marked, settings, most=1)
+    assert not np.any(first.solution.rays_used & rays)
+    assert not np.any(first.solution.ranges_used & ranges)
+    for group, again in zip(one.groups, first.components.groups, strict=True):
+        assert (again.name, again.rows) == (group.name, group.rows)
+        assert again.squares == pytest.approx(group.squares, rel=1e-4)
+    rest = iterated_components(marked, settings)
+    assert rest.components["tie image points"].factor == pytest.approx(one["tie image points"].factor, rel=0.05)
+    judged_anew = iterated_components(marked, replace(settings, reject=1e4), most=1).solution
+    assert np.any(judged_anew.rays_used & rays)
 
 
 @cache
@@ -186,17 +99,6 @@ def off_the_surface() -> Network:
         net, ranges=replace(net.ranges, values=values), points=replace(net.points, places=places),
         stereo=replace(net.stereo, sigmas=sigmas),
     )  # fmt: skip
-
-
-def test_a_shot_beside_the_stereo_surface_is_found_by_the_test_of_its_height() -> None:
-    """No ray says where it is, so that it may as well lie elsewhere on the slope: its place goes with the height."""
-    found = snoop(off_the_surface())
-    one = found.removals[0]
-    assert one.observations == ((MeasureKind.STEREO, SHOT), (MeasureKind.GROUND, SHOT))
-    assert np.sqrt(one.test) == pytest.approx(30.0 / np.hypot(4.0, 0.7), rel=0.2)
-    assert np.flatnonzero(found.solution.stereo_rejected).tolist() == [SHOT]
-    assert not found.solution.stereo_used[SHOT]
-    assert found.reliability.measures.redundancy.sum() == pytest.approx(found.solution.fit.degrees_of_freedom, abs=1e-4)
 
 
 @pytest.mark.parametrize("settings", [SolverSettings(reject=4.0), SolverSettings(loss="tukey")])

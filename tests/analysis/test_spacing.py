@@ -141,7 +141,7 @@ def test_prediction_knows_nothing_of_the_ray() -> None:
     places[held.rays] += [20.0, -10.0]
     moved = replace(net, rays=replace(net.rays, places=places))
     before, after = (
-        misfits(adjust_network(one, SolverSettings(), left_in=held.left_in(one)), held) for one in (net, moved)
+        misfits(adjust_network(one, SolverSettings(), left_in=held.left_in(one)), held)[0] for one in (net, moved)
     )
     np.testing.assert_allclose(after - before, np.broadcast_to([20.0, -10.0], before.shape), atol=1e-6)
 
@@ -150,7 +150,7 @@ def test_misfits_of_a_known_orientation_are_noise_of_unit_size() -> None:
     net = block(errors=EXACT, points=2000).network
     held = hold_out(net, 1.0, np.random.default_rng(2))
     solution = adjust_network(net, SolverSettings(), left_in=held.left_in(net))
-    white = np.einsum("hij,hj->hi", whitening(net, held, solution.places), misfits(solution, held))
+    white = np.einsum("hij,hj->hi", whitening(solution, held), misfits(solution, held)[0])
     assert white.shape == (2000, 2)
     for squares in (white**2).T:
         assert squares.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 2000))
@@ -227,7 +227,6 @@ def test_blunders_do_not_choose() -> None:
     )  # fmt: skip
     made = simulate_hrsc_block(settings, 1)
     choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0, 10.0])
-    assert choice.candidates[choice.closest].spacing == 4.0
     assert 0.8 * made.blunders.sum() < choice.rejected < 1.5 * made.blunders.sum()
     assert choice.spacing == 4.0
     assert all(one.sigma0 < 1.8 for one in choice.candidates)  # 9 with the blunders

@@ -11,10 +11,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.residual_spectrum import Series, SeriesSpectrum, residual_series
-from mgsgraph.analysis.vibrations import residual_vibrations
+from mgsgraph.analysis.residual_spectrum import Series, SeriesSpectrum, residual_series, residual_vibrations
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.results.figures.vibrations import vibrations_sheet
 from mgsgraph.simulation.ctx import (
     PIXEL,
@@ -108,16 +108,17 @@ def test_amplitude_counts_what_the_points_took_up() -> None:
 
 def test_what_a_turn_shows_is_what_adjustment_leaves_of_it() -> None:
     """Rays of one image moved by hand, and adjusted again: residuals change as predicted."""
-    mine, solution = case()
+    pair, solution = case()
     residuals = residual_series(solution, 60)
     one = next(each for each in residuals.series if (each.image, each.turn) == (0, "pitch"))
     moved = 0.5 * np.cos(2.0 * np.pi * 3.0 * one.times)
-    rays = mine.network.rays
+    rays = pair.network.rays
     places = np.array(rays.places)
-    places[residuals.rays[one.own], 0] += moved
-    other = adjust_network(replace(mine.network, rays=replace(rays, places=places)), SolverSettings(starts=0))
-    change = (other.residuals - solution.residuals)[residuals.rays]
-    shown = residuals.shown(one, moved)
+    places[residuals.rows.measure[one.own], 0] += moved
+    other = adjust_network(replace(pair.network, rays=replace(rays, places=places)), SolverSettings(starts=0))
+    mine = residuals.rows.of_kind(IMAGE)
+    change = (other.residuals - solution.residuals)[residuals.rows.measure[mine], residuals.rows.component[mine]]
+    shown = residuals.shown(one, moved)[mine]
     assert np.abs(shown).max() > 0.2
     assert np.sqrt(np.mean((change - shown) ** 2)) < 0.02
 

@@ -16,7 +16,7 @@ from networks import network, pair
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.analysis.places import sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import rejected_points
 from mgsgraph.errors import InputError

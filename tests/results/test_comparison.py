@@ -14,7 +14,7 @@ from matplotlib.quiver import Quiver
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import CommonPoints
+from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.cli import group
 from mgsgraph.files.output.folders import COMPARISON
 from mgsgraph.files.output.table import Table

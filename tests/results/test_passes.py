@@ -16,7 +16,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.frames import flight_frame
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.flight import node_times, strip_corrections, strip_reports
+from mgsgraph.analysis.statistics import node_times, strip_corrections, strip_reports
 from mgsgraph.case.reading import read_case
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError

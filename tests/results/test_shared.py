@@ -1,4 +1,4 @@
-"""Reports of what images share: figures, sentences, files, and whether it can be told apart from a constant pitch."""
+"""Reports of what images share: figures, sentences, files, and whether it is separable."""
 
 import csv
 import json
@@ -12,10 +12,9 @@ from networks import network, pair, with_shift_and_surface
 from sharing import block, camera_clock, drawn, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.settings import Angles, SolverSettings
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.separability import pitch_axis, shared_estimates
+from mgsgraph.analysis.separability import Verdict, separations
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
 from mgsgraph.results.archive import read_solution, write_archive
@@ -25,9 +24,9 @@ from mgsgraph.results.summary import statements, summary_table
 
 
 @cache
-def single(angles: Angles = "camera", sigma: float = 1.0) -> Solution:
+def single(sigma: float = 1.0) -> Solution:
     """One nadir image and a held one, whose camera's clock may be late."""
-    return adjust_network(camera_clock(network(drawn(1)), sigma), SolverSettings(angles=angles))
+    return adjust_network(camera_clock(network(drawn(1)), sigma), SolverSettings())
 
 
 @cache
@@ -35,92 +34,43 @@ def of_all_kinds() -> Solution:
     return adjust_network(with_all_kinds(with_shift_and_surface(network(pair()))), SolverSettings())
 
 
-def test_a_single_pair_says_that_it_equals_a_constant_pitch_of_the_nadir_image() -> None:
-    (one,) = shared_estimates(single())
-    assert one.image == "SIM/A"
-    assert one.likeness > 0.999
-    assert 0.6 < one.correlation < 0.9
+def test_a_single_pair_says_that_its_pitch_and_the_clock_are_inseparable() -> None:
+    (one,) = separations(single())
+    assert one.verdict is Verdict.NOT_FROM_OTHERS
+    assert one.other == "constant rotation y of image SIM/A"
+    assert one.together > 0.999
+    assert 0.6 < abs(one.correlation) < 0.9
     assert 320.0 < one.ground < 345.0
     (sentence,) = shared_section(single()).sentences
-    assert "The priors alone separate it from a constant pitch of image SIM/A" in sentence
-    assert f"1 s of it is {one.ground:.0f} m on the ground there" in sentence
+    assert sentence.startswith("Attitude-time bias: Not separable from all others together: r = 1.000")
     assert sentence in statements(single())
 
 
-def test_six_images_name_the_three_nadir_ones_together() -> None:
-    """Each by itself is like it by one in the square root of three."""
-    (one,) = shared_estimates(adjust_network(camera_clock(block(1)), SolverSettings()))
-    assert one.likeness == pytest.approx(3.0**-0.5, abs=0.01)
+def test_several_images_are_only_together_like_it() -> None:
+    (one,) = separations(adjust_network(camera_clock(block(1)), SolverSettings()))
+    assert abs(one.correlation) < 0.6
     assert one.together > 0.999
-    assert one.mixture == ("SIM/A1", "SIM/A2", "SIM/A3")
 
 
-def test_where_pitch_is_known_it_is_told_apart() -> None:
-    """A thousand times sharper priors on the attitude: the correlation goes, the likeness stays."""
+def test_where_pitch_is_known_the_position_is_its_rival() -> None:
+    """A thousand times sharper priors on the attitude: late by so much is ahead by so much."""
     net = network(drawn(1))
     sharp = tuple(replace(prior, sigmas=prior.sigmas * np.repeat([1.0, 1e-3], 3)) for prior in net.priors)
-    solution = adjust_network(camera_clock(replace(net, priors=sharp)), SolverSettings())
-    (one,) = shared_estimates(solution)
-    assert abs(one.correlation) < 0.01
+    (one,) = separations(adjust_network(camera_clock(replace(net, priors=sharp)), SolverSettings()))
+    assert one.verdict is Verdict.NOT_FROM_ONE
+    assert one.other == "constant Z of image SIM/A"
     assert one.sigma < 0.4
-    assert one.likeness > 0.999
-
-
-def test_likeness_is_that_of_the_data_alone() -> None:
-    """By NumPy, from the reduced normal matrix without priors (and about the nominal axis, 1e-4 rad away)."""
-    solution = of_all_kinds()
-    layout = lay_out(solution.network, solution.settings)
-    columns = np.concatenate([c.ravel() for c in solution.coefficients] + [solution.shifts.ravel(), *solution.shared])
-    reduction = BundleGraph(layout).reduction(columns)
-    normal = np.zeros((layout.columns,) * 2)
-    for v, w, own in layout.blocks.each(reduction.blocks, layout.variables.width):
-        normal[layout.columns_of(v), layout.columns_of(w)] = own
-        normal[layout.columns_of(w), layout.columns_of(v)] = own.T
-    first = layout.columns - sum(value.size for value in solution.shared)
-    pitch = [layout.columns_of(j).start + 4 for j in (0, 1)]  # about the camera's y, along the detector
-    size = np.sqrt(np.diag(normal))
-    for k, one in enumerate(shared_estimates(solution)):
-        if one.kind.of_profile:
-            assert one.image == ""  # no image's pitch is like it
-            continue
-        expected = np.abs(normal[first + k, pitch] / (size[first + k] * size[pitch]))
-        j = ("SIM/A", "SIM/B").index(one.image)
-        assert one.likeness == pytest.approx(expected[j], rel=1e-3, abs=1e-3)
-        covariance = solution.joint_covariance.dense()[first + k, pitch[j]]
-        sigmas = np.sqrt(np.diag(solution.joint_covariance.dense()))
-        correlation = covariance / (sigmas[first + k] * sigmas[pitch[j]])
-        assert abs(one.correlation) == pytest.approx(abs(correlation), abs=1e-3)
-
-
-def test_pitch_lifts_the_view_forward() -> None:
-    for image in pair().images:
-        axis = pitch_axis(image)
-        pose = image.pose(np.array([0.5 * image.lines]))
-        assert np.linalg.norm(axis) == pytest.approx(1.0)
-        assert np.cross(axis, [0.0, 0.0, 1.0]) @ pose.matrix[0] @ pose.velocity[0] > 0.0
-        np.testing.assert_allclose(np.abs(axis), [0.0, 1.0, 0.0], atol=1e-9)
-
-
-def test_angles_of_another_kind_are_as_alike() -> None:
-    """The correlation is another: a sigma for each of omega, phi and kappa is not one for each of the camera's axes."""
-    (camera,), (angles,) = shared_estimates(single()), shared_estimates(single("opk-paper"))
-    assert angles.likeness == pytest.approx(camera.likeness, abs=2e-3)
-    assert angles.ground == camera.ground
 
 
 def test_what_the_measures_say_nothing_about_is_named() -> None:
     said = shared_section(single(sigma=0.01)).sentences
-    assert "The measurements say hardly anything about it." in said[0]
+    assert "Determined by its prior alone" in said[0]
 
 
-def test_held_images_have_no_pitch() -> None:
-    net = network(pair(), held=(True, True))
-    solution = adjust_network(camera_clock(net), SolverSettings())
-    (one,) = shared_estimates(solution)
-    assert one.image == ""
-    assert np.isnan(one.correlation)
+def test_images_that_are_held_are_no_rivals() -> None:
+    (one,) = separations(adjust_network(camera_clock(network(pair(), held=(True, True))), SolverSettings()))
+    assert one.other == ""
     assert one.sigma < 0.5
-    assert solution_json(solution)["shared"][0]["correlation_with_pitch"] is None
 
 
 def test_files(tmp_path: Path) -> None:

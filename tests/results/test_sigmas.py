@@ -12,7 +12,7 @@ from rasterio.crs import CRS
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid
+from mgsgraph.analysis.places import BANDS, SigmaGrid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid

@@ -14,7 +14,7 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
-from mgsgraph.analysis.flight import node_times, strip_corrections
+from mgsgraph.analysis.statistics import node_times, strip_corrections
 from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, height_cells, owners, two_step_statistics
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.intersection import intersect_rays
@@ -121,7 +121,7 @@ def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
 
 
 def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
-    """As `analysis.flight.strip_corrections` has them at the nodes, between which they hardly change."""
+    """As `analysis.statistics.strip_corrections` has them at the nodes, between which they hardly change."""
     found, net = merit("block"), networks("block")
     means = np.empty((2, len(net.passes), 6))
     for step, solution in enumerate((found.steps.free, found.steps.fitted)):

@@ -9,7 +9,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
-from mgsgraph.analysis.statistics import CommonPoints, span
+from mgsgraph.analysis.estimates import CommonPoints
+from mgsgraph.analysis.statistics import span
 from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.results.figures.aggregate import limit

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.analysis.estimates import CommonPoints
+from mgsgraph.analysis.places import sigma_grid
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.statistics import CommonPoints
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.flight import StripCorrections, node_times, strip_corrections
+from mgsgraph.analysis.statistics import StripCorrections, node_times, strip_corrections
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.joining import seconds
 from mgsgraph.results.figures.sheet import (

@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.analysis.estimates import PoseEstimate
-from mgsgraph.analysis.overlap_sigmas import SigmaGrid
+from mgsgraph.analysis.places import SigmaGrid
 from mgsgraph.results.figures.sheet import Sheet, new_sheet, number, plain_style, short
 from mgsgraph.units import DEG, MRAD
 

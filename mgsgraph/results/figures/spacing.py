@@ -9,7 +9,6 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from mgsgraph.analysis.spacing import Choice
 from mgsgraph.results.figures.sheet import (
     AFTER,
-    BEFORE,
     SOFT,
     Sheet,
     new_sheet,
@@ -38,10 +37,8 @@ def spacing_sheet(choice: Choice, name: str) -> Sheet:
     sheet = new_sheet("spacings", 8.6, 3.6, f"Spacing of orientation images: {short(name, 50)}", caption)
     left, right = sheet.panels(1, 2)[0]
     spacings = np.array([choice.candidates[k].spacing for k in good])
-    rms, median = (np.array([getattr(choice.candidates[k], what) for k in good]) for what in ("rms", "median"))
-    spread = np.array([choice.candidates[k].median_error for k in good])
+    rms = np.array([choice.candidates[k].rms for k in good])
     left.errorbar(spacings, rms, choice.rms_errors[good], color=AFTER, marker="o", ms=4.0, capsize=2.5)
-    left.errorbar(spacings * 1.04, median, spread, color=BEFORE, marker="s", ms=3.5, capsize=2.5, ls="--", lw=1.0)
     left.axhline(1.0, color=SOFT, lw=0.9)
     left.set(xlabel="spacing (s)", ylabel="misfit held out (sigma)")
     shown = np.maximum(choice.worse[good], 0.0)
@@ -62,7 +59,6 @@ def spacing_sheet(choice: Choice, name: str) -> Sheet:
         panel.axvline(chosen.spacing, color=_GREEN, lw=5.0, alpha=0.3, zorder=0)
     sheet.legend([
         Line2D([], [], color=AFTER, marker="o", ms=4.0, label="rms"),
-        Line2D([], [], color=BEFORE, marker="s", ms=3.5, ls="--", label="from the median"),
         Line2D([], [], color=SOFT, label="noise alone"),
         Patch(color=_GREEN, alpha=0.3, lw=0.0, label="chosen"),
     ])  # fmt: skip

@@ -6,8 +6,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
-from mgsgraph.analysis.residual_spectrum import FALSE_ALARMS, TURNS
-from mgsgraph.analysis.vibrations import ImageSpectrum, ResidualVibrations
+from mgsgraph.analysis.residual_spectrum import FALSE_ALARMS, TURNS, ImageSpectrum, ResidualVibrations
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 
 _MOST_IMAGES = 4
