@@ -30,7 +30,7 @@ from mgsgraph.errors import InputError
 _NAME = re.compile(r"\.(?P<name>.+)\.(?P<host>[0-9a-f]{4})[0-9a-f]{4}\.(?P<state>unfinished|replaced)", re.DOTALL)
 _HOST = f"{zlib.crc32(os.fsencode(platform.node())) % (1 << 16):04x}"
 _EXCHANGE = 2
-"""RENAME_EXCHANGE of Linux (renameat2), RENAME_SWAP of macOS (renamex_np)."""
+"""RENAME_EXCHANGE of Linux (renameat2)."""
 _HERE = -100
 """AT_FDCWD: paths are as the process sees them."""
 _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
@@ -224,33 +224,19 @@ def _remove(place: Path) -> None:
 
 def _exchanged(one: Path, other: Path) -> bool:
     """Exchange two folders in one step; False where the system or the file system can't. OSError for all else."""
-    rename = _exchange()
-    if rename is None:
+    call = _exchange()
+    if call is None:
         return False
-    failed = rename(os.fsencode(one), os.fsencode(other))
+    here, paths = ctypes.c_int(_HERE), [ctypes.c_char_p(os.fsencode(path)) for path in (one, other)]
+    if not call(here, paths[0], here, paths[1], ctypes.c_uint(_EXCHANGE)):
+        return True
+    failed = ctypes.get_errno()
     if failed in _UNKNOWN:
         return False
-    if failed:
-        raise OSError(failed, os.strerror(failed), str(other))
-    return True
+    raise OSError(failed, os.strerror(failed), str(other))
 
 
 @cache
-def _exchange() -> Callable[[bytes, bytes], int] | None:
-    """The system's call, as a function of two paths that gives an error's number or 0; None where there is none."""
-    name = {"linux": "renameat2", "darwin": "renamex_np"}.get(sys.platform)
-    call = name and getattr(ctypes.CDLL(None, use_errno=True), name, None)
-    if not call:
-        return None
-
-    def exchange(one: bytes, other: bytes) -> int:
-        if sys.platform == "darwin":
-            result = call(ctypes.c_char_p(one), ctypes.c_char_p(other), ctypes.c_uint(_EXCHANGE))
-        else:
-            result = call(
-                ctypes.c_int(_HERE), ctypes.c_char_p(one), ctypes.c_int(_HERE), ctypes.c_char_p(other),
-                ctypes.c_uint(_EXCHANGE),
-            )  # fmt: skip
-        return ctypes.get_errno() if result else 0
-
-    return exchange
+def _exchange() -> Callable[..., int] | None:
+    """Linux' call; None where there is none."""
+    return getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if sys.platform == "linux" else None

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from operator import index
-from typing import Any, Union, overload
+from typing import Any, Self, Union, overload
 
 import numpy as np
 import pyarrow as pa
@@ -28,8 +28,33 @@ Chosen = Union[slice, "NDArray[np.int64]", "NDArray[np.bool_]"]
 """Which names: a slice, numbers (m,) or marks (n,)."""
 
 
+class _Column(Sequence[str]):
+    """What both kinds do alike."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Sequence) and not isinstance(other, str):
+            return len(self) == len(other) and self.tolist() == list(other)
+        return NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __add__(self, others: Sequence[str]) -> Self:
+        kind: Any = type(self)
+        joined: Self = kind.concatenated([self, kind.of(others)])
+        return joined
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.tolist(), dtype=str if dtype is None else dtype)
+
+    def tolist(self) -> list[str]:
+        """(n,) Python texts."""
+        return list(self)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Names(Sequence[str]):
+class Names(_Column):
     """Names, a text each, in columns."""
 
     data: NDArray[np.uint8]
@@ -139,17 +164,7 @@ class Names(Sequence[str]):
     def __eq__(self, other: object) -> bool:
         if isinstance(other, Names):
             return np.array_equal(self.offsets, other.offsets) and np.array_equal(self.data, other.data)
-        if isinstance(other, Sequence) and not isinstance(other, str):
-            return len(self) == len(other) and self.tolist() == list(other)
-        return NotImplemented
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __add__(self, others: "Sequence[str]") -> "Names":
-        return Names.concatenated([self, Names.of(others)])
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        return np.array(self.tolist(), dtype=str if dtype is None else dtype)
+        return super().__eq__(other)
 
     def __repr__(self) -> str:
         shown = ", ".join(map(repr, self[:3]))
@@ -186,7 +201,7 @@ class Names(Sequence[str]):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class RepeatedNames(Sequence[str]):
+class RepeatedNames(_Column):
     """Names of which few differ, as those of the images that points are measured in."""
 
     distinct: tuple[str, ...]
@@ -257,26 +272,12 @@ class RepeatedNames(Sequence[str]):
     def __contains__(self, name: object) -> bool:
         return name in self.distinct and bool(np.any(self.numbers == self.distinct.index(str(name))))
 
-    def __eq__(self, other: object) -> bool:
-        if isinstance(other, Sequence) and not isinstance(other, str):
-            return len(self) == len(other) and self.tolist() == list(other)
-        return NotImplemented
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __add__(self, others: "Sequence[str]") -> "RepeatedNames":
-        return RepeatedNames.concatenated([self, RepeatedNames.of(others)])
-
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         names = np.array(self.distinct or ("",), dtype=str if dtype is None else dtype)
         return names[self.numbers]
 
     def __repr__(self) -> str:
         return f"RepeatedNames({len(self)} of {len(self.distinct)} distinct ones)"
-
-    def tolist(self) -> list[str]:
-        """(k,) Python texts."""
-        return list(self)
 
 
 def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], what: str) -> int:

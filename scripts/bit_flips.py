@@ -34,9 +34,8 @@ from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.csv_json import write_json
 from mgsgraph.files.output.folders import EXPORT
 from mgsgraph.files.records import FILES, MATCH, read_record
-from mgsgraph.project.campaign.record import RECORD as CAMPAIGN
-from mgsgraph.project.campaign.record import open_record
-from mgsgraph.project.campaign.run import run_campaign
+from mgsgraph.project.campaign import RECORD as CAMPAIGN
+from mgsgraph.project.campaign import open_record, run_campaign
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import comparison_with_truth
@@ -91,7 +90,7 @@ def of_project(folder: Path) -> str:
         shared = [(name, pack(one)) for name, one in store.shared().items()]
         reduced = [(name, pack(one)) for name, one in store.reduced().items()]
         rest = project.changes(), project.settings, project.case, project.networks, project.last_solution()
-        known = store.bundles_of(store.network().points.ids), [project.sources(name) for name in store.image_names()]
+        known = store.bundles_of(store.network().points.ids), project.pictures()
         seen = [store.seen_by(name) for name in store.image_names()]
         return digest(status(project), members, *bundles, shared, reduced, pack(store.network()), rest, known, seen)
 

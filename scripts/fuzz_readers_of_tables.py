@@ -103,7 +103,7 @@ def of_altimetry() -> Iterator[Row]:
 
 def of_what_is_kept() -> Iterator[Row]:
     from mgsgraph.export.network_content import source_networks
-    from mgsgraph.project.campaign.record import open_record
+    from mgsgraph.project.campaign import open_record
     from mgsgraph.project.project import open_project
     from mgsgraph.project.reading import read_state
     from mgsgraph.results.archive import read_solution

@@ -212,7 +212,7 @@ def project_state(project: Path) -> str:
         copy.mkdir()
         for path in project.glob(f"{FILE}*"):
             shutil.copy(path, copy)
-        with open_project(copy, thorough=True) as opened:
+        with open_project(copy) as opened:
             history = [(change.verb, change.what) for change in opened.changes()]
         with closing(sqlite3.connect(f"{(copy / FILE).as_uri()}?mode=ro", uri=True)) as file:
             rows = [file.execute(f"SELECT * FROM {name}").fetchall() for name in TABLES]

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import SolverSettings
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.case.reading import Case
-    from mgsgraph.project.campaign.record import Overrides
     from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
+    from mgsgraph.results.results import Overrides
 
 
 @click.command()
@@ -180,7 +180,7 @@ def campaign(
     or did not converge, 2 bad input.
     """
     from mgsgraph.cli.progress import CaseBar
-    from mgsgraph.project.campaign.run import run_campaign, summary
+    from mgsgraph.project.campaign import run_campaign, summary
 
     bar = CaseBar(verbose)
     try:
@@ -193,7 +193,7 @@ def campaign(
         bar.close()
     click.echo(summary(done))
     click.echo(f"Results are in {out}")
-    ctx.exit(0 if done.well else 1)
+    ctx.exit(0 if done.count("done") == len(done.entries) else 1)
 
 
 @click.command()
@@ -206,12 +206,11 @@ def campaign(
     help="Share of the points with three rays or more of which one ray is held out.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draw of these rays.")
-@click.option("--densify", is_flag=True, hidden=True)
 @click.option("--out", type=PATH, help="Folder for nodes.json, its table and figure; made anew.")
 @TIES
 @NO_FIGURES
 def nodes(
-    case: Path, spacings: str, hold_out: float, seed: int, densify: bool, out: Path | None,
+    case: Path, spacings: str, hold_out: float, seed: int, out: Path | None,
     ties: Path | None, no_figures: bool,
 ) -> None:
     """Adjust CASE (a TOML file with [[passes]]) with orientation images at several spacings, without some of its rays,
@@ -226,8 +225,6 @@ def nodes(
     from mgsgraph.results.analysis import require_used
     from mgsgraph.results.spacing import nodes_section, seconds_of
 
-    if densify:
-        raise click.UsageError("--densify is gone: give closer --spacings, of which rays held out choose one")
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     wanted = seconds_of(spacings)
     if out is not None:

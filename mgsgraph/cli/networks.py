@@ -1,6 +1,7 @@
 """Verbs that pass networks and solutions on to other programs, and tie points to a person."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -39,23 +40,7 @@ _FORMATS = click.Choice([one.value for one in Format])
 @click.option("--replace", is_flag=True, help="Overwrite OUT, whatever it is.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
 def convert(
-    files: tuple[Path, ...],
-    out: Path | None,
-    read_as: str | None,
-    write_as: str | None,
-    case: Path | None,
-    sizes: tuple[str, ...],
-    radii: tuple[float, float] | None,
-    target: str,
-    rename: tuple[str, ...],
-    prefix: str | None,
-    nvm_no_shift: bool,
-    duplicates: str,
-    only: tuple[str, ...],
-    thin: int | None,
-    split: bool,
-    replace: bool,
-    strict: bool,
+    files: tuple[Path, ...], out: Path | None, duplicates: str, replace: bool, nvm_no_shift: bool, **given: Any
 ) -> None:
     """Read IN... as one network and write it to OUT (the last file, or --out), each in the format of its ending: .pvl
     and .net (ISIS), .csv, .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
@@ -77,12 +62,13 @@ def convert(
     if out is None and len(files) < 2:
         raise click.UsageError("one file alone: name what is written, last or by --out")
     inputs, output = (files[:-1], files[-1]) if out is None else (files, out)
-    setting = setting_of(case, sizes, radii, target, rename, prefix, not nvm_no_shift)
+    names = ("case", "sizes", "radii", "target", "rename", "prefix")
+    setting = setting_of(**{name: given.pop(name) for name in names}, shifted=not nvm_no_shift)
+    selection = Selection(Duplicates(duplicates), *map(given.pop, ("only", "thin", "split")))
     try:
         made = make(
-            inputs, output, setting, Selection(Duplicates(duplicates), only, thin, split),
-            read_as=read_as, write_as=write_as, strict=strict, replace=replace or out is not None, anything=replace,
-        )  # fmt: skip
+            inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **given
+        )
     except Lossy as error:
         _print_lost(error.lost)
         raise

@@ -14,9 +14,7 @@ import click
 from mgsgraph.errors import MgsgraphError, printable
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.settings import Device, Loss
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.results.large_tables import TableForm
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
@@ -53,20 +51,12 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     """Give a verb the options that overrule case files, which it takes together as `overrides`."""
 
     @wraps(verb)
-    def with_overrides(
-        *,
-        loss: "Loss | None",
-        reject: float | None,
-        starts: int | None,
-        no_laser: bool,
-        no_figures: bool,
-        tables: "TableForm | None",
-        device: "Device | None",
-        **others: Any,
-    ) -> None:
-        from mgsgraph.project.campaign.record import Overrides
+    def with_overrides(**given: Any) -> None:
+        from mgsgraph.results.results import Overrides
 
-        verb(overrides=Overrides(loss, reject, not no_laser, not no_figures, starts, tables, device), **others)
+        chosen = {name: given.pop(name) for name in ("loss", "reject", "starts", "tables", "device")}
+        chosen |= {name: not given.pop(f"no_{name}") for name in ("laser", "figures")}
+        verb(overrides=Overrides(**chosen), **given)
 
     for option in reversed(_OPTIONS):
         option(with_overrides)

@@ -54,7 +54,7 @@ def project(
     from mgsgraph.errors import InputError
     from mgsgraph.files.place_table import PlaceTable, read_places
     from mgsgraph.files.writing import fresh_file, require_free
-    from mgsgraph.project.oriented import open_view
+    from mgsgraph.project.reading import open_view
     from mgsgraph.results.places import PLACES, Surface, places_text, project_places
 
     if sum(map(bool, (points, pixels, places))) != 1:
@@ -124,7 +124,7 @@ def shots(
     """
     from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.network.footprints import crossings
-    from mgsgraph.project.oriented import ShotChoice, oriented_images, search_shots
+    from mgsgraph.project.reading import ShotChoice, oriented_images, search_shots
     from mgsgraph.results.places import SELECTION, crossings_section, selection_table
 
     if out is not None:

@@ -14,7 +14,7 @@ from mgsgraph.workers import Stages
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.batch import Iteration
-    from mgsgraph.project.campaign.record import CampaignEntry
+    from mgsgraph.project.campaign import CampaignEntry
 
 _EXPLAIN_AFTER = 4.0
 """s of compiling after which it is said."""
@@ -145,7 +145,7 @@ class CaseBar:
 
     def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
         """Show that a case is over."""
-        from mgsgraph.project.campaign.run import line
+        from mgsgraph.project.campaign import line
 
         self._over, self._due = over, due
         if self._bar is None:

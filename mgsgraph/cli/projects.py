@@ -115,9 +115,6 @@ def add(
         _warn(addition)
         return
     click.echo(f"{project}: added {_words(addition)}")
-    for one in addition.images:
-        if len(one.files) == 1 and not any(one.known.image.name in (given.name, given.path.stem) for given in wanted):
-            click.echo(f"- {one.files[0]} was taken for {one.known.image.name}, which the ties name; NAME=FILE says it")
     print_sentences(addition.notes)
     if impact is None:
         _warn(addition)
@@ -271,7 +268,7 @@ def solve(
     from mgsgraph.project.project import open_project
 
     with (
-        open_project(project, write=True, thorough=True) as opened,
+        open_project(project, write=True) as opened,
         iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
         solved = solve_all(opened, not no_figures, tables, bar, device)
@@ -289,7 +286,7 @@ def status(project: Path) -> None:
     from mgsgraph.project.project import open_project
     from mgsgraph.project.status import status as describe
 
-    with open_project(project, thorough=True) as opened:
+    with open_project(project) as opened:
         text = describe(opened)
     click.echo(text)
 

@@ -1,6 +1,7 @@
 """Verbs that ask the covariance of an adjustment, and show it on a page."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,6 +10,8 @@ from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences
 _SUMMARY = 10
 """Rows of the table by suspicion when nothing in particular is asked."""
 _WEAK = 5
+_DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alpha", "power")
+"""Parameters that say more of a question and are none."""
 
 
 @click.command()
@@ -56,33 +59,7 @@ _WEAK = 5
 @click.option("--weak", type=click.IntRange(1), metavar="N", help="N directions of which least was learnt, in words.")
 @click.option("--out", type=PATH, help="Folder for analysis.json, tables and figures; made anew.")
 @NO_FIGURES
-def analyze(
-    adjusted: Path,
-    points: tuple[str, ...],
-    pairs: tuple[tuple[str, str], ...],
-    poses: tuple[tuple[str, float], ...],
-    pose_pairs: tuple[tuple[str, float, str, float], ...],
-    projections: tuple[tuple[str, str], ...],
-    pixels: tuple[tuple[str, float, float], ...],
-    correlations: bool,
-    probability: float | None,
-    curves: tuple[str, ...],
-    raster: bool,
-    images: tuple[str, ...],
-    cell_m: float | None,
-    sigma_px: float | None,
-    unexplained: bool,
-    components: bool,
-    iterate: bool,
-    reliability: int | None,
-    snoop: bool,
-    alpha: float | None,
-    power: float | None,
-    likelihood: tuple[str, ...],
-    weak: int | None,
-    out: Path | None,
-    no_figures: bool,
-) -> None:
+def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) -> None:
     """Ask the covariance of SOLUTION_OR_PROJECT (results of `mgsgraph adjust`, or a project).
 
     Without a question: what the adjustment cannot explain, the global test, variance components, the most suspicious
@@ -100,40 +77,43 @@ def analyze(
 
     if out is not None:
         require_replaceable(out, ANALYSIS)
-    nothing = not (points or pairs or poses or pose_pairs or projections or pixels or curves or raster or unexplained
-                   or components or iterate or reliability or snoop or likelihood or weak)  # fmt: skip
-    tested = nothing or bool(reliability) or snoop
-    require_used("--image, --cell-m", bool(images) or cell_m is not None, raster, "--raster")
-    require_used("--raster", raster, out is not None, "--out FOLDER, for the GeoTIFF")
-    require_used("--correlations", correlations, bool(points or pairs or poses or pose_pairs or projections or pixels),
-                 "question (--point, --pose, ...)")  # fmt: skip
-    require_used("--probability", probability is not None, bool(points or pixels), "--point or --pixel")
-    require_used("--sigma-px", sigma_px is not None, bool(pixels) or raster, "--pixel or --raster")
-    require_used("--alpha, --power", alpha is not None or power is not None, tested, "--reliability or --snoop")
-    require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
-    sigma = 1.0 if sigma_px is None else sigma_px
-    questions = Questions(
-        points, pairs, poses, pose_pairs, projections, tuple(Pixel(*pixel, sigma) for pixel in pixels),
-        correlations, 0.95 if probability is None else probability,
-    )  # fmt: skip
+    nothing = not any(value for name, value in asked.items() if name not in _DETAILS)
+    points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
+    about = {name: asked[name] for name in ("points", "pairs", "poses", "pose_pairs", "projections")}
+    given = {name: asked[name] is not None for name in ("cell_m", "probability", "sigma_px", "alpha", "power")}
+    for option, stated, useful, of in (
+        ("--image, --cell-m", asked["images"] or given["cell_m"], raster, "--raster"),
+        ("--raster", raster, out, "--out FOLDER, for the GeoTIFF"),
+        ("--correlations", asked["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
+        ("--probability", given["probability"], points or pixels, "--point or --pixel"),
+        ("--sigma-px", given["sigma_px"], pixels or raster, "--pixel or --raster"),
+        ("--alpha, --power", given["alpha"] or given["power"], nothing or asked["reliability"] or asked["snoop"],
+         "--reliability or --snoop"),
+        ("--no-figures", no_figures, out, "--out FOLDER"),
+    ):  # fmt: skip
+        require_used(option, bool(stated), bool(useful), of)
+    sigma = asked["sigma_px"] if given["sigma_px"] else 1.0
+    probability = asked["probability"] if given["probability"] else 0.95
+    measures = tuple(Pixel(image, line, sample, sigma) for image, line, sample in pixels)
+    questions = Questions(**about, pixels=measures, correlations=asked["correlations"], probability=probability)
+    levels = Levels(*(asked[name] if given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
     wanted = Wanted(
-        questions, curves, images if raster else None, cell_m, sigma, unexplained or nothing,
-        components or iterate or nothing, likelihood,
-        iterate, reliability or (_SUMMARY if nothing else 0), snoop, weak or (_WEAK if nothing else 0),
-        Levels(0.001 if alpha is None else alpha, 0.8 if power is None else power),
+        questions, asked["curves"], asked["images"] if raster else None, asked["cell_m"], sigma,
+        asked["unexplained"] or nothing, asked["components"] or asked["iterate"] or nothing, asked["likelihood"],
+        asked["iterate"], asked["reliability"] or (_SUMMARY if nothing else 0), asked["snoop"],
+        asked["weak"] or (_WEAK if nothing else 0), levels,
     )  # fmt: skip
     name, posterior, warning = read_posterior(adjusted)
     if warning:
         click.echo(f"- {warning}")
-    if out is None:
-        for section in analysed(posterior, wanted, name):
-            click.echo(section.text(None))
-        return
-    sections = list(analysed(posterior, wanted, name))
-    write_analysis(name, sections, out, figures=not no_figures)  # before anything is said: a reader may go away
+    sections = analysed(posterior, wanted, name)
+    if out is not None:
+        sections = iter(every := list(sections))
+        write_analysis(name, every, out, figures=not no_figures)  # before anything is said: a reader may go away
     for section in sections:
         click.echo(section.text(None))
-    click.echo(f"The analysis is in {out}")
+    if out is not None:
+        click.echo(f"The analysis is in {out}")
 
 
 @click.command()
@@ -256,7 +236,7 @@ def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> N
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:
     """Checksums of the solutions' archives, of the case, and of every file that it names."""
     from mgsgraph.files.opening import sha256_of
-    from mgsgraph.project.campaign.run import checksums
+    from mgsgraph.project.campaign import checksums
     from mgsgraph.results.archive import ARCHIVE
 
     given = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]

@@ -1,8 +1,8 @@
 """From ids of images to a folder with images, kernels, profiles, a terrain and a case, with a lock over all of it."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -139,10 +139,8 @@ def fetch_images(
     """
     products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
     volumes, archives = volumes_of(volumes), archives or Archives()
-    with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
-        lock = Lock.read(folder)
-        lock.write()
-        store = DownloadFolder(lock, remote, progress)
+    with _opened(folder, retry, say, progress) as store:
+        lock = store.lock
         _find(products, lock, Search(archives, store, volumes))
         needs = tuple(lock.images.values())
         store.get_all(wanted_files(needs, archives))
@@ -204,18 +202,27 @@ def fetch_shots(
     if not (-90.0 <= south < north <= 90.0 and -180.0 <= west < east <= 360.0):
         raise InputError("box", f"{west:g} {east:g} {south:g} {north:g}", "west < east, south < north, in degrees")
     name = f"shots/{altimeter}_{west:g}_{east:g}_{south:g}_{north:g}_pts_csv.csv".replace("-", "m")
-    with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
-        lock = Lock.read(folder)
-        lock.write()
-        store = DownloadFolder(lock, remote, progress)
+    with _opened(folder, retry, say, progress) as store:
+        lock = store.lock
         if not lock.whole(name):
-            found = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, remote)
+            found = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, store.remote)
             if not found:
                 raise InputError(f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
             if name in lock.files:  # ODE makes another table each time it is asked
                 del lock.files[name]
             store.get(WantedFile(archives.ode + found, name))
         return store.path(name)
+
+
+@contextmanager
+def _opened(
+    folder: Path, retry: RetryPolicy | None, say: Callable[[str], None], progress: Progress
+) -> Iterator[DownloadFolder]:
+    """The folder, ours alone as long as this lasts."""
+    with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
+        lock = Lock.read(folder)
+        lock.write()
+        yield DownloadFolder(lock, remote, progress)
 
 
 def _made(folder: Path) -> Path:

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.download import Remote
@@ -214,62 +214,58 @@ class DownloadFolder:
             self.notes.append(sentence)
 
 
+class _Kind(NamedTuple):
+    """What files of an ending are."""
+
+    limit: int = 16_000
+    """MB that one may have: ten times those of the archives, or more."""
+    marks: tuple[bytes, ...] = ()
+    """One of these is in it; in its beginning, where it may be large."""
+    record: int = 1
+    """bytes of which it is a multiple."""
+    called: str = "the file"
+
+
+_HEAD = 8192
 _MEGA = 1_000_000
-_LIMITS = {".lbl": 1, ".tm": 1, ".tab": 64, ".tls": 64, ".tsc": 64, ".ti": 64, ".tf": 64, ".tpc": 64, ".b": 256,
-           ".csv": 4_000}  # fmt: skip
-"""MB that a file may have, by its ending; ten times those of the archives, or more."""
-_LARGEST = 16_000
-"""MB of images, grids and binary kernels."""
+_TEXT = (64, (b"\\begindata",), 1, "a SPICE kernel, whole")
+_KINDS = {
+    ".bsp": _Kind(16_000, (b"DAF/SPK", b"NAIF/DAF"), 1024, "a SPICE kernel, whole"),  # NAIF/DAF: of older ones
+    ".bc": _Kind(16_000, (b"DAF/CK", b"NAIF/DAF"), 1024, "a SPICE kernel, whole"),
+    ".bpc": _Kind(16_000, (b"DAF/PCK", b"NAIF/DAF"), 1024, "a SPICE kernel, whole"),
+    **dict.fromkeys((".tls", ".tsc", ".ti", ".tf", ".tpc"), _Kind(*_TEXT)),
+    ".tm": _Kind(1, *_TEXT[1:]),
+    ".b": _Kind(256, (b"PDS_VERSION_ID",), FRAME.itemsize, "a PEDR file of whole frames"),
+    ".lbl": _Kind(1, (b"PDS_VERSION_ID",), 1, "a PDS3 label"),
+    ".tab": _Kind(64),
+    ".csv": _Kind(4_000, (b",",)),
+    ".img": _Kind(record=2),
+}
+
+
+def _kind_of(name: str) -> _Kind:
+    return _Kind() if name.startswith("images/") else _KINDS.get(Path(name).suffix.lower(), _Kind())
 
 
 def limit_of(name: str) -> int:
     """Bytes that a file may have: nothing longer is brought, whether or not the archive says how long it is."""
-    return _MEGA * _LIMITS.get(Path(name).suffix.lower(), _LARGEST)
-
-
-_HEAD = 8192
-_RECORD = 1024
-"""bytes of a record of SPICE's binary kernels."""
-_BINARY = {
-    ".bsp": (b"DAF/SPK", b"NAIF/DAF"), ".bc": (b"DAF/CK", b"NAIF/DAF"), ".bpc": (b"DAF/PCK", b"NAIF/DAF"),
-}  # fmt: skip
-"""Beginnings of SPICE's binary kernels; NAIF/DAF is the older one."""
-_TEXT = (".tls", ".tsc", ".ti", ".tf", ".tpc", ".tm")
+    return _MEGA * _kind_of(name).limit
 
 
 def require_content(path: Path, name: str) -> None:
     """Raise InputError unless the file at `path` is what one called `name` has to be: a kernel, an image, a PEDR, a
     label, a table or a grid.
     """
-    head = head_of(path, _HEAD)
-    size, suffix = path.stat().st_size, Path(name).suffix.lower()
-    if head.lstrip()[:15].lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<head")):
-        raise InputError(name, "a web page instead of the file", _expected(suffix))
+    kind, size = _kind_of(name), path.stat().st_size
+    content = read_bytes(path) if kind.limit <= 64 else head_of(path, _HEAD)
+    if content.lstrip()[:15].lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<head")):
+        raise InputError(name, "a web page instead of the file", kind.called)
     if size == 0:
-        raise InputError(name, "an empty file", _expected(suffix))
-    sound = True
-    if suffix in _BINARY:
-        sound = head.startswith(_BINARY[suffix]) and size % _RECORD == 0
-    elif suffix in _TEXT:
-        sound = b"\\begindata" in read_bytes(path)
-    elif suffix == ".b":
-        sound = b"PDS_VERSION_ID" in head and size % FRAME.itemsize == 0
-    elif suffix == ".lbl":
-        sound = b"PDS_VERSION_ID" in head
-    elif name.startswith("images/"):
+        raise InputError(name, "an empty file", kind.called)
+    if size % kind.record or (kind.marks and not any(mark in content for mark in kind.marks)):
+        raise InputError(name, f"{size} bytes that begin with {content[:16]!r}", kind.called)
+    if name.startswith("images/"):
         _require_whole_image(path, name)
-    elif suffix == ".csv":
-        sound = b"," in head and head.count(b"\n") > 0
-    elif suffix == ".img":
-        sound = size % 2 == 0
-    if not sound:
-        raise InputError(name, f"{size} bytes that begin with {head[:16]!r}", _expected(suffix))
-
-
-def _expected(suffix: str) -> str:
-    if suffix in _BINARY or suffix in _TEXT:
-        return "a SPICE kernel, whole"
-    return {".b": "a PEDR file of whole frames", ".lbl": "a PDS3 label"}.get(suffix, "the file")
 
 
 def _require_whole_image(path: Path, name: str) -> None:

@@ -41,8 +41,6 @@ class NewImage:
 
     known: KnownImage
     """Geometry, prior and whether it is held."""
-    files: tuple[Path, ...]
-    """Files that it comes from."""
     picture: Path | None = None
     """File of its pixels, where known."""
 
@@ -137,7 +135,7 @@ def read_addition(
     body = next((every[name].image.body for name in every), None)  # of the first image that is known
     tie_points = [read_tie_points(path, body) for path in ties]
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
-    alone = [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
+    alone = [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)], notes)]
     new += alone
     known_passes = store.definitions()
     joins = [*unmeasured, *alone]
@@ -207,14 +205,12 @@ def _names(new: Sequence[NewImage]) -> list[str]:
 
 def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Case]:
     """Images of a case file, and the case; `ties` are taken in place of its own."""
-    case, wanted = read_case(path, ties=ties), decode(path)
+    case = read_case(path, ties=ties)
     if any(one.asks_for_strengths for one in case.network.passes):
         found, remedy = "strengths of processes to be estimated", "state the numbers that `mgsgraph adjust` finds"
         raise InputError(f"{path}, passes", found, "numbers: a project takes them as known", remedy)
-    new = []
-    for j, (entry, known) in enumerate(zip(wanted.images, known_images(case.network), strict=True)):
-        new.append(NewImage(known, _files(entry, path), case.pictures[j] if case.pictures else None))
-    return new, case
+    known = known_images(case.network)
+    return [NewImage(one, case.pictures[j] if case.pictures else None) for j, one in enumerate(known)], case
 
 
 def images_alone(path: Path) -> tuple[list[NewImage], str]:
@@ -230,15 +226,9 @@ def images_alone(path: Path) -> tuple[list[NewImage], str]:
     images = read_images(wanted, wanted.orientations, of_passes, path)
     known = map(KnownImage, images, wanted.priors(str(path)), (entry.held for entry in wanted.images))
     return [
-        NewImage(one, _files(entry, path), picture_of(entry, path.parent))
+        NewImage(one, picture_of(entry, path.parent))
         for one, entry in zip(known, wanted.images, strict=True)
     ], wanted.name
-
-
-def _files(entry: ImageInput, path: Path) -> tuple[Path, ...]:
-    """Files that an image of a case comes from."""
-    file = entry.isd or entry.state or entry.cube or entry.label
-    return (path, path.parent / file) if file else (path,)
 
 
 def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
@@ -270,16 +260,20 @@ def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> New
     orientation = settings.orientation
     image = orientation.nominal_of(image)
     prior = orientation.prior(f"{where}, settings, orientation")
-    return NewImage(KnownImage(image, prior), (wanted.path,), picture_of(entry, Path()))
+    return NewImage(KnownImage(image, prior), picture_of(entry, Path()))
 
 
-def _named(images: Sequence[ImageArgument], ties: Sequence[TiePoints], known: Sequence[str]) -> list[ImageArgument]:
+def _named(
+    images: Sequence[ImageArgument], ties: Sequence[TiePoints], known: Sequence[str], notes: list[str]
+) -> list[ImageArgument]:
     """Each image with a name: given, or the only one that ties use and nobody has, or what its file calls it."""
     taken = {*known, *(wanted.name for wanted in images if wanted.name)}
     used = {name for one in ties for name in one.measure_image} - taken
     nameless = [wanted for wanted in images if not wanted.name]
     if len(nameless) == 1 and len(used) == 1:
         nameless = [ImageArgument(nameless[0].path, used.pop())]
+        if nameless[0].name != nameless[0].path.stem:
+            notes.append(f"{nameless[0].path} was taken for {nameless[0].name}, which the ties name; NAME=FILE says it")
     else:
         nameless = [ImageArgument(one.path, image_name(one.path, image_kind(one.path))) for one in nameless]
     return [wanted for wanted in images if wanted.name] + nameless

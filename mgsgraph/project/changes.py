@@ -61,8 +61,7 @@ def add(project: Project, addition: Addition) -> Impact | None:
         impact = incremental(project).add([one.known for one in addition.images], brought=addition.definitions)
     else:
         impact = incremental(project).add(network, brought=addition.definitions)
-    _note_sources(project, addition.images)
-    project.add_networks(addition.networks)
+    _note_files(project, addition.images, addition.networks)
     rays = 0 if network is None else network.rays.point.size
     ranges = 0 if network is None else network.ranges.point.size
     what = ", ".join(addition.names) or "measures"
@@ -170,9 +169,11 @@ def put_waiting(store: ProjectStore, gone: Sequence[Members], networks: Mapping[
     store.replace(gone, waiting)
 
 
-def _note_sources(project: Project, images: Sequence[NewImage]) -> None:
+def _note_files(project: Project, images: Sequence[NewImage], networks: Sequence[Path]) -> None:
     for one in images:
-        project.add_sources(one.known.image.name, one.files, one.picture)
+        if one.picture is not None:
+            project.take_picture(one.known.image.name, one.picture)
+    project.add_networks(networks)
 
 
 def note(project: Project, verb: str, what: str, summary: dict[str, Any], impact: Impact | None) -> int:
@@ -262,8 +263,7 @@ def _put(
     """Put images and measures in, and note it; what they are."""
     brought = Definitions() if network is None else definitions(network)
     put_in(project.store, Addition(tuple(images), network, definitions=brought))
-    _note_sources(project, images)
-    project.add_networks(files)
+    _note_files(project, images, files)
     points, rays, ranges = (
         (0, 0, 0) if network is None else (len(network.points), network.rays.point.size, network.ranges.point.size)
     )

@@ -8,13 +8,9 @@ is of. 0 is no checksum: of a file that somebody has changed and wants to be sig
 
 import functools
 import inspect
-import json
-import os
-import platform
 import re
 import sqlite3
 import struct
-import sys
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -23,14 +19,11 @@ from typing import Any, TypeVar
 from urllib.parse import quote
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.opening import read_json, understood
-from mgsgraph.files.writing import write_file
+from mgsgraph.files.opening import understood
 from mgsgraph.project.schema import APPLICATION, FORMAT, TABLES
 
 FILE = "project.sqlite"
 """Name of the file in a project's folder."""
-WRITER = "project.writer"
-"""Who is changing the project, for the message to whom comes second; without meaning when nobody has the lock."""
 _READ_TIMEOUT, _COMMIT_TIMEOUT = 5_000, 60_000
 """ms that a reader waits for a commit, and a commit for readers."""
 A_PROJECT = "a project as mgsgraph writes it"
@@ -41,7 +34,7 @@ _FORMAT_NUMBER = re.compile(r"[1-9][0-9]{0,5}")
 
 
 @contextmanager
-def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sqlite3.Connection]:
+def connected(folder: Path, write: bool) -> Iterator[sqlite3.Connection]:
     """The project's file inside one transaction, which is committed at the end and rolled back on any exception.
 
     Its checksum is compared first, and written anew with a change.
@@ -52,8 +45,6 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         The project.
     write : bool
         Lock it for changes, at once or not at all. Readers go on meanwhile, and see what was there before.
-    thorough : bool
-        Look through all pages of the file for damage first.
 
     Raises
     ------
@@ -70,18 +61,19 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         try:
             with _refused(folder, UnicodeError):
                 _require_format(connection, folder)
-                _require_sound(connection, folder, thorough)
+                _require_sound(connection, folder)
                 if write:
                     # a read-only file lets even a transaction for writing begin, and complains at its first change
                     note(connection, 0)
-            if write:
-                _say_who(folder)
             yield connection
             if write:
                 note(connection, checksum(connection))
             _commit(connection, folder)
         finally:
-            _closed(connection, folder if write else None)
+            with suppress(sqlite3.Error):
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+            connection.close()
 
 
 @contextmanager
@@ -135,7 +127,7 @@ def _refusal(folder: Path, error: sqlite3.Error | UnicodeError) -> InputError:
     name = getattr(error, "sqlite_errorname", "")
     shown = str(folder)
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-        return InputError(shown, f"another mgsgraph process is changing it{_who(folder)}", remedy="wait for it")
+        return InputError(shown, "another mgsgraph process is changing it", remedy="wait for it")
     for beginnings, found, remedy in _REFUSALS:
         if name.startswith(beginnings):
             return InputError(shown, found.format(error), remedy=remedy)
@@ -245,42 +237,17 @@ def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
         )  # fmt: skip
 
 
-def _require_sound(connection: sqlite3.Connection, folder: Path, thorough: bool) -> None:
+def _require_sound(connection: sqlite3.Connection, folder: Path) -> None:
     """Raise InputError where the file isn't as it was written; of one without a checksum, where its pages don't fit."""
     expected = noted(connection)
     if expected and checksum(connection) != expected:
         found = f"{FILE} is damaged, or another program has changed it (its checksum is another one)"
         own = f"sqlite3 {folder / FILE} 'PRAGMA user_version = 0'"
         raise InputError(str(folder), found, remedy=f"{ELSEWHERE}; if the change was yours, have it signed: {own}")
-    if thorough or not expected:
+    if not expected:
         found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if found != "ok":
             raise InputError(str(folder), f"{FILE} is damaged ({' '.join(found.split())})", remedy=ELSEWHERE)
-
-
-def _closed(connection: sqlite3.Connection, writer_of: Path | None) -> None:
-    with suppress(sqlite3.Error):
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
-    if writer_of is not None:
-        with suppress(OSError):  # before the lock is given up: the next one's name must not go
-            (writer_of / WRITER).unlink()
-    connection.close()
-
-
-def _say_who(folder: Path) -> None:
-    me = {"pid": os.getpid(), "host": platform.node(), "command": " ".join(sys.argv)[:200]}
-    with suppress(InputError):  # whole, and in the place of whatever is there: no link is followed
-        write_file(folder / WRITER, json.dumps(me))
-
-
-def _who(folder: Path) -> str:
-    """Who holds the lock, where that is known."""
-    try:
-        them = read_json(folder / WRITER)
-        return f" (process {them['pid']} on {them['host']}: {them['command']})"
-    except (InputError, LookupError):
-        return ""
 
 
 _LEFT_OUT = (slice(24, 28), slice(60, 64), slice(92, 100))

@@ -16,10 +16,10 @@ import msgspec
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.atomic_write import made_beside, resolved
 from mgsgraph.errors import InputError
-from mgsgraph.files.opening import sha256_of, understood
+from mgsgraph.files.opening import understood
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.image import ImageTimes, LineTiming
-from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, WRITER, connected, made
+from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.results.archive_arrays import unpack_parts
@@ -226,20 +226,9 @@ class Project:
 
     # --- where images come from
 
-    def add_sources(self, image: str, files: Iterable[Path], picture: Path | None = None) -> None:
-        """Remember the files that an image was read from, by path and digest, and that of its pixels."""
-        (number,) = self._connection.execute("SELECT id FROM image WHERE name = ?", (image,)).fetchone()
-        rows = [(number, str(file.resolve()), sha256_of(file)) for file in files]
-        self._connection.executemany("INSERT OR REPLACE INTO source VALUES (?, ?, ?)", rows)
-        if picture is not None:
-            self._connection.execute("UPDATE image SET picture = ? WHERE id = ?", (str(picture.resolve()), number))
-
-    def sources(self, image: str) -> dict[str, str]:
-        """Digest (SHA-256) of each of these files."""
-        rows = self._connection.execute(
-            "SELECT path, sha256 FROM source JOIN image ON image.id = source.image WHERE name = ?", (image,)
-        )
-        return dict(rows.fetchall())
+    def take_picture(self, image: str, picture: Path) -> None:
+        """Remember the file of an image's pixels."""
+        self._connection.execute("UPDATE image SET picture = ? WHERE name = ?", (str(picture.resolve()), image))
 
     def pictures(self) -> dict[str, str | None]:
         """File of each image's pixels, where it was then; None where it isn't known."""
@@ -407,7 +396,7 @@ class Project:
 
 @contextmanager
 def open_project(
-    folder: str | Path, write: bool = False, thorough: bool = False, kept: KeptAdjustment | None = None
+    folder: str | Path, write: bool = False, kept: KeptAdjustment | None = None
 ) -> Iterator[Project]:
     """Open a project for one change, or for reading; see `mgsgraph.project.connection.connected`.
 
@@ -419,14 +408,12 @@ def open_project(
         The project.
     write : bool
         For a change: no other process may change it meanwhile.
-    thorough : bool
-        Look through the whole file for damage first.
     kept : KeptAdjustment, optional
         The adjustment after this process' last change, for the next one.
     """
     path = Path(folder)
     try:
-        with connected(path, write, thorough) as connection:
+        with connected(path, write) as connection:
             project = Project(path, connection, kept)
             with understood(str(folder), A_PROJECT, ELSEWHERE):
                 project.store.require_whole()
@@ -440,7 +427,7 @@ def open_project(
 def _require_free(target: Path, shown: str) -> None:
     if target.exists() and not target.is_dir():
         raise InputError(shown, "exists and is a file", "a folder for the project", _ANOTHER)
-    if target.is_dir() and any(entry.name != WRITER for entry in target.iterdir()):
+    if target.is_dir() and any(target.iterdir()):
         raise InputError(shown, "exists and is not empty", "an absent or empty folder", _ANOTHER)
 
 

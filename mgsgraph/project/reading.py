@@ -1,5 +1,8 @@
 """What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,17 +12,30 @@ from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
+from mgsgraph.analysis.places import View
 from mgsgraph.analysis.posterior import Posterior, posterior_of, stands_alone
-from mgsgraph.case.case_file import decode
+from mgsgraph.case.case_file import decode, read_image, read_images
+from mgsgraph.case.passes import members
+from mgsgraph.case.reading import terrain_shots
+from mgsgraph.case.schema import CaseInput, TerrainInput
+from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.opening import understood
 from mgsgraph.files.records import read_record
+from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on_body
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Mask
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.network.footprints import Corrections, Registration, footprints_in_images
 from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
 from mgsgraph.project.changes import incremental, is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import CHANGING, Project, open_project
 from mgsgraph.results.archive import ARCHIVE, read_solution
+from mgsgraph.units import DEG
 
 _OWN_CASE = Path("inputs", "case.toml")
 """Where a demonstration's results hold their case."""
@@ -164,3 +180,163 @@ def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
     return incremental(project)
+
+
+
+
+class OrientedImages(NamedTuple):
+    """Images with the orientation that is believed."""
+
+    views: tuple[View, ...]
+    """(m)."""
+    warning: str = ""
+    """What is to be said of them."""
+    case: CaseInput | None = None
+    """The case that they are of; None of results."""
+
+    @property
+    def images(self) -> tuple[PushbroomImage, ...]:
+        """(m) their geometry."""
+        return tuple(view.image for view in self.views)
+
+    @property
+    def corrections(self) -> Corrections:
+        """(m) of their nominal orientation."""
+        return [view.correction for view in self.views]
+
+
+def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
+    """Images of a case file, a folder of results (or their archive) or a project; all, or some by their names or parts
+    of names that no other has: of a case only these are read then.
+
+    Raises
+    ------
+    InputError
+        A name that no image has, or several; what `decode` and `read_solution` refuse.
+    """
+    if (path / FILE).is_file() or (path / ARCHIVE).is_file() or path.suffix == ".npz":
+        results = results_of(path)
+        solution = read_solution(results.folder)
+        chosen = _chosen([image.name for image in solution.network.images], names, path)
+        warning = results.warning if solution.converged else f"The adjustment has NOT converged: {solution.message}"
+        return OrientedImages(tuple(View.adjusted(solution, j) for j in chosen), warning)
+    wanted = decode(path)
+    known = [image.name for image in wanted.images]
+    if names:
+        images = [_alone(wanted, j, path) for j in _chosen(known, names, path)]
+    else:
+        images = [*read_images(wanted, wanted.orientations, members(wanted.passes, known, str(path)), path)]
+    return OrientedImages(tuple(map(View, images)), case=wanted)
+
+
+def _alone(wanted: CaseInput, number: int, path: Path) -> PushbroomImage:
+    image = read_image(wanted.images[number], wanted.spice, path.parent, f"{path}, images[{number}]")
+    return wanted.orientations[number].nominal_of(image)
+
+
+def _chosen(known: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
+    """Numbers of the images of these names, each once; of all where there are none."""
+    return list(dict.fromkeys(_number(known, name, path) for name in names)) if names else list(range(len(known)))
+
+
+def _number(names: Sequence[str], image: str, path: Path) -> int:
+    """The image of this name, or the only one that has it as a part of its name."""
+    found = [k for k, name in enumerate(names) if name == image] or [k for k, name in enumerate(names) if image in name]
+    if len(found) == 1:
+        return found[0]
+    near = [names[k] for k in found] or get_close_matches(image, names, n=3, cutoff=0.3) or names
+    what = f"{len(found)} images that {image!r} may be" if found else f"no image {image!r}"
+    raise InputError(str(path), what, f"one of its images: {', '.join(near[:4])}")
+
+
+def open_view(
+    path: Path, image: str, terrain: Path | bool = True, reference_radius: float | None = None
+) -> tuple[View, TerrainGrid | None, str]:
+    """An image by its name, or by a part of its name that no other has, the ground that it is to be projected onto
+    (None for the ellipsoid), and what is to be said of it.
+
+    Parameters
+    ----------
+    path : Path
+        Case file, folder of results (or their archive), or project.
+    image : str
+        Its name.
+    terrain : Path or bool
+        A terrain model's file; True: that of the case or the results, if they have one; False: none.
+    reference_radius : float, optional
+        m, above which the heights of that file are.
+
+    Raises
+    ------
+    InputError
+        An image that isn't there; what `read_case` and `read_solution` refuse.
+    """
+    seen = oriented_images(path, (image,))
+    (view,) = seen.views
+    entries = seen.case.terrain_models[:1] if terrain is True and seen.case is not None else ()
+    if isinstance(terrain, Path):
+        entries = (TerrainInput(radius=str(Path.cwd() / terrain), reference_radius_m=reference_radius),)
+        path = terrain
+    for entry in entries:
+        return view, as_grid(read_terrain_model(entry, path, seen.images, terrain_shots(entry))[0]), seen.warning
+    surface = view.solution.network.surface if terrain is True and view.solution is not None else None
+    return view, None if surface is None else surface.grid, seen.warning
+
+
+_DAY = 86400.0 - 1e-3
+"""s to the last millisecond of a day."""
+_DATE = len("2010-05-10")
+
+
+@dataclass(frozen=True, slots=True)
+class ShotChoice:
+    """Which shots may be chosen, apart from where they fall."""
+
+    dates: tuple[str, str] | None = None
+    """UTC, both included: days, or times."""
+    ground: bool = True
+    """Returns from the ground alone."""
+    off_nadir: float | None = None
+    """deg, at the most."""
+    margin: float = 0.0
+    """pixels by which they may lie beside an image."""
+    along: bool = False
+    """Those alone that were fired while an image was taken in which they fall."""
+    version: str | None = None
+    """Letter of PEDR products whose names don't say it."""
+
+    def of(self, shots: AltimeterShots) -> Mask:
+        """(n,) True for shots that may be chosen."""
+        found = shots.ground.copy() if self.ground else np.ones(shots.times.size, dtype=bool)
+        if self.off_nadir is not None:
+            found &= shots.off_nadir <= self.off_nadir * DEG
+        if self.dates is not None:
+            first, last = _interval(self.dates)
+            found &= (shots.times >= first) & (shots.times <= last)
+        return found
+
+
+def _interval(dates: tuple[str, str]) -> tuple[float, float]:
+    """S TDB past J2000 from the beginning of the first to the end of the last."""
+    texts = [text.strip() + "T00:00:00"[len(text.strip()) - _DATE :] for text in dates]
+    first, last = tdb_of_utc(texts, "dates").tolist()
+    last += _DAY if len(dates[1].strip()) == _DATE else 0.0
+    if first > last:
+        raise InputError("dates", f"{dates[0]} after {dates[1]}", "FROM before TO")
+    return first, last
+
+
+def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice) -> Registration:
+    """Shots of all files over images.
+
+    Raises
+    ------
+    InputError
+        What `read_shots` refuses; files of several altimeters; shots on another body than the images'.
+    """
+    parts = [read_shots(path, version=choice.version) for path in files]
+    for part in parts:
+        require_on_body(part.footprints, seen.images[0].body, part.source)
+    shots = joined_shots(parts)
+    over = footprints_in_images(seen.images, shots.chosen(choice.of(shots)), seen.corrections, margin=choice.margin)
+    return replace(over, inside=over.inside & over.simultaneous) if choice.along else over

@@ -26,12 +26,6 @@ TABLES = (
     record BLOB NOT NULL, -- .npz: camera, timing, trajectory, a-priori sigmas of the orientation
     picture TEXT -- file of its pixels, where known
 )""",
-    """CREATE TABLE source ( -- files that an image was read from
-    image INTEGER NOT NULL REFERENCES image,
-    path TEXT NOT NULL,
-    sha256 TEXT NOT NULL,
-    PRIMARY KEY (image, path)
-) WITHOUT ROWID""",
     """CREATE TABLE shared ( -- adjusted unknowns that points share
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     kind TEXT NOT NULL, -- image: orientation coefficients; shift: of a laser profile or of the terrain model;

@@ -80,9 +80,8 @@ class ProjectStore:
 
     def drop_image(self, name: str) -> None:
         """Take an image out; its bundles have been replaced before."""
-        (number,) = self._one("SELECT id FROM image WHERE name = ?", name)
-        self._connection.execute("DELETE FROM source WHERE image = ?", (number,))
-        self._connection.execute("DELETE FROM image WHERE id = ?", (number,))
+        if not self._connection.execute("DELETE FROM image WHERE name = ?", (name,)).rowcount:
+            raise KeyError(name)
         self._images.pop(name, None)
 
     # --- shared unknowns

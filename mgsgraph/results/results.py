@@ -2,12 +2,14 @@
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.settings import Device, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import point_statistics, solution_connectivity
 from mgsgraph.errors import InputError
@@ -26,6 +28,35 @@ from mgsgraph.workers import called_in_workers
 FORMAT = 1
 """Version of solution.json's layout."""
 _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; times sigma0 they are scaled to the fit"
+
+
+@dataclass(frozen=True, slots=True)
+class Overrides:
+    """Options that overrule all case files alike."""
+
+    loss: Loss | None = None
+    """Robust loss."""
+    reject: float | None = None
+    """Blunder limit in standard deviations, as `SolverSettings.reject`."""
+    laser: bool = True
+    """False leaves the laser rows out."""
+    figures: bool = True
+    """False leaves the figures out."""
+    starts: int | None = None
+    """Starts over a terrain model's unknown shift, as `SolverSettings.starts`."""
+    tables: TableForm | None = None
+    """Form of the tables of points and residuals, as `write_results`."""
+    device: Device | None = None
+    """Who goes over the points, as `SolverSettings.device`."""
+
+    def over(self, settings: SolverSettings) -> SolverSettings:
+        """A case file's settings with these over them."""
+        chosen = {name: getattr(self, name) for name in ("loss", "reject", "starts", "device")}
+        return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
+
+
+AS_WRITTEN = Overrides()
+"""Nothing overrules the case files."""
 
 
 def write_results(

@@ -22,7 +22,7 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import connectivity, network_footprints
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import known_images
-from mgsgraph.project.campaign.run import checksums
+from mgsgraph.project.campaign import checksums
 from mgsgraph.project.settings import settings_of_case
 from mgsgraph.results.inventory import inventory
 from mgsgraph.units import MRAD

@@ -18,7 +18,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import nominal_ground
 from mgsgraph.network.terrain import coverage, posts_of, terrain_ground
-from mgsgraph.project.campaign.run import checksums
+from mgsgraph.project.campaign import checksums
 from mgsgraph.results.ground import control_section
 from mgsgraph.results.inventory import inventory
 from mgsgraph.simulation.files import write_site

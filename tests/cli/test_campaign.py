@@ -75,7 +75,7 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], said: str, sites: Pat
 
 def test_a_scheduler_that_does_not_answer(sites: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
-    monkeypatch.setattr("mgsgraph.project.campaign.run.open_cluster", partial(open_cluster, timeout=0.5))
+    monkeypatch.setattr("mgsgraph.project.campaign.open_cluster", partial(open_cluster, timeout=0.5))
     out = tmp_path / "out"
     with pytest.raises(InputError, match=r"no scheduler answers there within 0\.5 s"):
         group(["campaign", str(sites), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"], standalone_mode=False)

@@ -5,7 +5,6 @@ import json
 import re
 from pathlib import Path
 
-import click
 import pytest
 from increments import strip
 
@@ -64,11 +63,6 @@ def test_bad_options_are_one_line(case: Path, options: tuple[str, ...], words: s
     with pytest.raises(InputError, match=re.escape(words)) as caught:
         call("nodes", case, *options)
     assert "\n" not in str(caught.value)
-
-
-def test_densify_names_what_takes_its_place(case: Path) -> None:
-    with pytest.raises(click.UsageError, match="--spacings"):
-        call("nodes", case, "--densify")
 
 
 def test_case_without_strips(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.project.oriented import oriented_images
+from mgsgraph.project.reading import oriented_images
 from mgsgraph.results.places import SELECTION
 
 

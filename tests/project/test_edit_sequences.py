@@ -510,7 +510,7 @@ def test_killed_in_the_middle_of_an_edit_nothing_is_lost(folder: Path) -> None:
         os.kill(child, signal.SIGKILL)
         _, ended = os.waitpid(child, 0)
         assert os.WIFSIGNALED(ended), "it should have gone on until it was killed"
-        with open_project(folder, thorough=True) as project:
+        with open_project(folder) as project:
             assert sorted_state(edits.point_state(project, name)) == sorted_state(last_state(project, name))
             solution = project.last_solution()
             assert solution is not None

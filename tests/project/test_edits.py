@@ -234,7 +234,7 @@ def test_an_error_in_mid_change_leaves_all_as_it_was(project: Path, monkeypatch:
     monkeypatch.setattr(Project, "record_edit", fail)
     with pytest.raises(RuntimeError):
         edit(project, edits.move, name, first.image, first.line + 2.0, first.sample)
-    with open_project(project, thorough=True) as opened:
+    with open_project(project) as opened:
         assert digest(opened.store) == before
         assert len(opened.changes()) == changes
 

@@ -60,7 +60,7 @@ def test_killed_at_any_moment_it_holds_the_state_before_or_after(tmp_path: Path)
             break
         assert number < 10 * _MOMENTS
         killed(folder, float(rng.uniform(0.1, 6.0)) * took)
-        with open_project(folder, thorough=True) as project:
+        with open_project(folder) as project:
             now = len(project.changes())
             if now == done:  # others may have come to share the machine
                 took *= 1.5
@@ -78,5 +78,5 @@ def test_a_journal_left_over_is_played_back_by_a_reader(tmp_path: Path) -> None:
     assert (tmp_path / "copy" / "project.sqlite-journal").stat().st_size > 0
     assert before != after
     for path, expected in ((tmp_path / "copy", before), (folder, after)):
-        with open_project(path, thorough=True) as project:
+        with open_project(path) as project:
             assert digest(project.store) == expected

@@ -17,7 +17,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots
 from mgsgraph.geometry.records import frozen_mask
 from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.network.footprints import Registration, crossings, footprints_in_images
-from mgsgraph.project.oriented import OrientedImages, ShotChoice, search_shots
+from mgsgraph.project.reading import OrientedImages, ShotChoice, search_shots
 from mgsgraph.results.places import crossings_section, crossings_table, selection_table
 
 

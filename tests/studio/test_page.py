@@ -259,7 +259,7 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
         assert "<svg" in (tmp_path / "images.svg").read_text(encoding="utf-8")[:600]
         print(f"a measured point: stored, adjusted and answered in {refined:.3f} s")
         seen.close()
-    with open_project(folder, thorough=True) as project:
+    with open_project(folder) as project:
         states = [point_state(project, f"moc-{k}") for k in range(1, 6)]
     assert all(state is not None for state in states)
     assert [len(state.measures) for state in states if state] == [2, 2, 1, 2, 2]

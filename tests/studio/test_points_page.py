@@ -108,7 +108,7 @@ def test_every_change_by_keys_and_all_of_them_undone(seen: Page, folder: Path, t
         seen.run("document.activeElement.blur()")
         seen.tab.keyboard.press("u")
         seen.until("revision => studio.last.revision > revision", revision)
-    with open_project(folder, thorough=True) as project:
+    with open_project(folder) as project:
         after = point_state(project, tie)
         kinds = [one.summary["kind"] for one in project.changes() if one.verb == "edit"]
     assert after is not None

@@ -321,7 +321,7 @@ def test_a_server_that_is_killed_loses_nothing(solved: Path, tmp_path: Path) -> 
             worker.join(0.05)
         running.process.kill()
         worker.join()
-    with open_project(folder, thorough=True) as project:
+    with open_project(folder) as project:
         changes = [change for change in project.changes() if change.verb == "edit"]
         assert len(changes) in (len(done), len(done) + 1)
         for name, line in dict(done[: len(changes)]).items():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import mgsgraph
 from mgsgraph.errors import InputError
-from mgsgraph.project.campaign.run import checksums, find_cases, result_folders
+from mgsgraph.project.campaign import checksums, find_cases, result_folders
 
 words = st.sampled_from(["a", "b", "eos", "case", "gusev"])
 paths = st.lists(words, min_size=2, max_size=5).map(lambda parts: Path("/").joinpath(*parts).with_suffix(".toml"))

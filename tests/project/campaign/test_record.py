@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.project.campaign.record import RECORD, CampaignEntry, Overrides, open_record
+from mgsgraph.project.campaign import RECORD, CampaignEntry, open_record
+from mgsgraph.results.results import Overrides
 
 
 def entry(case: str = "a.toml", **changed: Any) -> CampaignEntry:

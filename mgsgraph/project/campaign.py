@@ -1,12 +1,20 @@
-"""Many cases: those that are due (whose files have changed, by their checksums) are adjusted, one after the other here
-or as tasks on a cluster, each into a folder of its own and recorded; and how they ended, in words.
+"""A campaign: many independent cases. Those that are due (whose files have changed, by their checksums) are adjusted,
+one after the other here or as tasks on a cluster, each into a folder of its own and recorded; and how they ended.
+
+The record is JSON Lines, one for each case that is over, appended whole and never changed. A case that is done again
+gets another line; its last one counts. A line that a crash or a full disk has cut short is taken off. Each ends with
+its checksum. One campaign at a time may write.
 """
 
 import dataclasses
+import json
 import math
 import os
+import re
 import socket
+import stat
 import time
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +22,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Self
 
 import msgspec
 
@@ -29,11 +37,169 @@ from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.folders import RECORD as RESULT
 from mgsgraph.files.output.folders import require_replaceable
-from mgsgraph.project.campaign.record import AS_WRITTEN, CampaignEntry, Overrides, Record, open_record
-from mgsgraph.results.results import write_results
+from mgsgraph.files.writing import claim
+from mgsgraph.results.results import AS_WRITTEN, Overrides, write_results
 from mgsgraph.results.soundness import soundness_section
 from mgsgraph.text import many
 from mgsgraph.workers import read_apart
+
+Status = Literal["done", "no result", "not converged", "failed"]
+RECORD = "campaign.jsonl"
+"""Name of the file in the folder of the results."""
+FORMAT = 2
+"""Version of the layout."""
+_HEAD = json.dumps({"program": "mgsgraph", "record": "campaign", "format": FORMAT}).encode()
+_SIGNED = re.compile(rb'(.*),"crc32":"([0-9a-f]{8})"\}', re.DOTALL)
+"""A line, and the CRC-32 of what stands before it."""
+
+
+class CampaignEntry(msgspec.Struct, frozen=True):
+    """How one case ended."""
+
+    case: str
+    """Path of the case file, relative to the record's folder."""
+    folder: str
+    """Name of the folder with its results."""
+    status: Status
+    """no result: it came to rest on what proves nothing (`analysis.soundness`); not converged: results are written in
+    both; failed: there are none of this run."""
+    message: str
+    """Reason why the adjustment ended."""
+    seconds: float
+    """s, wall time on the worker."""
+    converged: bool
+    sigma0: float | None
+    """A-posteriori standard deviation of unit weight; None where there is none."""
+    cost: float | None
+    """Half the weighted sum of squares at the end."""
+    iterations: int | None
+    """Number of steps tried."""
+    checksums: dict[str, str | None]
+    """SHA-256 of the case file and of its inputs, by path as the case writes it."""
+    overrides: Overrides = msgspec.field(name="wishes")
+    """Options that overruled the case file."""
+    version: str
+    """Version of this program."""
+    machine: str
+    """Host name of the worker."""
+    finished: str
+    """UTC, ISO 8601."""
+
+
+class Record:
+    """An open record; made by `open_record`.
+
+    Attributes
+    ----------
+    path : Path
+    entries : dict of str to CampaignEntry
+        The last one of each case, by `CampaignEntry.case`.
+    """
+
+    def __init__(self, path: Path, descriptor: int) -> None:
+        self.path = path
+        self._descriptor = descriptor
+        self._new = False
+        self.entries: dict[str, CampaignEntry] = {}
+
+    def append(self, entry: CampaignEntry) -> None:
+        """Add a line: all of it or nothing, and on the disk before this returns."""
+        text = msgspec.json.encode(entry).removesuffix(b"}")
+        _append(self._descriptor, text + b',"crc32":"%08x"}\n' % zlib.crc32(text), self.path)
+        self.entries[entry.case] = entry
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._descriptor)
+        if self._new and not self.entries and os.listdir(self.path.parent) == [self.path.name]:  # nothing came of it
+            self.path.unlink()
+            self.path.parent.rmdir()
+
+
+def open_record(folder: Path) -> Record:
+    """The record of the campaign in a folder, which is made where there is none.
+
+    Raises
+    ------
+    InputError
+        A folder that holds something else, a record that isn't one or is damaged, one that another campaign is writing,
+        or a place where nothing can be written.
+    """
+    path = folder / RECORD
+    try:
+        _require_ours(folder, path)
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+    except OSError as error:
+        raise _refusal(path, error) from None
+    record = Record(path, descriptor)
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise InputError(str(path), "is no file", "the record of a campaign", "choose another --out")
+        claim(descriptor, path, "another campaign is writing here")
+        text = os.read(descriptor, os.fstat(descriptor).st_size)
+        whole = text.rfind(b"\n") + 1
+        os.ftruncate(descriptor, whole)
+        lines = text[:whole].split(b"\n")[:-1]
+        record._new = not lines
+        if not lines:
+            _append(descriptor, _HEAD + b"\n", path)
+        record.entries.update((entry.case, entry) for entry in _entries(lines, path))
+    except OSError as error:
+        os.close(descriptor)
+        raise _refusal(path, error) from None
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return record
+
+
+def _require_ours(folder: Path, path: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(str(folder), "exists and is a file", "a folder for the results", "choose another --out")
+    if folder.is_dir() and not path.exists() and any(folder.iterdir()):
+        found, expected = f"exists, and has no {RECORD}", "an absent or empty folder, or an earlier campaign"
+        raise InputError(str(folder), found, expected, "choose another --out")
+
+
+def _append(descriptor: int, line: bytes, path: Path) -> None:
+    size = os.fstat(descriptor).st_size
+    try:
+        written = os.write(descriptor, line)
+        os.fsync(descriptor)
+    except OSError as error:
+        os.ftruncate(descriptor, size)
+        raise _refusal(path, error) from None
+    if written < len(line):
+        os.ftruncate(descriptor, size)
+        raise InputError(str(path), "can't be written (the disk is full)", remedy="free some space, and run this again")
+
+
+def _entries(lines: list[bytes], path: Path) -> list[CampaignEntry]:
+    """Entries of the lines of a record after its head."""
+    where = f"{path}, line 1"
+    if lines and lines[0] != _HEAD:
+        raise InputError(where, "no head of a campaign's record", _HEAD.decode(), "choose another --out")
+    return [_entry(line, f"{path}, line {number}") for number, line in enumerate(lines[1:], start=2)]
+
+
+def _entry(line: bytes, where: str) -> CampaignEntry:
+    signed = _SIGNED.fullmatch(line)
+    remedy = "take that line out: its case will be done again"
+    if signed is None or zlib.crc32(signed[1]) != int(signed[2], 16):
+        raise InputError(where, "a damaged entry (its checksum is another one, or gone)", remedy=remedy)
+    try:
+        return msgspec.json.decode(line, type=CampaignEntry)
+    except (msgspec.MsgspecError, UnicodeError) as error:
+        raise InputError(where, f"no entry of a campaign ({error})", remedy=remedy) from None
+
+
+def _refusal(path: Path, error: OSError) -> InputError:
+    reason = error.strerror or str(error)
+    return InputError(str(path), f"can't be written ({reason})", remedy="choose another --out, where you may write")
+
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
@@ -63,7 +229,10 @@ def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
     found: dict[Path, None] = {}
     for path in given:
         if path.is_dir():
-            inside = _walk(path, resolved(out, _ELSEWHERE))
+            result, hidden = resolved(out, _ELSEWHERE), re.compile(r"(^|/)\.")
+            every = (one for one in sorted(path.rglob(f"*{SUFFIX}")) if not hidden.search(str(one.relative_to(path))))
+            own = result == path.resolve()
+            inside = [one for one in (resolved(one, _MEND) for one in every) if own or result not in one.parents]
             if not inside:
                 raise InputError(str(path), f"no case file (*{SUFFIX}) in this folder", "at least one")
             found.update(dict.fromkeys(inside))
@@ -72,16 +241,6 @@ def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
         else:
             raise InputError(str(path), "no such file or folder", "case files, or folders of them")
     return tuple(found)
-
-
-def _walk(folder: Path, out: Path) -> list[Path]:
-    found = []
-    for place, folders, files in os.walk(folder):
-        seen = [name for name in sorted(folders) if not name.startswith(".")]
-        folders[:] = [name for name in seen if resolved(Path(place, name), _MEND) != out]
-        cases = [name for name in sorted(files) if name.endswith(SUFFIX) and not name.startswith(".")]
-        found += [resolved(Path(place, name), _MEND) for name in cases]
-    return found
 
 
 def result_folders(cases: Iterable[Path], taken: Mapping[Path, str]) -> dict[Path, str]:
@@ -206,7 +365,7 @@ def run_case(task: CaseTask) -> CampaignEntry:
         outcome = {"message": "out of memory; give the machine more or leave images out"}
     except Exception as error:  # one case must not end the others
         outcome = {"message": f"unforeseen {type(error).__name__}: {error}; `mgsgraph adjust` shows where"}
-    return _entry(task, sums, time.perf_counter() - began, outcome)
+    return _ended(task, sums, time.perf_counter() - began, outcome)
 
 
 def _adjusted(task: CaseTask) -> dict[str, Any]:
@@ -226,12 +385,7 @@ def _adjusted(task: CaseTask) -> dict[str, Any]:
     }
 
 
-def failed(task: CaseTask, message: str) -> CampaignEntry:
-    """Entry of a case whose worker has not come back."""
-    return _entry(task, checksums(task.case), 0.0, {"message": message})
-
-
-def _entry(task: CaseTask, sums: dict[str, str | None], seconds: float, outcome: dict[str, Any]) -> CampaignEntry:
+def _ended(task: CaseTask, sums: dict[str, str | None], seconds: float, outcome: dict[str, Any]) -> CampaignEntry:
     missing: dict[str, Any] = {"status": "failed", "converged": False, "sigma0": None, "cost": None, "iterations": None}
     outcome = missing | outcome
     outcome["message"] = " ".join(outcome["message"].split())
@@ -261,15 +415,9 @@ class Campaign:
     """One for each case, in the order in which they were given."""
     kept: frozenset[str]
     """`CampaignEntry.case` of those that were left as an earlier run had ended them."""
-
     def count(self, status: str) -> int:
         """Number of cases with a status."""
         return sum(entry.status == status for entry in self.entries)
-
-    @property
-    def well(self) -> bool:
-        """Whether every case is done."""
-        return self.count("done") == len(self.entries)
 
 
 def run_campaign(
@@ -314,7 +462,9 @@ def run_campaign(
                 with _workers(cluster, record, due) as each:
                     progress(0, len(due), None)
                     for over, (place, entry) in enumerate(each(run_case, due), start=1):
-                        ended = failed(due[place], entry.message) if isinstance(entry, Lost) else entry
+                        ended, task = entry, due[place]
+                        if isinstance(ended, Lost):
+                            ended = _ended(task, checksums(task.case), 0.0, {"message": ended.message})
                         record.append(ended)
                         progress(over, len(due), ended)
             finally:
