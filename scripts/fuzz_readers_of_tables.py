@@ -28,7 +28,7 @@ def of_networks() -> Iterator[Row]:
     from mgsgraph.files.networks.network_file import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
     from mgsgraph.files.place_table import read_places
-    from mgsgraph.studio.review.verdicts import read_verdicts
+    from mgsgraph.studio.verdicts import read_verdicts
 
     match, gcp, nvm = (of_tests(f"files/networks/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
     pair, written = ("one", "two"), seeds.written_network

@@ -338,7 +338,7 @@ def a_table(text: str, folder: Path) -> None:
 
 
 def verdicts(text: str, folder: Path) -> None:
-    from mgsgraph.studio.review.verdicts import read_verdicts
+    from mgsgraph.studio.verdicts import read_verdicts
 
     (folder / "verdicts.csv").write_text(text, encoding="utf-8")
     assert read_verdicts(folder / "verdicts.csv").of

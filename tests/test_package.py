@@ -56,7 +56,7 @@ ONLY_IN = {
     "spiceypy": ("mgsgraph.files", "mgsgraph.simulation", "mgsgraph.export"),
     "msgspec": (
         "mgsgraph.case", "mgsgraph.export", "mgsgraph.fetch", "mgsgraph.files", "mgsgraph.planning.candidates_file",
-        "mgsgraph.project", "mgsgraph.studio.review", "mgsgraph.simulation.archive_files",
+        "mgsgraph.project", "mgsgraph.studio.verdicts", "mgsgraph.simulation.archive_files",
     ),
     "requests": ("mgsgraph.fetch",),
     "urllib3": ("mgsgraph.fetch",),

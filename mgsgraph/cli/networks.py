@@ -168,9 +168,8 @@ def _write_page(
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.results.archive import read_solution
-    from mgsgraph.studio.review.page import require_page, write_review
-    from mgsgraph.studio.review.selection import WORST, review_case
-    from mgsgraph.studio.review.verdicts import read_verdicts, reviewed_network
+    from mgsgraph.studio.match_review import WORST, require_page, review_case, write_review
+    from mgsgraph.studio.verdicts import read_verdicts, reviewed_network
 
     require_page(out)
     if ties is None:
@@ -189,7 +188,7 @@ def _write_page(
 def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> None:
     from mgsgraph.export.exchange_setting import case_setting
     from mgsgraph.files.networks.table import is_table
-    from mgsgraph.studio.review.verdicts import read_verdicts, reviewed_network, write_kept
+    from mgsgraph.studio.verdicts import read_verdicts, reviewed_network, write_kept
 
     network = reviewed_network(case) if ties is None else ties
     setting = case_setting(case) if is_table(network) else None

@@ -3,7 +3,6 @@
 One browser at a time may change a project: the first one that does. Another one reads, and hears who has it.
 """
 
-import time
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any
@@ -14,10 +13,10 @@ from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import vector
 from mgsgraph.geometry.body import east_north_up, from_geodetic
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited
-from mgsgraph.project.project import Measure, PointState, Project
+from mgsgraph.project.project import Measure, Project
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
 
@@ -71,19 +70,18 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
     InputError
         No project; another process changes it; what the change itself refuses: nothing has changed then.
     """
-    began, kind = time.perf_counter(), _text(asked, "kind")
+    kind = _text(asked, "kind")
     if kind not in _KINDS:
         raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
-    edited, moved, state = opened.change(lambda project: _carried_out(project, kind, asked))
-    sentences = [edited.sentence]
-    if edited.impact is not None:
-        sentences += edited.impact.sentences
+
+    def act(project: Project) -> tuple[Edited, list[dict[str, Any]]]:
+        edited = _KINDS[kind](project, asked)
+        return edited, [] if edited.impact is None else _moved(opened, project, edited.impact)
+
+    edited, moved = opened.change(act)
     return {
-        "kind": edited.kind, "point": edited.point, "revision": opened.revision, "sentences": sentences,
-        "moved": [] if edited.impact is None else _moved(opened, edited.impact, moved),
-        "measures": [{"image": one.image, "line": one.line, "sample": one.sample,
-                      "sigma_px": [one.sigma_line, one.sigma_sample]} for one in (state.measures if state else ())],
-        "warning": opened.warning, "seconds": round(time.perf_counter() - began, 3),
+        "kind": edited.kind, "point": edited.point, "revision": opened.revision, "moved": moved,
+        "sentences": [edited.sentence, *(edited.impact.sentences if edited.impact else ())], "warning": opened.warning,
     }  # fmt: skip
 
 
@@ -132,33 +130,16 @@ _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
 }
 
 
-def _carried_out(
-    project: Project, kind: str, asked: Mapping[str, Any]
-) -> tuple[Edited, Array, PointState | None]:
-    """A change, places (n, 3) in m of the points that moved by it, as the project has them now, and its own point as it
-    is now; None for one that is no longer there.
-    """
-    edited = _KINDS[kind](project, asked)
-    names = [] if edited.impact is None else [edited.impact.points.ids[k] for k in _order(edited.impact).tolist()]
-    found, place = project.store.bundles_of(names), dict[str, Array]()
-    for members in dict.fromkeys(found.values()):
+def _moved(opened: Opened, project: Project, impact: Impact) -> list[dict[str, Any]]:
+    """Points that moved, as the project has them now: new ones before those that moved by most of their sigmas."""
+    moved = impact.points
+    order = np.argsort(-np.nan_to_num(moved.in_sigmas, nan=np.inf), kind="stable")[:_MOST_MOVED]
+    names, place = [moved.ids[k] for k in order.tolist()], dict[str, Array]()
+    for members in dict.fromkeys(project.store.bundles_of(names).values()):
         bundle = project.store.bundle(members)
         place |= zip(bundle.network.points.ids, bundle.places, strict=True)
     places = np.array([place.get(name, np.full(3, np.nan)) for name in names]).reshape(-1, 3)
-    return edited, places, edits.point_state(project, edited.point)
-
-
-def _order(impact: Impact) -> Index:
-    """Points that moved, new ones before those that moved by most of their sigmas; the first ones."""
-    return np.argsort(-np.nan_to_num(impact.points.in_sigmas, nan=np.inf), kind="stable")[:_MOST_MOVED]
-
-
-def _moved(opened: Opened, impact: Impact, places: Array) -> list[dict[str, Any]]:
-    """Points that moved, in that order, at places (n, 3) in m."""
-    moved, order = impact.points, _order(impact)
-    names = [moved.ids[k] for k in order.tolist()]
-    frames = east_north_up(np.where(np.isfinite(places), places, 1.0))
-    vectors = np.einsum("nij,nj->ni", frames, moved.moves[order])
+    vectors = np.einsum("nij,nj->ni", east_north_up(np.where(np.isfinite(places), places, 1.0)), moved.moves[order])
     plane = opened.map_places(places)
     return [
         {"name": name, "map_m": vector(plane[k]), "vector_m": vector(vectors[k]),

@@ -8,7 +8,7 @@ import numpy as np
 from starlette.responses import Response
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.studio.linked import LinkedImages, Prediction
 from mgsgraph.studio.map_points import map_points, shaded_relief
 from mgsgraph.studio.marks import shots_of, ties_of
@@ -171,58 +171,36 @@ def map_figure(
         raise InputError("figure of the map", "no layer", f"some of {', '.join(LAYERS)}")
     if factor < 0.0:
         raise InputError("figure of the map, factor", f"{factor:g}", "0 or above")
-    record = map_points(opened).window(box, size, value, kinds)
+    points = map_points(opened)
+    record = points.window(box, size, value, kinds)
+    about: tuple[Index | None, Array | None] = None, None
+    if record["form"] == "points":
+        mine = points.inside(box, kinds)
+        places, values, moved = points.plane[mine], points.value(value)[mine], points.moved[mine][:, :2]
+        about = points.classes[mine], points.local[mine][:, :2, :2] if "ellipses" in layers else None
+    else:
+        places, values, moved = _cells(record)
     low, high = record["low"], record["high"]
     if value == _SIGNED:
         low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     names = [image.name for image in opened.block().images]
-    terrain = opened.block().terrain is not None
-    shown = MapWindow(
-        opened.name, opened.centre, box,
+    shaded = opened.block().terrain is not None and "relief" in layers
+    return window_sheet(MapWindow(
+        opened.now.name, opened.centre, box,
         dict(zip(names, opened.footprints(), strict=True)) if "footprints" in layers else {},
-        *_points(record, layers), (record["title"], record["unit"]), (low, high), record["count"],
-        np.array(record["classes"], dtype=np.int64) if record["form"] == "points" else None,
-        _covariances(record, layers), _moved(record, layers),
-        shaded_relief(opened, box, size) if terrain and "relief" in layers else None, factor,
-    )  # fmt: skip
-    return window_sheet(shown)
+        places, values if "points" in layers else np.full_like(values, np.nan), (record["title"], record["unit"]),
+        (low, high), record["count"], *about, moved if "moved" in layers else None,
+        shaded_relief(opened, box, size) if shaded else None, factor,
+    ))  # fmt: skip
 
 
-def _points(record: dict[str, Any], layers: Collection[str]) -> tuple[Array, Array]:
-    """Places and values; of cells the middles of those whose corrections are drawn, and the values of all."""
-    hidden = "points" not in layers
-    if record["form"] == "points":
-        values = _known(record["values"])
-        return np.column_stack([record["x"], record["y"]]), np.full_like(values, np.nan) if hidden else values
-    rows, columns = record["rows"], record["columns"]
+def _cells(record: dict[str, Any]) -> tuple[Array, Array, Array]:
+    """Middles (k, 2) of the cells whose corrections are drawn, values (rows, columns) of all, and these corrections."""
+    rows, columns, cells = record["rows"], record["columns"], np.array(record["cells"], dtype=np.int64)
     values = np.full(rows * columns, np.nan)
-    if not hidden:
-        values[record["cells"]] = _known(record["values"])
-    box, (row, column) = np.array(record["box"]), np.divmod(np.array(record["cells"])[_chosen(record)], columns)
-    steps = (box[2:] - box[:2]) / [columns, rows]
-    return box[:2] + (np.column_stack([column, row]) + 0.5) * steps, values.reshape(rows, columns)
-
-
-def _chosen(record: dict[str, Any]) -> Mask:
-    """(cells,) those whose corrections are drawn."""
-    row, column = np.divmod(np.array(record["cells"], dtype=np.int64), record["columns"])
-    return np.asarray((row % _EVERY == _EVERY // 2) & (column % _EVERY == _EVERY // 2))
-
-
-def _covariances(record: dict[str, Any], layers: Collection[str]) -> Array | None:
-    if "ellipses" not in layers or record["form"] != "points":
-        return None
-    east, both, north = _known(record["covariance"])
-    return np.stack([east, both, both, north], axis=1).reshape(-1, 2, 2)
-
-
-def _moved(record: dict[str, Any], layers: Collection[str]) -> Array | None:
-    if "moved" not in layers:
-        return None
-    moved = _known(record["moved"])[:2].T
-    return moved if record["form"] == "points" else moved[_chosen(record)]
-
-
-def _known(values: Any) -> Array:
-    """Numbers, of any shape, in which None stands for what is not known; NaN for these."""
-    return np.array(values, dtype=object).astype(np.float64)
+    values[cells] = np.array(record["values"], dtype=np.float64)
+    row, column = np.divmod(cells, columns)
+    some = (row % _EVERY == _EVERY // 2) & (column % _EVERY == _EVERY // 2)
+    box = np.array(record["box"])
+    places = box[:2] + (np.column_stack([column, row])[some] + 0.5) * (box[2:] - box[:2]) / [columns, rows]
+    return places, values.reshape(rows, columns), np.array(record["moved"], dtype=np.float64).T[some]

@@ -24,7 +24,7 @@ from mgsgraph.analysis.places import terrain_slopes
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.intersection import meet_terrain
-from mgsgraph.geometry.map_plane import PROBABILITY, error_ellipses
+from mgsgraph.geometry.map_plane import error_ellipses
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
@@ -319,22 +319,19 @@ class LinkedImages:
 
 def ground_record(found: Ground, others: list[Prediction], block: Block) -> dict[str, object]:
     """What the page is told, as JSON: degrees and pixels."""
-    longitude, latitude, radius = planetocentric(found.point).tolist()
+    longitude, latitude, _ = planetocentric(found.point).tolist()
     return {
-        "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
+        "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG,
         "height_m": found.height, "height_sigma_m": found.height_sigma if np.isfinite(found.height_sigma) else None,
-        "surface": found.surface, "point_m": found.point.tolist(),
-        "spacing_m": np.linalg.norm(found.slopes, axis=0).tolist(),
+        "surface": found.surface, "spacing_m": np.linalg.norm(found.slopes, axis=0).tolist(),
         "others": {block.images[one.image].name: _prediction_record(one) for one in others},
-        "sigmas": "posterior" if block.adjusted else "a-priori", "probability": PROBABILITY,
+        "sigmas": "posterior" if block.adjusted else "a-priori",
     }  # fmt: skip
 
 
 def _prediction_record(one: Prediction) -> dict[str, object]:
-    ellipse = None if one.ellipse is None else {
-        "semi_axes_px": one.ellipse.semi_axes.tolist(), "angle_deg": one.ellipse.angle / DEG,
-        "covariance_px2": one.ellipse.covariance.tolist(),
-    }  # fmt: skip
+    axes = one.ellipse
+    ellipse = None if axes is None else {"semi_axes_px": axes.semi_axes.tolist(), "angle_deg": axes.angle / DEG}
     return {
         "line": float(one.place[0]), "sample": float(one.place[1]), "inside": one.inside,
         "jacobian": one.jacobian.tolist(), "ellipse_px": ellipse,

@@ -1,8 +1,8 @@
 """Points of a block on the studio's map: what is known of each, in arrays; those in a window, or cells of many."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
+from mgsgraph.studio.tiles import png
 
 MOST_POINTS = 4000
 """Points in a window that are sent one by one; of more, cells."""
@@ -48,8 +49,6 @@ class MapPoints:
     """Whose."""
     block: Block
     """In which state."""
-    before: Array | None
-    """(n, 3) m, where they were before the adjustment; a-priori places when absent."""
 
     @cached_property
     def plane(self) -> Array:
@@ -78,29 +77,28 @@ class MapPoints:
     @cached_property
     def moved(self) -> Array:
         """(n, 3) m east, north and up, adjusted minus before; NaN where nothing was before."""
-        before = self.block.network.points.places if self.before is None else self.before
+        known = self.opened.now.before
+        before = self.block.network.points.places if known is None else known
         return np.asarray(np.einsum("nij,nj->ni", self.frames(), self.block.places - before))
 
     def value(self, name: str) -> Array:
         """(n,) what points are coloured by, one of `VALUES`; NaN where nothing is known."""
         if name not in VALUES:
             raise InputError("request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
-        return self.opened.once(f"value {name}", lambda: getattr(self, f"_{name}")())
+        made: dict[str, Callable[[], Array]] = {
+            "sigma": lambda: np.sqrt(np.trace(self.local, axis1=1, axis2=2)),
+            "sigma_horizontal": lambda: np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1]),
+            "sigma_up": lambda: np.sqrt(self.local[:, 2, 2]),
+            "moved_horizontal": lambda: np.hypot(self.moved[:, 0], self.moved[:, 1]),
+            "moved_up": lambda: self.moved[:, 2],
+            "residual": self._residual,
+            "rays": self._rays,
+            "wtest": self._wtest,
+        }
+        return self.opened.once(f"value {name}", made[name])
 
-    def _sigma(self) -> Array:
-        return np.asarray(np.sqrt(np.trace(self.local, axis1=1, axis2=2)))
-
-    def _sigma_horizontal(self) -> Array:
-        return np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1])
-
-    def _sigma_up(self) -> Array:
-        return np.sqrt(self.local[:, 2, 2])
-
-    def _moved_horizontal(self) -> Array:
-        return np.hypot(self.moved[:, 0], self.moved[:, 1])
-
-    def _moved_up(self) -> Array:
-        return self.moved[:, 2]
+    def _rays(self) -> Array:
+        return np.bincount(self.block.network.rays.point[self.block.used], minlength=len(self.classes)).astype(float)
 
     def _residual(self) -> Array:
         """Of the largest image residual of each point."""
@@ -111,9 +109,6 @@ class MapPoints:
             predicted[mine] = projected(block, j, block.places[points], rays.places[mine, 0])
         size = np.linalg.norm(rays.places - predicted, axis=1)
         return _largest(size, rays.point, len(self.classes))
-
-    def _rays(self) -> Array:
-        return np.bincount(self.block.network.rays.point[self.block.used], minlength=len(self.classes)).astype(float)
 
     def _wtest(self) -> Array:
         """Largest |w| of the image measures of each point."""
@@ -190,7 +185,7 @@ class MapPoints:
 
 def map_points(opened: Opened) -> MapPoints:
     """The points as they are now."""
-    return opened.once("map points", lambda: MapPoints(opened, opened.block(), opened.before))
+    return opened.once("map points", lambda: MapPoints(opened, opened.block()))
 
 
 def _largest(values: Array, groups: Index, number: int) -> Array:
@@ -218,9 +213,7 @@ def relief_png(opened: Opened, box: Array, size: tuple[float, float]) -> bytes:
     light = shaded_relief(opened, box, size)
     known = np.isfinite(light)
     grey = np.where(known, 40.0 + 200.0 * np.nan_to_num(light), 0.0).astype(np.uint8)
-    file = BytesIO()
-    Image.merge("LA", [Image.fromarray(grey), Image.fromarray(known.astype(np.uint8) * 255)]).save(file, "png")
-    return file.getvalue()
+    return png(Image.merge("LA", [Image.fromarray(grey), Image.fromarray(known.astype(np.uint8) * 255)]))
 
 
 def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Array:
@@ -325,7 +318,7 @@ def scene_record(opened: Opened) -> dict[str, Any]:
     known = places[np.all(np.isfinite(places), axis=1)]
     corners = known if len(known) else np.concatenate([one for one in opened.footprints() if len(one)])
     return {
-        "kind": opened.kind, "name": opened.name, "path": str(opened.path), "revision": opened.revision,
+        "kind": opened.kind, "name": opened.now.name, "path": str(opened.path), "revision": opened.revision,
         "adjusted": block.adjusted, "warning": opened.warning,
         "images": [
             {"name": image.name, "lines": image.lines, "samples": image.samples,

@@ -161,7 +161,7 @@ _MOST_NEAR = 2000
 _CHANGED = "only a project can be changed; make one of the case: mgsgraph init PROJECT --case CASE"
 
 
-class _Now(NamedTuple):
+class State(NamedTuple):
     """The block in one state, and where what is asked of it comes from."""
 
     name: str
@@ -176,15 +176,8 @@ class _Now(NamedTuple):
     warning: str
 
 
-class About(NamedTuple):
-    """A point and others."""
-
-    block: Block
-    """They and the images that show them."""
-    posterior: Posterior | None
-    """None before any adjustment."""
-    before: Array | None
-    """(n, 3) m, their places before the adjustment; None where there was none."""
+About = tuple[Block, Posterior | None]
+"""A point, others and the images that show them; no posterior before any adjustment."""
 
 
 class Opened:
@@ -217,21 +210,22 @@ class Opened:
         self.revision = 0
         self._lock, self._near_lock, self._changing = threading.RLock(), threading.Lock(), threading.Lock()
         self._kept = KeptAdjustment()
-        self._state: tuple[int, _Now] | None = None
+        self._state: tuple[int, State] | None = None
         self._made: dict[str, object] = {}
         self._making: dict[str, threading.RLock] = {}
         self._near: tuple[int, str, About | None] | None = None
         self._seen = _mark(path)
-        now = self._now
+        now = self.now
         self._pictures: Mapping[str, Path | None] | None = now.pictures
-        self._warning = now.warning
+        self.warning = now.warning
+        """What is to be said of it; empty where nothing is."""
         self.centre = _centre(now.block)
         """(3,) m, body-fixed, where the map has its zero."""
 
     # --- the state
 
     @property
-    def _now(self) -> _Now:
+    def now(self) -> State:
         """The state; read anew after a change, which does not wait for a state that is being read."""
         with self._lock:
             if self._state is None or self._state[0] != self.revision:
@@ -249,7 +243,7 @@ class Opened:
     def once(self, name: str, make: Callable[[], _Found]) -> _Found:
         """What is made of the present state when it is first asked for, and kept until a change."""
         with self._lock:
-            _ = self._now  # forgets what was made of an older one
+            _ = self.now  # forgets what was made of an older one
             made, lock = self._made, self._making.setdefault(name, threading.RLock())
         with lock:  # one that takes long does not keep others waiting
             if name not in made:
@@ -258,45 +252,25 @@ class Opened:
             return found
 
     @property
-    def name(self) -> str:
-        """What the case is called."""
-        return self._now.name
-
-    @property
-    def warning(self) -> str:
-        """What is to be said of it; empty where nothing is."""
-        return self._warning
-
-    @property
-    def solution(self) -> Solution | None:
-        """The batch solution that it is; None of a project that has changed since, and of a case."""
-        return self._now.solution
-
-    @property
     def pictures(self) -> Mapping[str, Path | None]:
         """File of each image's pixels, by its name."""
         if self._pictures is None:
-            self._pictures = self._now.pictures
+            self._pictures = self.now.pictures
         return self._pictures  # no change of a point changes them
-
-    @property
-    def before(self) -> Array | None:
-        """(n, 3) m, places of the points before the adjustment; None where there was none."""
-        return self._now.before
 
     def block(self) -> Block:
         """Images and points as they are now."""
-        return self._now.block
+        return self.now.block
 
     def posterior(self) -> Posterior:
         """The posterior; InputError before any adjustment."""
-        make = self._now.posterior
+        make = self.now.posterior
         if make is None:
             remedy = "adjust it: mgsgraph solve PROJECT, or mgsgraph adjust CASE --out RESULT"
             raise InputError(str(self.path), "nothing has been adjusted: there is no posterior", remedy=remedy)
         return self.once("posterior", make)
 
-    def about(self, point: str) -> "About":
+    def about(self, point: str) -> About:
         """A point and others that feel the same unknowns, where they can be had without all the rest, which takes its
         time; the whole block otherwise.
         """
@@ -305,19 +279,16 @@ class Opened:
                 self._near = self.revision, point, self._found_near(point)
             if (found := self._near[2]) is not None:
                 return found
-        return About(self.block(), None if self._now.posterior is None else self.posterior(), self.before)
+        return self.block(), None if self.now.posterior is None else self.posterior()
 
-    def _found_near(self, point: str) -> "About | None":
-        if self.kind == "project" and not (self.is_read and self.solution is not None):
+    def _found_near(self, point: str) -> About | None:
+        if self.kind == "project" and not (self.is_read and self.now.solution is not None):
             near = posterior_near(self.path, point)
-            return None if near is None else About(Block.of_posterior(near), near, None)
-        solution = self.solution
+            return None if near is None else (Block.of_posterior(near), near)
+        solution = self.now.solution
         mine = None if solution is None else near_points(solution.network, solution.places, point)
         near = None if mine is None or solution is None else posterior_of_points(solution, mine)
-        if near is None or mine is None:
-            return None
-        before = self.before
-        return About(Block.of_posterior(near), near, None if before is None else before[mine])
+        return None if near is None else (Block.of_posterior(near), near)
 
     # --- the map
 
@@ -330,8 +301,8 @@ class Opened:
 
         def make() -> list[Array]:
             block = self.block()
-            if self.solution is not None:
-                found = solution_connectivity(self.solution).footprints
+            if self.now.solution is not None:
+                found = solution_connectivity(self.now.solution).footprints
             else:
                 found = network_footprints(block.network, block.places, block.corrections.__getitem__)
             return [self.map_places(one.outline) if len(one.outline) else np.zeros((0, 2)) for one in found]
@@ -354,7 +325,7 @@ class Opened:
             with open_project(self.path, write=True, kept=self._kept) as project:
                 found = act(project)
                 words = _words(project)
-            self.revision, self._warning, self._seen = self.revision + 1, words, _mark(self.path)
+            self.revision, self.warning, self._seen = self.revision + 1, words, _mark(self.path)
         return found
 
     def notice(self) -> None:
@@ -365,20 +336,10 @@ class Opened:
             mark = _mark(self.path)
             if mark != self._seen:
                 with suppress(MgsgraphError), open_project(self.path) as project:  # it may be changing just now
-                    self.revision, self._warning, self._seen = self.revision + 1, _words(project), mark
+                    self.revision, self.warning, self._seen = self.revision + 1, _words(project), mark
                     self._pictures = None
         finally:
             self._changing.release()
-
-    def warm(self) -> None:
-        """Ask for one point, so that what is compiled and loaded is there when a person asks for the first."""
-        network, places = self.block().network, self.block().places
-        for k in np.flatnonzero(np.all(np.isfinite(places), axis=1))[:1].tolist():
-            name = network.points.ids[k]
-            with suppress(MgsgraphError):  # it will be said when it is asked for
-                self.about(name)
-                if self.kind == "project":
-                    posterior_near(self.path, name)
 
 
 def near_points(network: Network, places: Array, point: str) -> Index | None:
@@ -430,26 +391,26 @@ def _pictures(case: Path | None) -> dict[str, Path | None]:
     return {entry.name: picture_of(entry, case.parent) for entry in decode(case).images}
 
 
-def _result(path: Path, case: Path | None) -> _Now:
+def _result(path: Path, case: Path | None) -> State:
     results = results_of(path)
     solution = read_solution(results.folder)
     return _of_solution(solution, _pictures(case or results.case))
 
 
-def _of_solution(solution: Solution, pictures: Mapping[str, Path | None]) -> _Now:
+def _of_solution(solution: Solution, pictures: Mapping[str, Path | None]) -> State:
     words = f"The adjustment has NOT converged, so that sigmas mean little: {solution.message}"
-    return _Now(solution.name, Block.of_solution(solution), solution.places_before, lambda: Posterior.of(solution),
+    return State(solution.name, Block.of_solution(solution), solution.places_before, lambda: Posterior.of(solution),
                 solution, pictures, "" if solution.converged else words)  # fmt: skip
 
 
-def _of_case(path: Path, _: Path | None) -> _Now:
+def _of_case(path: Path, _: Path | None) -> State:
     case = read_case(path)
     words = "Nothing has been adjusted yet: nominal orientation, a-priori places."
-    return _Now(case.name, Block.of_network(case.network, case.settings), None, None, None,
+    return State(case.name, Block.of_network(case.network, case.settings), None, None, None,
                 _pictures(path), words)  # fmt: skip
 
 
-def _project(path: Path, case: Path | None) -> _Now:
+def _project(path: Path, case: Path | None) -> State:
     with open_project(path) as project:
         pictures = {name: Path(found) if found else None for name, found in project.pictures().items()}
         pictures |= _pictures(case)
@@ -460,9 +421,9 @@ def _project(path: Path, case: Path | None) -> _Now:
     if current and last is not None and last.folder is not None and (path / last.folder / ARCHIVE).is_file():
         return _of_solution(read_solution(path / last.folder), pictures)
     if unsolved is not None:
-        return _Now(name, unsolved, None, None, None, pictures, words)
+        return State(name, unsolved, None, None, None, pictures, words)
     posterior = read_posterior(path)[1]
-    return _Now(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, words)
+    return State(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, words)
 
 
 def _words(project: Project) -> str:

@@ -1,7 +1,7 @@
 """All that is known of one point: its place and sigmas, its rays with residuals and tests, points that go along."""
 
 from collections.abc import Mapping
-from io import BytesIO
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from mgsgraph.files.rasters.pictures import picture_size, read_picture_part
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.matching.chips import stretched
 from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import MatchStatus, match_least_squares
 from mgsgraph.matching.measuring import FINEST
@@ -32,6 +33,7 @@ from mgsgraph.studio.linked import LinkedImages
 from mgsgraph.studio.map_points import MapPoints
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
+from mgsgraph.studio.tiles import png
 from mgsgraph.units import DEG
 
 _SHOWN = 12
@@ -50,7 +52,7 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
     InputError
         No such point.
     """
-    block, posterior, before = opened.about(point)
+    block, posterior = opened.about(point)
     set_aside, edited = _of_project(opened, point)
     (found,) = block.network.points.ids.find([point]).tolist()
     if found < 0 and not set_aside:
@@ -60,18 +62,17 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
         "set_aside": [_measure_record(one) for one in set_aside],
     }  # fmt: skip
     if found < 0:
-        return record | {"rays": [], "class": "tie", "kind": "free", "place": None}
-    points = MapPoints(opened, block, before)
+        return record | {"rays": [], "class": "tie", "kind": "free", "place": None, "answer": None}
+    points = MapPoints(opened, block)
     rays = np.flatnonzero(block.network.rays.point == found)
     record |= {
         "class": PointClass(int(block.network.points.classes[found])).name.lower(),
         "kind": PointKind(int(block.network.points.kinds[found])).name.lower(),
         "place": _place(block, block.places[found]), "map_m": vector(points.plane[found]),
-        "sigmas_m": vector(np.sqrt(np.diagonal(points.local[found]))), "moved_m": vector(points.moved[found]),
-        "rays": [_ray(opened, block, found, k) for k in rays.tolist()],
-        "ranges": int(np.count_nonzero(block.network.ranges.point == found)),
+        "sigmas_m": vector(np.sqrt(np.diagonal(points.local[found]))),
+        "rays": [_ray(opened, block, found, k) for k in rays.tolist()], "answer": _answer(posterior, point),
     }  # fmt: skip
-    return record | _answer(posterior, point)
+    return record
 
 
 def _of_project(opened: Opened, point: str) -> tuple[tuple[Measure, ...], bool]:
@@ -109,17 +110,11 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _answer(posterior: Posterior | None, point: str) -> dict[str, Any]:
-    """What `mgsgraph analyze --point` says of it, and its error ellipsoid; None before any adjustment, or of an
-    undetermined point.
-    """
-    try:
-        found = [] if posterior is None else list(answered(posterior, Questions(points=(point,))))
-    except InputError:
-        found = []
-    if not found:
-        return {"answer": None}
-    return {"answer": "\n".join(found[0].sentences), "ellipsoid": plain(found[0].numbers["ellipsoid"])}
+def _answer(posterior: Posterior | None, point: str) -> str | None:
+    """What `mgsgraph analyze --point` says of it; None before any adjustment, or of an undetermined point."""
+    with suppress(InputError):
+        return None if posterior is None else "\n".join(next(answered(posterior, Questions(points=(point,)))).sentences)
+    return None
 
 
 def tests_of(opened: Opened, point: str) -> dict[str, Any]:
@@ -130,7 +125,7 @@ def tests_of(opened: Opened, point: str) -> dict[str, Any]:
     InputError
         No such point; nothing adjusted.
     """
-    block, posterior, _ = opened.about(point)
+    block, posterior = opened.about(point)
     number = block.network.point_number(point)
     if posterior is None:
         raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block: tests are of residuals")
@@ -151,8 +146,8 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
     """How the place of a point goes along with those of others that feel the same unknowns: correlation east, north and
     up with those most correlated, and how many were looked at, as JSON.
     """
-    block, posterior, before = opened.about(point)
-    points = MapPoints(opened, block, before)
+    block, posterior = opened.about(point)
+    points = MapPoints(opened, block)
     number = block.network.point_number(point)
     if posterior is None:
         raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block")
@@ -191,13 +186,8 @@ def chip(path: Path, line: float, sample: float) -> bytes:
     rows, columns = slice(max(top, 0), min(top + high, lines)), slice(max(left, 0), min(left + wide, samples))
     part = read_picture_part(path, rows, columns).astype(np.float64)
     grey[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = part
-    known = grey[np.isfinite(grey)]
-    low, top_value = np.quantile(known, [0.01, 0.99]) if known.size else (0.0, 1.0)
-    shade = np.nan_to_num(255.0 * (grey - low) / max(top_value - low, 1e-9))
-    picture = Image.fromarray(np.clip(shade, 0.0, 255.0).astype(np.uint8))
-    file = BytesIO()
-    picture.resize((_ENLARGED * wide, _ENLARGED * high), Image.Resampling.NEAREST).save(file, "png", compress_level=1)
-    return file.getvalue()
+    picture = Image.fromarray(stretched(grey[None])[0])
+    return png(picture.resize((_ENLARGED * wide, _ENLARGED * high), Image.Resampling.NEAREST))
 
 
 
@@ -332,11 +322,10 @@ def next_measures(opened: Opened, linked: LinkedImages, choose: int = 5) -> dict
     wanted = [one for one in wanted if one.addition is not None]
     if not wanted:
         raise InputError(str(opened.path), "no ground that two images see", "images that overlap")
-    made = plan(state, wanted, choose, ("ties",), "mean", opened.name)
+    made = plan(state, wanted, choose, ("ties",), "mean", opened.now.name)
     at = dict(zip(names, opened.map_places(places).tolist(), strict=True))
     chosen = [
-        {"name": one.name, "map_m": at[one.name], "drop_percent": 100.0 * one.drop, "bits": one.bits,
-         "images": list(one.images),
+        {"name": one.name, "map_m": at[one.name],
          "text": f"in {', '.join(one.images)}: mean sigma of the tie points {one.after.total:.4g} m, "
                  f"{100.0 * one.drop:.2g} % less"}
         for one in made.chosen

@@ -157,4 +157,3 @@ def _prepare(opened: Opened) -> None:
         scene_record(opened)
         map_points(opened).value("sigma")
         opened.footprints()
-        opened.warm()

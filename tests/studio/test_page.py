@@ -240,7 +240,6 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
             seen.tab.wait_for_timeout(500)
             seen.tab.get_by_role("button", name="Store").click()
             seen.until(f"studio.last?.point === 'moc-{k + 1}'")
-        refined = seen.run("studio.last.seconds")
         seen.show("3")
         seen.run("studio.select('moc-3')")
         seen.tab.get_by_role("button", name="Reject").last.click()
@@ -257,7 +256,6 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
             seen.tab.locator("#images .image-tools select").last.select_option("svg")
         download.value.save_as(tmp_path / "images.svg")
         assert "<svg" in (tmp_path / "images.svg").read_text(encoding="utf-8")[:600]
-        print(f"a measured point: stored, adjusted and answered in {refined:.3f} s")
         seen.close()
     with open_project(folder) as project:
         states = [point_state(project, f"moc-{k}") for k in range(1, 6)]

@@ -62,8 +62,7 @@ def test_after_a_change_the_sheet_reads_its_point_alone(changed: tuple[Opened, s
     for ray in sheet["rays"]:
         at = whole.projection(name, ray["image"]).pixel
         np.testing.assert_allclose(ray["residual_px"], [ray["line"] - at[0], ray["sample"] - at[1]], atol=1e-4)
-    assert sheet["ellipsoid"]["probability"] == 0.95
-    assert len(sheet["ellipsoid"]["semi_axes_m"]) == 3
+    assert name in sheet["answer"]
 
 
 def test_tests_of_a_point_are_those_of_the_whole_block(changed: tuple[Opened, str]) -> None:

@@ -7,9 +7,9 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.page import page_of, write_page
 from mgsgraph.results.page import require_page as require_report
-from mgsgraph.studio.review.page import require_page as require_review
+from mgsgraph.studio.match_review import require_page as require_review
 
-REPORT, REVIEW = "results/templates/report.html", "studio/review/templates/review.html"
+REPORT, REVIEW = "results/templates/report.html", "studio/templates/review.html"
 
 
 @pytest.mark.parametrize(("template", "other"), [(REPORT, REVIEW), (REVIEW, REPORT)])

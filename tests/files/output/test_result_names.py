@@ -13,7 +13,7 @@ from mgsgraph.files.output import folders
 from mgsgraph.files.output.folders import FIGURES, TABLES, fresh_folder, require_replaceable
 
 HOUSE = Path(folders.__file__).parents[2]
-ROOMS = ("files/output", "matching", "registration", "results", "simulation/demo", "studio/review")
+ROOMS = ("files/output", "matching", "registration", "results", "simulation/demo")
 """That write results; `export` says itself what it has made, in export.json."""
 FILE = re.compile(r"[a-z_]+\.(json|csv|txt|npz|tif|png|svg)")
 OTHERS = {"truth.json"}

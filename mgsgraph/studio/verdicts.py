@@ -9,7 +9,7 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -68,10 +68,6 @@ class Verdicts:
         """Ids of the points that are to go."""
         return frozenset(name for name, verdict in self.of.items() if verdict is Verdict.REJECT)
 
-    def __repr__(self) -> str:
-        counts = ", ".join(f"{list(self.of.values()).count(verdict)} {verdict}" for verdict in Verdict)
-        return f"Verdicts({counts}, from {self.source})"
-
 
 def network_digest(ties: TiePoints) -> str:
     """Sixteen hexadecimal digits that tell a network by its points' ids, its measures' images and pixels."""
@@ -105,8 +101,7 @@ def read_verdicts(path: str | Path) -> Verdicts:
     if len(networks) > 1:
         raise InputError(str(path), "verdicts about two networks", "about one", "give each a file of its own")
     of, notes = dict[str, Verdict](), dict[str, str]()
-    rows = _rows(body, first, path)
-    where, header = next(rows, (str(path), []))
+    (where, header), *rows = _rows(body, first, path) or [(str(path), [])]
     _require_header(header, where)
     for where, row in rows:
         if len(row) != len(header):
@@ -131,20 +126,17 @@ def _parted(text: str) -> tuple[list[str], str, int]:
     return lines[:count], "\n".join(lines[count:]), count + 1
 
 
-def _rows(body: str, first: int, path: Path) -> Iterator[tuple[str, list[str]]]:
-    """Where each row that isn't blank begins, and its fields."""
+def _rows(body: str, first: int, path: Path) -> list[tuple[str, list[str]]]:
+    """Where each row that isn't blank stands, and its fields."""
     reader = csv.reader(io.StringIO(body, newline=""), strict=True)
-    line = first
-    while True:
-        try:
-            row = next(reader)
-        except StopIteration:
-            return
-        except csv.Error as error:
-            raise InputError(f"{path}, line {line}", f"no CSV ({error})", "fields with commas between them") from None
-        if any(one.strip() for one in row):
-            yield f"{path}, line {line}", row
-        line = first + reader.line_num
+
+    def where() -> str:
+        return f"{path}, line {first + reader.line_num - 1}"
+
+    try:
+        return [(where(), row) for row in reader if any(one.strip() for one in row)]
+    except csv.Error as error:
+        raise InputError(where(), f"no CSV ({error})", "fields with commas between them") from None
 
 
 def _require_header(header: list[str], where: str) -> None:

@@ -21,9 +21,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.files.networks.tie_points import tie_points
 from mgsgraph.files.tie_points import TiePoints
-from mgsgraph.studio.review.page import png, write_review
-from mgsgraph.studio.review.selection import MatchReview, review_matches
-from mgsgraph.studio.review.verdicts import (
+from mgsgraph.studio.match_review import MatchReview, png, review_matches, write_review
+from mgsgraph.studio.verdicts import (
     Verdict,
     Verdicts,
     apply_verdicts,
@@ -71,7 +70,7 @@ def test_the_worst_come_by_each_measure_in_turn() -> None:
     found = made(ties, solution=solution(ties, residuals=residuals), worst=3)
     assert set(found.ties.ids) == {"P2", "P7", "P9"}
     assert found.choice.startswith("3 of 12 tie points: in turn the next by lowest correlation, ")
-    assert found.largest_residuals[found.ties.ids.index("P9")] == 5.0
+    assert found.figures["residual"][found.ties.ids.index("P9")] == 5.0
     assert found.digest == network_digest(ties) != network_digest(TIES)
     two = made(ties, worst=2)
     assert "residual" not in two.choice
@@ -83,7 +82,7 @@ def test_all_are_shown_where_there_are_no_more(worst: int) -> None:
     found = made(worst=worst)
     assert found.ties.ids == TIES.ids
     assert found.choice == "12 of 12 tie points: all of them"
-    assert found.correlations.argmin() == 2
+    assert found.figures["correlation"].argmin() == 2
 
 
 def test_points_by_name_keep_figures_of_the_whole_network() -> None:
@@ -404,9 +403,9 @@ def test_sorting_and_filters(browser: Any, page: Path) -> None:
     found = made()
     seen.tab.select_option("#sort", "correlation")
     assert seen.order[0] == "P2"
-    assert seen.order == [TIES.ids[i] for i in np.argsort(found.correlations)]
+    assert seen.order == [TIES.ids[i] for i in np.argsort(found.figures["correlation"])]
     seen.tab.select_option("#sort", "misfit")
-    assert seen.order == [TIES.ids[i] for i in np.argsort(-found.misfits, kind="stable")]
+    assert seen.order == [TIES.ids[i] for i in np.argsort(-found.figures["misfit"], kind="stable")]
     seen.tab.select_option("#sort", "id")
     assert seen.order == [f"P{i}" for i in range(12)]  # P10 after P9
     seen.tab.select_option("#filter", "undecided")

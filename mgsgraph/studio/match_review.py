@@ -1,8 +1,13 @@
 """Tie points as a person reviews them: which ones are looked at, their chips, and what tells a wrong match."""
 
-from collections.abc import Sequence
+import base64
+import io
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +15,14 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.page import page_of, write_page
 from mgsgraph.files.rasters.pictures import read_picture
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.writing import require_free
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.chips import (
+    REACH,
     SIDE,
     Likeness,
     Pictures,
@@ -25,8 +33,9 @@ from mgsgraph.matching.chips import (
     stretched,
 )
 from mgsgraph.matching.scene import Pixels
-from mgsgraph.studio.review.verdicts import Verdicts, network_digest, require_verdicts_of
+from mgsgraph.studio.verdicts import Verdict, Verdicts, network_digest, require_verdicts_of
 from mgsgraph.text import listed, many, some
+from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Count, no_progress
 
 WORST = 300
@@ -67,36 +76,10 @@ class MatchReview:
     """(k, 2) pixels, line and sample, after the adjustment; NaN without a solution, and of undetermined points."""
     rejected: Mask
     """(k,) True for measures that the adjustment rejected as blunders."""
+    figures: Mapping[str, Array]
+    """(n,) by the keys of `_ORDERS`: what tells how bad each point is; NaN where nothing is known."""
     chips: NDArray[np.uint8]
     """(k, SIDE, SIDE) contrast-stretched patches around the measures."""
-
-    @property
-    def correlations(self) -> Array:
-        """(n,) the lowest of each point; NaN where it has none."""
-        return -_largest(self.ties, -self.alike.correlation)
-
-    @property
-    def offsets(self) -> Array:
-        """(n,) chip pixels, the longest way from a measure to where it would be most alike; NaN where none is known."""
-        return _largest(self.ties, np.hypot(*self.alike.shift.T))
-
-    @property
-    def sigmas(self) -> Array:
-        """(n,) pixels, the largest stated sigma of each point's measures; NaN where none is stated."""
-        return _largest(self.ties, np.fmax(*self.ties.measure_sigmas.T))
-
-    @property
-    def largest_residuals(self) -> Array:
-        """(n,) pixels, the longest residual of each point; NaN where there is none."""
-        return _largest(self.ties, np.hypot(*self.residuals.T))
-
-    @property
-    def misfits(self) -> Array:
-        """(n,) chip pixels, of the rays: by how much it differs from the neighbours', or itself where there are few."""
-        return np.where(np.isfinite(self.oddness), np.abs(self.oddness), self.skew / self.spacing)
-
-    def __repr__(self) -> str:
-        return f"MatchReview({self.name!r}: {self.choice})"
 
 
 def _largest(ties: TiePoints, values: Array) -> Array:
@@ -210,6 +193,13 @@ def review_matches(
     oddness = misfit_beside_neighbours(frames, ties)
     residuals, rejected = _residuals(ties, solution)
     alike = likeness(pictures, ties, frames, wanted, progress)
+    figures = {
+        "correlation": -_largest(ties, -alike.correlation),
+        "misfit": np.where(np.isfinite(oddness), np.abs(oddness), frames.skew_pixels),
+        "offset": _largest(ties, np.hypot(*alike.shift.T)),
+        "residual": _largest(ties, np.hypot(*residuals.T)),
+        "sigma": _largest(ties, np.fmax(*ties.measure_sigmas.T)),
+    }
 
     def some_of(which: Index) -> MatchReview:
         rows, mine = np.flatnonzero(np.isin(ties.measure_point, which)), ties.chosen(which)
@@ -217,16 +207,13 @@ def review_matches(
         return MatchReview(
             name, network_digest(ties), _choice(ties, which, bool(points), solution is not None), mine,
             frames.spacing[which], frames.skew[which], oddness[which], frames.step[rows], alike.chosen(rows),
-            residuals[rows], rejected[rows], patches,
+            residuals[rows], rejected[rows], {key: values[which] for key, values in figures.items()}, patches,
         )  # fmt: skip
 
     if points or worst >= len(ties.ids):
         return some_of(wanted)
-    correlation = -_largest(ties, -alike.correlation)
-    misfit = np.where(np.isfinite(oddness), np.abs(oddness), frames.skew_pixels)
-    unlike = np.where(np.isnan(correlation), np.inf, -correlation)
-    badness = [unlike, misfit, *(_largest(ties, np.hypot(*way.T)) for way in (alike.shift, residuals))]
-    return some_of(_worst(badness, worst))
+    unlike = np.where(np.isnan(figures["correlation"]), np.inf, -figures["correlation"])
+    return some_of(_worst([unlike, *(figures[key] for key in ("misfit", "offset", "residual"))], worst))
 
 
 def _by_name(ties: TiePoints, names: Sequence[str]) -> Index:
@@ -290,3 +277,129 @@ def _patches(pictures: Pictures, image: Index, measures: Array, step: Array) -> 
             patches = chips(pictures(int(j)), measures[some_of_them], step[some_of_them])
             found[some_of_them] = stretched(patches, _LEVELS)
     return found
+
+
+
+_MARKED = 0.75
+"""Chip pixels, shift from which on the best match is marked."""
+_ORDERS = {
+    "correlation": ("correlation, lowest first", 1.0), "misfit": ("misfit of rays, largest first", -1.0),
+    "offset": ("better match, furthest first", -1.0), "residual": ("residual, largest first", -1.0),
+    "sigma": ("sigma, largest first", -1.0),
+}  # fmt: skip
+"""Figures of points by which they may be shown, and whether the lowest comes first."""
+_TEMPLATE = "studio/templates/review.html"
+
+
+def require_page(path: Path) -> None:
+    """Raise InputError unless a review may be written there: nothing is there, or an earlier one."""
+    require_free(path, page_of(_TEMPLATE), remedy="choose another --out")
+
+
+def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = None) -> None:
+    """Write the page to an HTML file; an earlier review is replaced. InputError if it can't be written.
+
+    The page begins with earlier verdicts; of points that it doesn't show they are kept in what it saves.
+    """
+    known = {} if verdicts is None else verdicts.of
+    notes = {} if verdicts is None else verdicts.notes
+    here = set(review.ties.ids)
+    write_page(_TEMPLATE, {
+        "review": review,
+        "store": _store(review, verdicts),
+        "points": _points(review, known, notes),
+        "others": [(one, known[one].value, notes.get(one, "")) for one in known if one not in here],
+        "sorts": [order[:2] for order in _orders(review)],
+        "side": SIDE,
+        "reach": REACH,
+    }, path)  # fmt: skip
+
+
+def _store(review: MatchReview, verdicts: Verdicts | None) -> str:
+    """Name under which a browser keeps verdicts: those that the page begins with aren't overruled by earlier ones."""
+    if verdicts is None:
+        return review.digest
+    begun = repr((sorted(verdicts.of.items()), sorted(verdicts.notes.items())))
+    return f"{review.digest} {zlib.crc32(begun.encode()):08x}"
+
+
+def _orders(review: MatchReview) -> list[tuple[str, str, Array]]:
+    """Key and name of each order in which points may be shown, and numbers (n,), the lowest of which comes first."""
+    wanted = [(key, words, sign * review.figures[key]) for key, (words, sign) in _ORDERS.items()]
+    return [order for order in wanted if np.any(np.isfinite(order[2]))]
+
+
+def _points(review: MatchReview, of: Mapping[str, Verdict], notes: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """What the page says of each point, one after the other: pictures of thousands need not be there at once."""
+    ties = review.ties
+    order = np.argsort(ties.measure_point, kind="stable")
+    rows = np.split(order, np.cumsum(np.bincount(ties.measure_point, minlength=len(ties.ids)))[:-1])
+    orders, correlations = _orders(review), review.figures["correlation"]
+    for i, name in enumerate(ties.ids):
+        yield {
+            "id": name,
+            "kind": PointKind(ties.kinds[i]).name.lower(),
+            "verdict": of.get(name, Verdict.UNDECIDED).value,
+            "note": notes.get(name, ""),
+            "sorts": {key: float(values[i]) for key, _, values in orders if np.isfinite(values[i])},
+            "facts": _facts(review, i, float(correlations[i])),
+            "measures": [_measure(review, k, first=k == rows[i][0]) for k in rows[i].tolist()],
+        }
+
+
+def _facts(review: MatchReview, i: int, correlation: float) -> list[tuple[str, str]]:
+    """Figures of a point, in words."""
+    skew, spacing, odd = review.skew[i], review.spacing[i], review.oddness[i]
+    misfit = f"{skew:.3g} m = {skew / spacing:.2f} px" if np.isfinite(skew) else "none: one ray"
+    return [
+        ("correlation", f"{correlation:.3f}" if np.isfinite(correlation) else "none"),
+        ("misfit of rays", misfit),
+        *([("beside neighbours", f"{odd:+.2f} px")] if np.isfinite(odd) else []),
+        ("chip pixel", f"{spacing:.3g} m" if np.isfinite(spacing) else "unknown"),
+    ]
+
+
+def _measure(review: MatchReview, k: int, first: bool) -> dict[str, Any]:
+    """What the page says of a measure: `rows` are figures of line and sample."""
+    ties, alike, residual = review.ties, review.alike, review.residuals[k]
+    line, sample = ties.measures[k].tolist()
+    rows = [
+        ("ISIS", f"{line + ISIS_OFFSET:.2f}", f"{sample + ISIS_OFFSET:.2f}"),
+        ("ours", f"{line:.2f}", f"{sample:.2f}"),
+        ("sigma", *(f"{value:.2f}" if np.isfinite(value) else "none" for value in ties.measure_sigmas[k])),
+    ]
+    if np.all(np.isfinite(residual)):
+        rows.append(("residual", f"{residual[0]:+.2f}", f"{residual[1]:+.2f}"))
+    shift = alike.shift[k]
+    known = bool(np.isfinite(shift[0]))
+    if known:
+        offset = review.step[k] @ shift
+        rows.append(("best at", f"{offset[0]:+.2f}", f"{offset[1]:+.2f}"))
+    return {
+        "image": ties.measure_image[k],
+        "png": base64.b64encode(png(review.chips[k])).decode() if np.isfinite(review.step[k, 0, 0]) else "",
+        "rows": rows,
+        "remark": _remark(review, k, first),
+        "ring": (0.5 * SIDE + shift[1], 0.5 * SIDE + shift[0]) if known and np.hypot(*shift) > _MARKED else None,
+    }
+
+
+def _remark(review: MatchReview, k: int, first: bool) -> str:
+    alike = review.alike
+    blunder = "; rejected by the adjustment" if review.rejected[k] else ""
+    if first:
+        return f"reference{blunder}"
+    if not np.isfinite(alike.correlation[k]):
+        found = f"; {alike.best[k]:.3f} elsewhere" if np.isfinite(alike.best[k]) else ""
+        return f"no correlation{found}{blunder}"
+    edge = f", or further than {REACH} px" if alike.at_edge[k] else ""
+    return f"correlation {alike.correlation[k]:.3f}, best {alike.best[k]:.3f}{edge}{blunder}"
+
+
+def png(grey: NDArray[np.uint8]) -> bytes:
+    """An 8-bit grey picture (rows, columns) as PNG."""
+    from PIL import Image  # takes 0.1 s
+
+    file = io.BytesIO()
+    Image.fromarray(grey).save(file, "PNG", optimize=True)
+    return file.getvalue()

@@ -1,1 +1,0 @@
-"""Tie points shown to a person on a page, and what becomes of that person's verdicts."""
