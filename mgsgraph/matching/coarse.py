@@ -23,8 +23,8 @@ from mgsgraph.matching.pairs import Pair, boxes, first_picture, next_pair
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, TileStore, Window, features_on, kept_links, links_on, tiling, together
-from mgsgraph.progress import Progress
 from mgsgraph.text import root_mean_square
+from mgsgraph.workers import Progress
 
 SAMPLE = 5
 """Matches of a trial: ten equations, and the prior."""

@@ -27,7 +27,7 @@ from mgsgraph.matching.pairs import Pair, boxes, pairs_of
 from mgsgraph.matching.patches import MOST, NODE, Tile, disparities, node_pixels, opencv, ortho_patch
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.tiles import tiling
-from mgsgraph.progress import Progress, no_progress
+from mgsgraph.workers import Progress, no_progress
 
 _SMOOTH = 9
 """pixels of the tile over which slopes are taken."""

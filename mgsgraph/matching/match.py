@@ -34,8 +34,8 @@ from mgsgraph.matching.tiles import (
     tiling,
     together,
 )
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.text import listed
+from mgsgraph.workers import Progress, no_progress
 
 _MARGIN = 64
 """pixels of the ground grid that tiles share with their neighbours."""

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.errors import library
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import refined
-from mgsgraph.libraries import library
 from mgsgraph.matching.scene import Ground, Picture
 
 NODE = 16

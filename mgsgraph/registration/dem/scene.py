@@ -11,8 +11,8 @@ from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.matching.scene import Scene
-from mgsgraph.progress import Progress
 from mgsgraph.text import some
+from mgsgraph.workers import Progress
 
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches
