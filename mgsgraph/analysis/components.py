@@ -26,7 +26,6 @@ from mgsgraph.analysis.grouping import (
     CORRELATED,
     Grouping,
     Redundancy,
-    given,
     group_redundancy,
     group_rows,
     most_correlated,
@@ -97,8 +96,6 @@ class Component(Record):
     """The group that it is most correlated with."""
     correlation: float = math.nan
     """Of the two groups' squared factors."""
-    given: str = ""
-    """Group that can't be judged for this one's sake, or whose sigmas, wrong by half, matter by half of `sigma`."""
     negative: bool = False
     """Whether Helmert's equations gave its square as negative: the factor is Foerstner's in its place."""
 
@@ -141,9 +138,9 @@ class Component(Record):
 
 
 def _judged(one: Component) -> str:
-    notes = [f"if the stated sigmas of {one.given} are right"] if one.given else []
+    notes = list[str]()
     if abs(one.correlation) > CORRELATED:
-        notes.insert(0, f"correlated with {one.beside}, correlation {one.correlation:.2f}")
+        notes.append(f"correlated with {one.beside}, correlation {one.correlation:.2f}")
     if one.negative:
         notes.insert(0, "Helmert's equations gave a negative square: this is Foerstner's, as if all others were right")
     return "; ".join([_plainly(one), *notes])
@@ -392,10 +389,10 @@ def components_from_redundancy(found: Redundancy, judgements: list[Judgement], f
         numbers = int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
         lost = judgement in (Judgement.INSEPARABLE, Judgement.LOST)
         beside, shared = nearest(found, g) if lost else most_correlated(found, judged, g)
-        depends, known = given(found, judged, g, degrees[g]), float(degrees[g])
+        known = float(degrees[g])
         if judgement is Judgement.JUDGED and abs(shared) > CORRELATED and 2.0 * _VAGUE**2 * known < 1.0:
             judgement, known = Judgement.ENTANGLED, math.nan
         has = judgement in (Judgement.JUDGED, Judgement.ENTANGLED, Judgement.ZERO, Judgement.UNBOUNDED)
         factor = float(factors[g]) if has else math.nan
-        groups.append(Component(found.names[g], judgement, *numbers, factor, known, beside, shared, depends))
+        groups.append(Component(found.names[g], judgement, *numbers, factor, known, beside, shared))
     return Components(tuple(groups), correlation, found.helmert, found.exact)

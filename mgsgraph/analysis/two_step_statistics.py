@@ -224,12 +224,12 @@ def _group(name: str, sigmas: Array, poses: Array, heights: HeightStatistics) ->
     return GroupStatistics(name, count, mean, median, poses, heights)
 
 
-_STEPS = tuple(digit * 10.0**power for power in (-4, -3, -2, -1, 0) for digit in (1.0, 2.0, 5.0))
-"""deg, sizes of cells to choose from."""
 _ENOUGH = 6.0
 """Points that cells which have any should hold on the average: the rms of so few is known to a third."""
 _MOST = 60
 """Cells along the longer side of a map."""
+_LEAST = 1e-4 * DEG
+"""Height of a cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,9 +281,11 @@ def height_cells(places: Array, heights: Array, step: float | None = None) -> He
         when absent.
     """
     east, north = turned(places)
-    ratio = _round(1.0 / max(float(np.cos(np.median(north))), 0.05))
-    chosen = _step(east, north, ratio) if step is None else step
-    steps = (chosen * ratio, chosen)
+    ratio = max(round(1.0 / max(float(np.cos(np.median(north))), 0.05)), 1)
+    if step is None:
+        sides = np.array([np.ptp(east) / ratio, np.ptp(north)])
+        step = max(float(np.sqrt(sides.prod() * _ENOUGH / east.size)), float(sides.max()) / _MOST, _LEAST)
+    steps = (step * ratio, step)
     west, column, columns = _sorted(east, steps[0])
     south, row, rows = _sorted(north, steps[1])
     cell = row * columns + column
@@ -309,24 +311,8 @@ def turned(places: Array, middle: float | None = None) -> tuple[Array, Array]:
     return in_turn(longitudes, middle), latitudes
 
 
-def _round(ratio: float) -> float:
-    """The nearest of 1, 2, 5, 10, 20."""
-    choices = np.array([1.0, 2.0, 5.0, 10.0, 20.0])
-    return float(choices[np.argmin(np.abs(np.log(choices / ratio)))])
-
-
 def _sorted(values: Array, step: float) -> tuple[float, Index, int]:
     """First edge, cell of each value, and number of cells; edges are multiples of the step."""
     low = int(np.floor(values.min() / step + 1e-9))
     index = np.maximum(np.floor(values / step + 1e-9).astype(np.int64) - low, 0)
     return low * step, index, int(index.max()) + 1
-
-
-def _step(east: Array, north: Array, ratio: float) -> float:
-    """rad, the smallest of the round sizes whose cells hold enough points and are not too many."""
-    for step in _STEPS:
-        _, column, columns = _sorted(east, step * DEG * ratio)
-        _, row, rows = _sorted(north, step * DEG)
-        if max(rows, columns) <= _MOST and east.size >= _ENOUGH * np.unique(row * columns + column).size:
-            return step * DEG
-    return _STEPS[-1] * DEG
