@@ -42,7 +42,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
 from mgsgraph.network.conditioning import dense_covariance
 from mgsgraph.record import Record
@@ -266,10 +266,6 @@ class EstimatedStrengths(Record):
     """Whether the last round changed nothing by more than the tolerance."""
     rounds: int
     """Adjustments."""
-
-    def __post_init__(self) -> None:
-        count = len(self.strengths)
-        assign(self, covariance=frozen(self.covariance, "strengths, covariance", (count, count)))
 
     @property
     def correlation(self) -> Array:
