@@ -11,7 +11,6 @@ restricted maximum likelihood (Foerstner 1979, 1985). There the covariance of th
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -134,7 +133,8 @@ class Component(Record):
     @property
     def sentence(self) -> str:
         """Verdict on the sigmas of the group, in one sentence."""
-        return f"{self.name}: {_VERDICTS[self.judgement](self)}"
+        said = _SENTENCES[self.judgement].format(one=self) if self.judgement in _SENTENCES else _judged(self)
+        return f"{self.name}: {said}"
 
 
 def _judged(one: Component) -> str:
@@ -161,31 +161,16 @@ def _plainly(one: Component) -> str:
     return f"too pessimistic, sigmas too large by a factor of {_with_sigma(inverse, one.sigma * inverse**2)}"
 
 
-def _entangled(one: Component) -> str:
-    return (
-        f"factor {one.factor:.2g}, known together with that of {one.beside} only (correlation {one.correlation:.2f}): "
-        "errors of the one may be booked under the other"
-    )
-
-
-def _inseparable(one: Component) -> str:
-    if not abs(one.correlation) > CORRELATED:
-        return f"too little of its {one.redundancy:.2g} redundancy is its own (most of it is shared with {one.beside})"
-    return f"can't be told apart from {one.beside} (correlation {one.correlation:.2f}); {one.redundancy:.2g} redundancy"
-
-
-_VERDICTS: dict[Judgement, Callable[[Component], str]] = {
-    Judgement.JUDGED: _judged,
-    Judgement.FEW: lambda one: f"can't be judged ({max(one.redundancy, 0.0):.1g} redundancy)",
-    Judgement.INSEPARABLE: _inseparable,
-    Judgement.ENTANGLED: _entangled,
-    Judgement.LOST: lambda one: (
-        "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated"
-    ),
-    Judgement.ZERO: lambda one: (
-        f"residuals too small for any sigma, the errors of other groups explain them; held at factor {one.factor:.2g}"
-    ),
-    Judgement.UNBOUNDED: lambda one: f"residuals too large for any sigma; held at factor {one.factor:.3g}",
+_SENTENCES = {
+    Judgement.FEW: "can't be judged ({one.redundancy:.1g} redundancy)",
+    Judgement.INSEPARABLE: "can't be told apart from {one.beside} (correlation {one.correlation:.2f}); "
+    "{one.redundancy:.2g} redundancy",
+    Judgement.ENTANGLED: "factor {one.factor:.2g}, known together with that of {one.beside} only (correlation "
+    "{one.correlation:.2f}): errors of the one may be booked under the other",
+    Judgement.LOST: "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated",
+    Judgement.ZERO: "residuals too small for any sigma, the errors of other groups explain them; held at factor "
+    "{one.factor:.2g}",
+    Judgement.UNBOUNDED: "residuals too large for any sigma; held at factor {one.factor:.3g}",
 }
 
 

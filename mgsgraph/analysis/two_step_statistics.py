@@ -3,7 +3,7 @@ each stage; by strip and for all. SI units, NaN for nothing.
 
 Heights are compared like with like: at every stage of the places where the rays alone put the points, with the
 orientation of the stage. (In step 2 each point has a height row of its own, which pulls it to the terrain; with that
-the heights would be smaller, whatever the orientation. `HeightStatistics.rms_adjusted` has them.)
+the heights would be smaller, whatever the orientation.)
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
 
@@ -44,10 +44,6 @@ class HeightStatistics:
     """(stages,) m, by rays alone."""
     mean: Array
     """(stages,) m, mean height by rays alone."""
-    rms_given: float
-    """m, the same after step 2, above the model where it is given: differs where its shift or tilt is unknown."""
-    rms_adjusted: float
-    """m, of the adjusted points of step 2, each pulled by its own height row."""
 
     @property
     def factors(self) -> Array:
@@ -117,10 +113,10 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     network = steps.network
     before, covariances = steps.rays_alone.nominal()
     ties = _ties(steps)
-    heights, others = _heights(steps, before)
+    heights = _heights(steps, before)
     assert network.surface is not None
     of_ties, with_row = network.points.classes == PointClass.TIE, np.isfinite(network.surface.sigmas)
-    complete = np.all(np.isfinite(heights), axis=0) & np.all(np.isfinite(others), axis=0) & of_ties & with_row
+    complete = np.all(np.isfinite(heights), axis=0) & of_ties & with_row
     used = complete & ~steps.off
     groups = []
     first = np.full(len(network.points), -1, dtype=np.int64)
@@ -129,7 +125,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
         mine = network.rays.point[rays]
         fresh = first[mine] < 0
         first[mine[fresh]] = rays[fresh]
-        heights_of = _height_statistics(heights, others, mine[used[mine]])
+        heights_of = _height_statistics(heights, mine[used[mine]])
         poses = _poses(steps, int(images[images.size // 2]))
         sigmas = _sigmas(steps, covariances, rays[ties[mine]])
         groups.append(_group(name, sigmas, poses, heights_of))
@@ -138,7 +134,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
         "all",
         _sigmas(steps, covariances, rays),
         np.mean([group.poses for group in groups], axis=0),
-        _height_statistics(heights, others, np.flatnonzero(used & (first >= 0))),
+        _height_statistics(heights, np.flatnonzero(used & (first >= 0))),
     )
     points = np.flatnonzero(complete)
     without_row, left_out = (int(np.count_nonzero(of_ties & one)) for one in (~with_row, with_row & ~complete))
@@ -198,22 +194,16 @@ def _poses(steps: TwoSteps, image: int) -> Array:
     return result
 
 
-def _heights(steps: TwoSteps, before: Array) -> tuple[Array, Array]:
-    """(stages, n) m above the terrain model, and (2, n) m after step 2: the same above the model where it is given, and
-    of the adjusted points.
-    """
-    network, fitted = steps.network, steps.fitted
-    places, _ = steps.rays_alone.at(orientation_values(network, fitted))
-    stages = [(before, None), (steps.free.places, None), (places, fitted)]
-    heights = np.stack([heights_above(network, *stage)[0] for stage in stages])
-    others = [heights_above(network, places), heights_above(network, fitted.places, fitted)]
-    return heights, np.stack([one[0] for one in others])
+def _heights(steps: TwoSteps, before: Array) -> Array:
+    """(stages, n) m above the terrain model."""
+    places, _ = steps.rays_alone.at(orientation_values(steps.network, steps.fitted))
+    stages = [(before, None), (steps.free.places, None), (places, steps.fitted)]
+    return np.stack([heights_above(steps.network, *stage)[0] for stage in stages])
 
 
-def _height_statistics(heights: Array, others: Array, points: Index) -> HeightStatistics:
+def _height_statistics(heights: Array, points: Index) -> HeightStatistics:
     mean, rms = mean_and_rms(heights[:, points].T)
-    given, adjusted = mean_and_rms(others[:, points].T)[1].tolist()
-    return HeightStatistics(points.size, rms, mean, given, adjusted)
+    return HeightStatistics(points.size, rms, mean)
 
 
 def _group(name: str, sigmas: Array, poses: Array, heights: HeightStatistics) -> GroupStatistics:
