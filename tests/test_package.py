@@ -49,7 +49,7 @@ ONLY_IN = {
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
         "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.terrain_model",
-        "mgsgraph.studio.ground",
+        "mgsgraph.studio.linked",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

@@ -209,12 +209,8 @@ def fetch(
 @click.command()
 @click.argument("case", type=PATH)
 @click.option("--out", type=PATH, help="Folder for the networks, tables and figure; made anew. A project has its own.")
-@click.option(
-    "--method", type=click.Choice(["sift", "grid"]), default="sift", show_default=True,
-    help="At distinct features, or at the nodes of a regular grid.",
-)  # fmt: skip
+@click.option("--method", hidden=True)
 @click.option("--step", type=float, metavar="M", help="Pixel of the common ground grid; default: the coarsest image's.")
-@click.option("--spacing", type=float, metavar="M", help="Between nodes of the regular grid.")
 @click.option(
     "--search", type=float, metavar="M",
     help="By how much the nominal orientations may contradict each other on the ground; default: 3 a-priori sigmas.",
@@ -226,7 +222,7 @@ def fetch(
 @click.option("--workers", type=click.IntRange(1), help="Tiles at a time; one per processor when absent.")
 @NO_FIGURES
 def match(
-    case: Path, out: Path | None, method: str, step: float | None, spacing: float | None, search: float | None,
+    case: Path, out: Path | None, method: str | None, step: float | None, search: float | None,
     height: float | None, height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
 ) -> None:
     """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
@@ -238,14 +234,14 @@ def match(
     `mgsgraph adjust CASE --ties OUT/network.pvl`. An interrupted run goes on where it was.
     """
     from mgsgraph.errors import InputError
-    from mgsgraph.matching.settings import MatchSettings, method_of
+    from mgsgraph.matching.settings import MatchSettings
     from mgsgraph.project.changes import take_ties, waiting_case
     from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 
-    settings = MatchSettings(
-        method=method_of(method), step=step, spacing=spacing, search=search, cells=cells, per_cell=per_cell
-    )
+    if method not in (None, "sift"):
+        raise click.UsageError(f"--method {method} is gone: features alone are matched; for more of them, --per-cell")
+    settings = MatchSettings(step=step, search=search, cells=cells, per_cell=per_cell)
     project: Path | None = None
     if (case / FILE).is_file():
         if out is not None:

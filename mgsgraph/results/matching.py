@@ -21,8 +21,7 @@ from mgsgraph.files.output.folders import MATCH, PROGRAM, fresh_folder
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.records import FILES
 from mgsgraph.geometry.body import target_name
-from mgsgraph.matching.match import digest, match_scene
-from mgsgraph.matching.matches import Matches
+from mgsgraph.matching.match import Matches, digest, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.results.archive_arrays import read_members
