@@ -28,7 +28,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.unexplained import named_effects
+from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
@@ -147,7 +147,7 @@ def one_draw(name: str, seed: int) -> Draw:
         solution, judged = site_draw(site, world, seed) if site in SITE_NAMES else OTHERS[site](world, seed)
     except InputError as error:
         return {"refused": str(error)}
-    named = [str(one.kind) for one in named_effects(solution)]
+    named = [str(one.kind) for one in unexplained(solution).effects]
     return judged | {"named": named, "sigma0": solution.fit.sigma0, "seconds": time.perf_counter() - begin}
 
 

@@ -11,7 +11,6 @@ restricted maximum likelihood (Foerstner 1979, 1985). There the covariance of th
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -26,7 +25,6 @@ from mgsgraph.analysis.grouping import (
     CORRELATED,
     Grouping,
     Redundancy,
-    given,
     group_redundancy,
     group_rows,
     most_correlated,
@@ -97,8 +95,6 @@ class Component(Record):
     """The group that it is most correlated with."""
     correlation: float = math.nan
     """Of the two groups' squared factors."""
-    given: str = ""
-    """Group that can't be judged for this one's sake, or whose sigmas, wrong by half, matter by half of `sigma`."""
     negative: bool = False
     """Whether Helmert's equations gave its square as negative: the factor is Foerstner's in its place."""
 
@@ -137,13 +133,14 @@ class Component(Record):
     @property
     def sentence(self) -> str:
         """Verdict on the sigmas of the group, in one sentence."""
-        return f"{self.name}: {_VERDICTS[self.judgement](self)}"
+        said = _SENTENCES[self.judgement].format(one=self) if self.judgement in _SENTENCES else _judged(self)
+        return f"{self.name}: {said}"
 
 
 def _judged(one: Component) -> str:
-    notes = [f"if the stated sigmas of {one.given} are right"] if one.given else []
+    notes = list[str]()
     if abs(one.correlation) > CORRELATED:
-        notes.insert(0, f"correlated with {one.beside}, correlation {one.correlation:.2f}")
+        notes.append(f"correlated with {one.beside}, correlation {one.correlation:.2f}")
     if one.negative:
         notes.insert(0, "Helmert's equations gave a negative square: this is Foerstner's, as if all others were right")
     return "; ".join([_plainly(one), *notes])
@@ -164,31 +161,16 @@ def _plainly(one: Component) -> str:
     return f"too pessimistic, sigmas too large by a factor of {_with_sigma(inverse, one.sigma * inverse**2)}"
 
 
-def _entangled(one: Component) -> str:
-    return (
-        f"factor {one.factor:.2g}, known together with that of {one.beside} only (correlation {one.correlation:.2f}): "
-        "errors of the one may be booked under the other"
-    )
-
-
-def _inseparable(one: Component) -> str:
-    if not abs(one.correlation) > CORRELATED:
-        return f"too little of its {one.redundancy:.2g} redundancy is its own (most of it is shared with {one.beside})"
-    return f"can't be told apart from {one.beside} (correlation {one.correlation:.2f}); {one.redundancy:.2g} redundancy"
-
-
-_VERDICTS: dict[Judgement, Callable[[Component], str]] = {
-    Judgement.JUDGED: _judged,
-    Judgement.FEW: lambda one: f"can't be judged ({max(one.redundancy, 0.0):.1g} redundancy)",
-    Judgement.INSEPARABLE: _inseparable,
-    Judgement.ENTANGLED: _entangled,
-    Judgement.LOST: lambda one: (
-        "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated"
-    ),
-    Judgement.ZERO: lambda one: (
-        f"residuals too small for any sigma, the errors of other groups explain them; held at factor {one.factor:.2g}"
-    ),
-    Judgement.UNBOUNDED: lambda one: f"residuals too large for any sigma; held at factor {one.factor:.3g}",
+_SENTENCES = {
+    Judgement.FEW: "can't be judged ({one.redundancy:.1g} redundancy)",
+    Judgement.INSEPARABLE: "can't be told apart from {one.beside} (correlation {one.correlation:.2f}); "
+    "{one.redundancy:.2g} redundancy",
+    Judgement.ENTANGLED: "factor {one.factor:.2g}, known together with that of {one.beside} only (correlation "
+    "{one.correlation:.2f}): errors of the one may be booked under the other",
+    Judgement.LOST: "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated",
+    Judgement.ZERO: "residuals too small for any sigma, the errors of other groups explain them; held at factor "
+    "{one.factor:.2g}",
+    Judgement.UNBOUNDED: "residuals too large for any sigma; held at factor {one.factor:.3g}",
 }
 
 
@@ -392,10 +374,10 @@ def components_from_redundancy(found: Redundancy, judgements: list[Judgement], f
         numbers = int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
         lost = judgement in (Judgement.INSEPARABLE, Judgement.LOST)
         beside, shared = nearest(found, g) if lost else most_correlated(found, judged, g)
-        depends, known = given(found, judged, g, degrees[g]), float(degrees[g])
+        known = float(degrees[g])
         if judgement is Judgement.JUDGED and abs(shared) > CORRELATED and 2.0 * _VAGUE**2 * known < 1.0:
             judgement, known = Judgement.ENTANGLED, math.nan
         has = judgement in (Judgement.JUDGED, Judgement.ENTANGLED, Judgement.ZERO, Judgement.UNBOUNDED)
         factor = float(factors[g]) if has else math.nan
-        groups.append(Component(found.names[g], judgement, *numbers, factor, known, beside, shared, depends))
+        groups.append(Component(found.names[g], judgement, *numbers, factor, known, beside, shared))
     return Components(tuple(groups), correlation, found.helmert, found.exact)

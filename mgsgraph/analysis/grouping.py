@@ -85,27 +85,16 @@ class Grouping:
         return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
 
-def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Grouping:
+def group_rows(network: Network) -> Grouping:
     """The usual groups: image points of ties, of laser shots and of control, ranges, ground priors, heights above
     the terrain and above stereo surfaces, position and pointing priors, shifts, tilts of the terrain, one of each kind
     of shared unknown, and position and pointing of strips' nodes and trends. Groups without any row are left out.
 
     Image places that are projections with the nominal orientation are no measures and make a group of their own.
-
-    Parameters
-    ----------
-    image_kinds : sequence of str, optional
-        What kind each image is of (a camera, nadir or oblique): tie image points get a group per kind.
     """
     rays = network.rays
-    if image_kinds is not None and len(image_kinds) != len(network.images):
-        expected = f"one for each of {len(network.images)} images"
-        raise InputError("grouping, image kinds", f"{len(image_kinds)}", expected)
     classes = network.points.classes[rays.point]
     of_ray = np.array([f"{_CLASS[PointClass(c)]} image points" for c in range(len(PointClass))], dtype=object)[classes]
-    if image_kinds is not None:
-        ties = classes == PointClass.TIE
-        of_ray[ties] = [f"tie image points, {image_kinds[j]}" for j in rays.image[ties].tolist()]
     if rays.back_projected is not None:
         of_ray[rays.back_projected] = [f"{name}, {BACK_PROJECTED}" for name in of_ray[rays.back_projected]]
     parts = [np.where(np.arange(prior.sigmas.size) % 6 < 3, POSITION, POINTING) for prior in network.priors]
@@ -204,8 +193,6 @@ DENSE = 2000
 _PROBES = 64
 CORRELATED = 0.5
 """Correlation of two groups' squared factors from which on a verdict names the other group."""
-_HALF = 0.75
-"""By how much a variance factor changes when sigmas change by half."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -397,18 +384,3 @@ def most_correlated(found: Redundancy, judged: Index, group: int) -> tuple[str, 
     shared = inverse[0, 1:] / np.sqrt(np.maximum(inverse[0, 0] * np.diag(inverse)[1:], np.finfo(np.float64).tiny))
     k = int(np.argmax(np.abs(shared)))
     return found.names[int(others[k])], float(shared[k])
-
-
-def given(found: Redundancy, judged: Index, group: int, degrees: float) -> str:
-    """The group that isn't judged on whose sigmas the factor of a judged one depends most, where that is much."""
-    others = np.setdiff1d(np.arange(len(found.names)), judged)
-    if group not in judged or not others.size:
-        return ""
-    for other in others:
-        beside, shared = most_correlated(found, judged, int(other))
-        if beside == found.names[group] and abs(shared) > CORRELATED:
-            return found.names[int(other)]
-    effects = np.linalg.solve(found.helmert[np.ix_(judged, judged)], found.helmert[np.ix_(judged, others)])
-    mine = np.abs(effects[judged == group][0])
-    worst = int(np.argmax(mine))
-    return found.names[int(others[worst])] if _HALF * mine[worst] > 0.5 * math.sqrt(2.0 / degrees) else ""

@@ -1,4 +1,4 @@
-"""A network linearised at its solution, and the rows of the priors there."""
+"""A network linearised at its solution, the rows of the priors there, and the names of what they are of."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from mgsgraph.adjustment.rounds import exactly, unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.kernel.sweep import COSTS, reduce
@@ -127,3 +128,32 @@ def prior_rows(at: Linearised) -> PriorRows:
     if at.network.crossovers is not None:
         sigmas[sigmas.size - prior.crossovers :] = at.network.crossovers.sigmas
     return PriorRows(prior.about, sigmas, misfit, np.concatenate(share), prior.crossovers)
+
+
+_POWERS = ("constant", "linear", "quadratic", "cubic")
+
+
+def unknown_name(network: Network, variable: int, inside: int) -> tuple[str, str]:
+    """Name and unit of one column of a variable."""
+    if variable < len(network.images):
+        power, component = divmod(inside, len(COMPONENTS))
+        term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
+        return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
+    if variable >= network.first_of_passes[0]:
+        one, node = network.of_passes(variable)
+        what, component = one.part(node, inside)
+        if isinstance(one.prior, PolynomialPrior):
+            what = f"the coefficient of s^{node}"  # what its rows are about; the unknowns are values at nodes
+        elif node < len(one.nodes):
+            what += f" ({one.nodes.times[node] - one.nodes.times[0]:.6g} s past the first)"
+        return f"{COMPONENTS[component]} of {what} of pass {one.name}", _unit(component)
+    if variable < network.first_shared:
+        k = variable - len(network.images)
+        return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}", network.shift_terms[k][inside].unit
+    shared = network.shared[variable - network.first_shared]
+    return f"{shared.name} {shared.kind.components[inside]}".strip(), shared.kind.unit
+
+
+def _unit(component: int) -> str:
+    """Unit of a component of the orientation: three of position, three of rotation."""
+    return "rad" if component >= 3 else "m"

@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.blunders import UNCONTROLLED
 from mgsgraph.adjustment.graph import Layout
+from mgsgraph.analysis.linearised import unknown_name
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import Network, PolynomialPrior
 from mgsgraph.record import Record
 
 Small = NDArray[np.int8]
 Indices = NDArray[np.int32]
-_POWERS = ("constant", "linear", "quadratic", "cubic")
 _WIDEST = 3
 
 
@@ -211,7 +209,7 @@ def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, 
 
     w_k = (P v)_k / sqrt((P Qvv P)_kk), Baarda's for correlated measures; an error e along axis k is U e in the rows.
     """
-    back = np.linalg.cholesky(inverse(covariance))
+    back = np.linalg.cholesky(np.linalg.inv(covariance))
     root = np.swapaxes(back, 1, 2)
     # the kernel's rows of places are predicted minus measured
     misfit, share, effect = -numbers[:, :, 0], numbers[:, :, 1:4], numbers[:, :, 4:]
@@ -238,24 +236,10 @@ def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, 
 
 def _joint_tests(left: Array, misfit: Array) -> tuple[Array, Small]:
     """Tests (g,) of the three rows of a-priori places together, of covariances `left` (g, 3, 3); their dimensions."""
-    test, dimensions = np.empty(left.shape[0]), np.full(left.shape[0], 3, dtype=np.int8)
-    # eigenvalues are at most 1: none is below the determinant
-    plain = np.linalg.det(left) > UNCONTROLLED
-    test[plain] = np.einsum("gi,gij,gj->g", misfit[plain], inverse(left[plain]), misfit[plain])
-    values, vectors = np.linalg.eigh(left[~plain])
+    values, vectors = np.linalg.eigh(left)
     seen = values > UNCONTROLLED
-    turned = np.einsum("gkq,gk->gq", vectors, misfit[~plain])
-    test[~plain] = np.sum(turned**2 / np.where(seen, values, np.inf), axis=1)
-    dimensions[~plain] = seen.sum(axis=1)
-    return test, dimensions
-
-
-def inverse(matrices: Array) -> Array:
-    """(g, 3, 3) inverses of symmetric matrices by their cofactors, ten times as fast as LAPACK one by one."""
-    first, second, third = matrices[:, 0], matrices[:, 1], matrices[:, 2]
-    cofactors = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1)
-    found = cofactors / np.einsum("gi,gi->g", first, cofactors[:, 0])[:, None, None]
-    return np.asarray(0.5 * (found + np.swapaxes(found, 1, 2)))
+    turned = np.einsum("gkq,gk->gq", vectors, misfit)
+    return np.sum(turned**2 / np.where(seen, values, np.inf), axis=1), seen.sum(axis=1).astype(np.int8)
 
 
 def _times(value: Array, detected: Array) -> Array:
@@ -313,29 +297,3 @@ def _priors(layout: Layout, columns: Indices) -> list[tuple[str, str]]:
     index = np.searchsorted(first, columns, side="right") - 1
     pairs = zip(adjusted[index].tolist(), (columns - first[index]).tolist(), strict=True)
     return [(f"a-priori {name}", unit) for name, unit in (unknown_name(layout.network, *pair) for pair in pairs)]
-
-
-def unknown_name(network: Network, variable: int, inside: int) -> tuple[str, str]:
-    """Name and unit of one column of a variable."""
-    if variable < len(network.images):
-        power, component = divmod(inside, len(COMPONENTS))
-        term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
-        return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
-    if variable >= network.first_of_passes[0]:
-        one, node = network.of_passes(variable)
-        what, component = one.part(node, inside)
-        if isinstance(one.prior, PolynomialPrior):
-            what = f"the coefficient of s^{node}"  # what its rows are about; the unknowns are values at nodes
-        elif node < len(one.nodes):
-            what += f" ({one.nodes.times[node] - one.nodes.times[0]:.6g} s past the first)"
-        return f"{COMPONENTS[component]} of {what} of pass {one.name}", _unit(component)
-    if variable < network.first_shared:
-        k = variable - len(network.images)
-        return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}", network.shift_terms[k][inside].unit
-    shared = network.shared[variable - network.first_shared]
-    return f"{shared.name} {shared.kind.components[inside]}".strip(), shared.kind.unit
-
-
-def _unit(component: int) -> str:
-    """Unit of a component of the orientation: three of position, three of rotation."""
-    return "rad" if component >= 3 else "m"

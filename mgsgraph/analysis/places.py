@@ -18,7 +18,6 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import (
     Ellipsoid,
     east_north_up,
-    from_planetocentric,
     geodetic,
     intersect_ellipsoid,
     planetocentric,
@@ -152,13 +151,12 @@ def _ground(posterior: Posterior, places: Array, height: float) -> Array:
     at a height above the ellipsoid.
     """
     body, surface = posterior.network.images[0].body, posterior.network.surface
-    unit = from_planetocentric(np.column_stack([places, np.ones(places.shape[0])]))
-    axes = np.array([body.equatorial, body.equatorial, body.polar])
-    ground = unit * (1.0 / np.linalg.norm(unit / axes, axis=1, keepdims=True) + height)
+    longitudes, latitudes = places.T
+    ground = on_surface(longitudes, latitudes, body, height)
     if surface is None:
-        return np.asarray(ground)
-    radius, _, _ = surface.grid.radius(places[:, 0], places[:, 1])
-    return np.asarray(np.where(np.isfinite(radius)[:, None], unit * radius[:, None], ground))
+        return ground
+    over = on_surface(longitudes, latitudes, body, terrain=surface.grid)
+    return np.where(np.isfinite(over), over, ground)
 
 
 def _extent(

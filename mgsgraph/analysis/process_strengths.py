@@ -4,8 +4,8 @@ found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts a
 print(found)
 
 Processes of the same part (position, attitude), kind and frequency have one strength, common to all passes: a pair of
-images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood:
-Fisher's scoring takes steps in log s.
+images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood,
+whose maximum is sought in log s.
 
 A strength that measures hardly see is not searched for, for it would run away: where the search begins, the expected
 standard deviation of its logarithm has to be less than 1. Its departures are held at nothing, which is said.
@@ -42,13 +42,11 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
 from mgsgraph.network.conditioning import dense_covariance
 from mgsgraph.record import Record
 
-_INNER, _HALVINGS, _AT_REST = 30, 8, 1e-3
-"""Steps of scoring for one adjustment, and halvings of one; log strengths, in their standard deviations."""
 Block = tuple[slice, Array]
 """Rows of a pass's component among all that are sought, and a covariance (k, k) of its nodes, m^2 or rad^2."""
 
@@ -82,23 +80,18 @@ class Evidence:
         return cls(0.5 * (found + found.T), push, tuple(parts))
 
     def maximum(self, most: float) -> Array:
-        """(p,) change of the log strengths to the largest likelihood, by Fisher's scoring; `most` upward at most."""
-        steps = np.zeros(len(self.parts))
-        here = self.likelihood(steps)
-        for _ in range(_INNER):
-            move = np.clip(np.linalg.solve(here.information + 0.05 * np.eye(steps.size), here.score), -1.0, 1.0)
-            for _ in range(_HALVINGS):
-                trial = np.clip(steps + move, -3.0 * most, most)
-                there = self.likelihood(trial)
-                if there.logarithm >= here.logarithm:
-                    break
-                move = 0.5 * move  # scoring overshoots where the likelihood bends more than is expected
-            else:
-                break
-            steps, here = trial, there
-            if np.all(np.abs(move) * np.sqrt(1.0 + np.diagonal(here.information)) < _AT_REST):
-                break
-        return steps
+        """(p,) change of the log strengths to the largest likelihood; `most` upward at most."""
+        from scipy.optimize import minimize  # slow to import
+
+        def downward(steps: Array) -> tuple[float, Array]:
+            found = self.likelihood(steps)
+            return -found.logarithm, -found.score
+
+        begin = np.zeros(len(self.parts))
+        found = minimize(
+            downward, begin, jac=True, bounds=[(-3.0 * most, most)] * begin.size, options={"ftol": 1e-12, "gtol": 1e-6}
+        )
+        return np.asarray(found.x)
 
     def likelihood(self, steps: Array) -> "Likelihood":
         """Where log strengths change by `steps` (p,)."""
@@ -266,10 +259,6 @@ class EstimatedStrengths(Record):
     """Whether the last round changed nothing by more than the tolerance."""
     rounds: int
     """Adjustments."""
-
-    def __post_init__(self) -> None:
-        count = len(self.strengths)
-        assign(self, covariance=frozen(self.covariance, "strengths, covariance", (count, count)))
 
     @property
     def correlation(self) -> Array:

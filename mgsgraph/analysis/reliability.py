@@ -15,7 +15,6 @@ four coordinates of a tie with two rays share a single redundancy, and always ar
 points are not grouped, nor are a-priori values of the orientation with what they could be mistaken for.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -40,13 +39,10 @@ from mgsgraph.analysis.measures import (
     names_of,
     units_of,
 )
-from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR
 from mgsgraph.record import Record
 
-_RAYS = 1 << 18
-"""Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""
 _BOTH = np.arange(2, dtype=np.int8)
 _EXACT = 1e-12
 """Residual in sigmas below which its robust weight is taken as one."""
@@ -109,11 +105,7 @@ class Reliability(Record):
     def order(self, most: int) -> Index:
         """The `most` measures of the largest |w|, largest first."""
         size = np.nan_to_num(np.abs(self.measures.test), nan=-1.0)
-        most = min(most, size.size)
-        if most == 0:
-            return np.zeros(0, dtype=np.int64)
-        chosen = np.argpartition(size, size.size - most)[size.size - most :]
-        return np.asarray(chosen[np.lexsort((chosen, -size[chosen]))])
+        return np.argsort(-size, kind="stable")[:most]
 
     def unit(self, measure: int) -> str:
         """Unit of a measure: px, m, rad or s."""
@@ -169,7 +161,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     ends = np.cumsum([0, 2 * int(np.count_nonzero(used)), *counts]).tolist()
     out = empty_measures(ends[-1])
     rays, ranges, apriori, surface, on_stereo, priors = (out.part(a, b) for a, b in pairwise(ends))
-    squares = sum(_rays(rays, at, numbers, used, roots, levels))
+    squares = _rays(rays, at, numbers, used, roots, levels)
     network, index = at.network, at.layout.observation_rows
     root = None if roots is None else roots.ranges[shots]
     squares += _singles(
@@ -246,31 +238,18 @@ def _robust_roots(at: Linearised, numbers: Array) -> _Roots | None:
 
 def _rays(
     out: ScalarMeasures, at: Linearised, numbers: Array, used: Mask, roots: _Roots | None, levels: Levels
-) -> list[float]:
-    """Fill in the rays; their sums of squares, part by part."""
-    rays, places = at.network.rays, at.layout.observation_rows.rays
-    edges = [*range(0, used.size, _RAYS), used.size]
-    counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]
-    begins = dict(zip(edges, 2 * np.cumsum([0, *counts]), strict=True))
-
-    def part(ends: tuple[int, int]) -> float:
-        first, last = ends
-        number = np.arange(first, last, dtype=np.int32)
-        chosen: slice | Index = slice(first, last)
-        if begins[last] - begins[first] < 2 * number.size:
-            number, chosen = number[used[first:last]], np.flatnonzero(used[first:last]) + first
-        index, root = places[chosen], None if roots is None else roots.rays[chosen]
-        found, mine = numbers[index], out.part(begins[first], begins[last])
-        point, image = np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
-        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(index, 2))
-        misfit, share, effect = (found[:, columns].ravel() for columns in (MISFIT, SHARE, EFFECT))
-        twice = None if root is None else np.repeat(root, 2)
-        judge_scalars(mine, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
-        joint, dimensions = pair_tests(found[:, MISFIT], found[:, SHARE], found[:, BETWEEN], root)
-        mine.joint[:], mine.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
-        return float(misfit @ misfit)
-
-    return in_threads(part, pairwise(edges))
+) -> float:
+    """Fill in the rays; their sum of squares."""
+    rays, chosen = at.network.rays, np.flatnonzero(used)
+    index, root = at.layout.observation_rows.rays[chosen], None if roots is None else roots.rays[chosen]
+    found, point, image = numbers[index], np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
+    out.say(MeasureKind.RAY, np.tile(_BOTH, chosen.size), np.repeat(chosen, 2), point, image, np.repeat(index, 2))
+    misfit, share, effect = (found[:, columns].ravel() for columns in (MISFIT, SHARE, EFFECT))
+    twice = None if root is None else np.repeat(root, 2)
+    judge_scalars(out, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
+    joint, dimensions = pair_tests(found[:, MISFIT], found[:, SHARE], found[:, BETWEEN], root)
+    out.joint[:], out.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
+    return float(misfit @ misfit)
 
 
 def _singles(
@@ -333,8 +312,8 @@ def suspects(found: Reliability, most: int = 20) -> tuple[Suspect, ...]:
     groups, listed = list[Suspect](), set[int]()
     index = PointIndex(found.measures.point, len(found.at.network.points))
     correlations: dict[int, tuple[Index, Array]] = {}
-    for k in _worst_first(found, most):
-        if len(groups) == most:
+    for k in map(int, found.order(len(found))):
+        if len(groups) == most or np.isnan(found.measures.test[k]):
             break
         if k in listed:
             continue
@@ -351,18 +330,6 @@ def suspects(found: Reliability, most: int = 20) -> tuple[Suspect, ...]:
         test = float(found.measures.test[k])
         groups.append(Suspect(together, point, test, abs(test) > found.critical))
     return tuple(groups)
-
-
-def _worst_first(found: Reliability, most: int) -> Iterator[int]:
-    """Controlled measures by the size of their tests; all are sorted only where the first few don't do."""
-    seen, count = 0, 16 * most
-    while seen < len(found):
-        order = found.order(count)
-        for k in order[seen:].tolist():
-            if np.isnan(found.measures.test[k]):
-                return
-            yield k
-        seen, count = order.size, len(found)
 
 
 class PointIndex:

@@ -14,8 +14,8 @@ Do residuals of near points resemble each other? Moran's statistic of least-squa
 
 With v the whitened residuals, of covariance C, and K one for each pair of rows nearer than some distance, else zero,
 v' K v is the score of a common correlation of near rows. Its cumulants are those of a quadratic form of normal
-variables, kappa_n = 2^(n-1) (n-1)! tr (K C)^n: the correlation that least squares itself brings about is in them. By
-the first four it is said whether the statistic is suspicious, by all eigenvalues then how much.
+variables, kappa_n = 2^(n-1) (n-1)! tr (K C)^n: the correlation that least squares itself brings about is in them. The
+eigenvalues of K C say how probable it is.
 """
 
 from collections.abc import Iterator
@@ -232,8 +232,6 @@ _MOST_ROWS = 600
 _WITHIN = (1.0, 2.0, 4.0, 8.0)
 """Distances within which points count as near, in median distances of a point to its nearest one."""
 _FEWEST_PAIRS = 20
-_SUSPICIOUS = 0.05
-"""p-value by four cumulants from which down all eigenvalues are taken."""
 _ROUNDING = 1e-9
 """Eigenvalue of the residuals' covariance that is none."""
 
@@ -288,8 +286,10 @@ def correlations(
         for shown, inverse in taken:
             covariance -= shown[mine] @ inverse @ shown[mine].T
         squares = float(residuals[mine] @ residuals[mine]) / max(float(np.trace(covariance)), 1e-9)
+        values, vectors = np.linalg.eigh(covariance)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, values > _ROUNDING]
         tried = [
-            (length, *_judged(near, residuals[mine], covariance, max(1.0, squares)), near.nnz / mine.size)
+            (length, *_judged(near, residuals[mine], covariance, root, max(1.0, squares)), near.nnz / mine.size)
             for length, near in _near(rows, mine)
         ]
         if tried:
@@ -354,42 +354,15 @@ def _places(rows: ResidualRows, mine: Index) -> tuple[Array, Index]:
     return rows.at.layout.network_order(rows.at.points)[rows.point[mine]], np.zeros(mine.size, dtype=np.int64)
 
 
-def _judged(near: "csr_array", residuals: Array, covariance: Array, factor: float) -> tuple[float, float, float, float]:
-    """Coefficient, its sigma, test and p-value of v' K v, v having `factor` times a covariance."""
+def _judged(
+    near: "csr_array", residuals: Array, covariance: Array, root: Array, factor: float
+) -> tuple[float, float, float, float]:
+    """Coefficient, its sigma, test and p-value of v' K v, v having `factor` times a covariance, that of `root`."""
     product = near @ covariance
-    squared = product @ product
-    traces = (
-        float(np.trace(product)), float(np.trace(squared)),
-        float(np.sum(squared * product.T)), float(np.sum(squared * squared.T)),
-    )  # fmt: skip
+    mean, square = float(np.trace(product)), float(np.sum(product * product.T))
     value = float(residuals @ (near @ residuals)) / factor
-    test = (value - traces[0]) / np.sqrt(2.0 * traces[1])
-    p = roughly(test, traces)
-    if p < _SUSPICIOUS:
-        values, vectors = np.linalg.eigh(covariance)
-        root = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, values > _ROUNDING]
-        p = tail(value, np.linalg.eigvalsh(root.T @ (near @ root)))
-    return (value - traces[0]) / traces[1], float(np.sqrt(2.0 / traces[1])), test, p
-
-
-def roughly(test: float, traces: tuple[float, float, float, float]) -> float:
-    """Probability of a quadratic form of normal variables so many standard deviations above its mean, by the traces of
-    the first four powers of its matrix (Liu, Tang & Zhang 2009, Computational Statistics & Data Analysis 53, 853).
-    """
-    from scipy.special import ndtr  # slow to import
-    from scipy.stats import ncx2
-
-    _, second, third, fourth = traces
-    s1, s2 = third / second**1.5, fourth / second**2
-    if s1 <= 0.0:
-        return float(ndtr(-test))
-    a, shift = 1.0 / s1, 0.0
-    degrees = a**2
-    if s1**2 > s2:
-        a = 1.0 / (s1 - np.sqrt(s1**2 - s2))
-        shift = s1 * a**3 - a**2
-        degrees = a**2 - 2.0 * shift
-    return float(ncx2.sf(test * np.sqrt(2.0) * a + degrees + shift, degrees, shift))
+    p = tail(value, np.linalg.eigvalsh(root.T @ (near @ root)))
+    return (value - mean) / square, float(np.sqrt(2.0 / square)), (value - mean) / float(np.sqrt(2.0 * square)), p
 
 
 def tail(value: float, weights: Array) -> float:

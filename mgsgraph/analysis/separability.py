@@ -25,7 +25,7 @@ import numpy as np
 from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.measures import unknown_name
+from mgsgraph.analysis.linearised import unknown_name
 from mgsgraph.analysis.statistics import strip_turns
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles

@@ -136,22 +136,10 @@ class Unexplained(NamedTuple):
 
     image: int
     """Which."""
-    median: float
-    """pixels, of the length of its residuals."""
+    size: float
+    """pixels, median length of its image residuals; or m, mean of its ranges', measured minus nominal."""
     expected: float
-    """pixels, one sigma of them by the priors of all images together; an upper limit."""
-
-
-class UnexplainedRanges(NamedTuple):
-    """An image whose laser ranges have a mean residual that its orbit's sigmas don't explain."""
-
-    image: int
-    """Which."""
-    mean: float
-    """m, measured minus nominal."""
-    expected: float
-    """m, one sigma of it by those of the orbit, the footprints and the ranges; an upper limit."""
-
+    """One sigma of it by the priors of all that moves them; an upper limit."""
 
 
 def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplained, ...]:
@@ -172,16 +160,16 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
         median = float(np.median(size[mine]))
         if median > _BEYOND * sigma:
             found.append(Unexplained(j, median, sigma))
-    return tuple(sorted(found, key=lambda one: -one.median))
+    return tuple(sorted(found, key=lambda one: -one.size))
 
 
-def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedRanges, ...]:
+def unexplained_ranges(network: Network, residuals: Array) -> tuple[Unexplained, ...]:
     """Images whose range residuals (r,), m, with the nominal orientation, have too large a mean for the a-priori sigmas
     of orbit and footprints, all of whose errors are taken to be common.
 
     Nothing is said of images that share unknowns by which ranges change.
     """
-    ranges, points, found = network.ranges, network.points, list[UnexplainedRanges]()
+    ranges, points, found = network.ranges, network.points, list[Unexplained]()
     places, shifts = _place_sigmas(network), _shift_sigmas(network)
     felt = [one for one in network.shared if one.kind.acts_on_ranges or one.kind.moves_footprints]
     moved = {j for one in felt for j in one.images.tolist()}
@@ -195,8 +183,8 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[UnexplainedR
         common = ground, float(np.median(ranges.sigmas[mine])), orbit, shift
         sigma, mean = float(np.linalg.norm(common)), float(np.mean(residuals[mine]))
         if abs(mean) > _BEYOND * sigma:
-            found.append(UnexplainedRanges(j, mean, sigma))
-    return tuple(sorted(found, key=lambda one: -abs(one.mean)))
+            found.append(Unexplained(j, mean, sigma))
+    return tuple(sorted(found, key=lambda one: -abs(one.size)))
 
 
 def _place_sigmas(network: Network) -> Array:

@@ -27,7 +27,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.sweep import point_covariances
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.support import LEAST, pass_rays, require_supported
@@ -80,9 +80,6 @@ class HeldOut:
     """(h,) strip of each."""
     times: Array
     """(h,) s past the epoch of that strip's nodes."""
-
-    def __post_init__(self) -> None:
-        assign(self, rays=frozen_index(self.rays, "rays held out", np.size(self.rays), 2**62))
 
     def taken(self, network: Network) -> Mask:
         """(rays,) those that take part: neither held out nor marked as blunders."""
@@ -176,9 +173,6 @@ class SpacingCandidate:
     refused: str = ""
     """Reason why there is no adjustment; empty where there is one."""
 
-    def __post_init__(self) -> None:
-        assign(self, squares=frozen(self.squares, "squared misfits", (None,)))
-
     @property
     def rms(self) -> float:
         """Root mean square of the whitened misfits; 1 is noise."""
@@ -211,12 +205,6 @@ class Choice:
     """Rays held out that count for none, as nothing else places their points well enough."""
     rejected: int
     """Rays that took part with no candidate, as blunders of the adjustment of all rays with its nodes."""
-
-    def __post_init__(self) -> None:
-        for name in ("rms_errors", "worse", "worse_errors"):
-            value = np.array(getattr(self, name), dtype=np.float64)
-            value.flags.writeable = False
-            assign(self, **{name: value})
 
     @property
     def spacing(self) -> float:

@@ -3,7 +3,7 @@ each stage; by strip and for all. SI units, NaN for nothing.
 
 Heights are compared like with like: at every stage of the places where the rays alone put the points, with the
 orientation of the stage. (In step 2 each point has a height row of its own, which pulls it to the terrain; with that
-the heights would be smaller, whatever the orientation. `HeightStatistics.rms_adjusted` has them.)
+the heights would be smaller, whatever the orientation.)
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
 
@@ -44,10 +44,6 @@ class HeightStatistics:
     """(stages,) m, by rays alone."""
     mean: Array
     """(stages,) m, mean height by rays alone."""
-    rms_given: float
-    """m, the same after step 2, above the model where it is given: differs where its shift or tilt is unknown."""
-    rms_adjusted: float
-    """m, of the adjusted points of step 2, each pulled by its own height row."""
 
     @property
     def factors(self) -> Array:
@@ -117,10 +113,10 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     network = steps.network
     before, covariances = steps.rays_alone.nominal()
     ties = _ties(steps)
-    heights, others = _heights(steps, before)
+    heights = _heights(steps, before)
     assert network.surface is not None
     of_ties, with_row = network.points.classes == PointClass.TIE, np.isfinite(network.surface.sigmas)
-    complete = np.all(np.isfinite(heights), axis=0) & np.all(np.isfinite(others), axis=0) & of_ties & with_row
+    complete = np.all(np.isfinite(heights), axis=0) & of_ties & with_row
     used = complete & ~steps.off
     groups = []
     first = np.full(len(network.points), -1, dtype=np.int64)
@@ -129,7 +125,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
         mine = network.rays.point[rays]
         fresh = first[mine] < 0
         first[mine[fresh]] = rays[fresh]
-        heights_of = _height_statistics(heights, others, mine[used[mine]])
+        heights_of = _height_statistics(heights, mine[used[mine]])
         poses = _poses(steps, int(images[images.size // 2]))
         sigmas = _sigmas(steps, covariances, rays[ties[mine]])
         groups.append(_group(name, sigmas, poses, heights_of))
@@ -138,7 +134,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
         "all",
         _sigmas(steps, covariances, rays),
         np.mean([group.poses for group in groups], axis=0),
-        _height_statistics(heights, others, np.flatnonzero(used & (first >= 0))),
+        _height_statistics(heights, np.flatnonzero(used & (first >= 0))),
     )
     points = np.flatnonzero(complete)
     without_row, left_out = (int(np.count_nonzero(of_ties & one)) for one in (~with_row, with_row & ~complete))
@@ -198,22 +194,16 @@ def _poses(steps: TwoSteps, image: int) -> Array:
     return result
 
 
-def _heights(steps: TwoSteps, before: Array) -> tuple[Array, Array]:
-    """(stages, n) m above the terrain model, and (2, n) m after step 2: the same above the model where it is given, and
-    of the adjusted points.
-    """
-    network, fitted = steps.network, steps.fitted
-    places, _ = steps.rays_alone.at(orientation_values(network, fitted))
-    stages = [(before, None), (steps.free.places, None), (places, fitted)]
-    heights = np.stack([heights_above(network, *stage)[0] for stage in stages])
-    others = [heights_above(network, places), heights_above(network, fitted.places, fitted)]
-    return heights, np.stack([one[0] for one in others])
+def _heights(steps: TwoSteps, before: Array) -> Array:
+    """(stages, n) m above the terrain model."""
+    places, _ = steps.rays_alone.at(orientation_values(steps.network, steps.fitted))
+    stages = [(before, None), (steps.free.places, None), (places, steps.fitted)]
+    return np.stack([heights_above(steps.network, *stage)[0] for stage in stages])
 
 
-def _height_statistics(heights: Array, others: Array, points: Index) -> HeightStatistics:
+def _height_statistics(heights: Array, points: Index) -> HeightStatistics:
     mean, rms = mean_and_rms(heights[:, points].T)
-    given, adjusted = mean_and_rms(others[:, points].T)[1].tolist()
-    return HeightStatistics(points.size, rms, mean, given, adjusted)
+    return HeightStatistics(points.size, rms, mean)
 
 
 def _group(name: str, sigmas: Array, poses: Array, heights: HeightStatistics) -> GroupStatistics:
@@ -224,12 +214,12 @@ def _group(name: str, sigmas: Array, poses: Array, heights: HeightStatistics) ->
     return GroupStatistics(name, count, mean, median, poses, heights)
 
 
-_STEPS = tuple(digit * 10.0**power for power in (-4, -3, -2, -1, 0) for digit in (1.0, 2.0, 5.0))
-"""deg, sizes of cells to choose from."""
 _ENOUGH = 6.0
 """Points that cells which have any should hold on the average: the rms of so few is known to a third."""
 _MOST = 60
 """Cells along the longer side of a map."""
+_LEAST = 1e-4 * DEG
+"""Height of a cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,9 +271,11 @@ def height_cells(places: Array, heights: Array, step: float | None = None) -> He
         when absent.
     """
     east, north = turned(places)
-    ratio = _round(1.0 / max(float(np.cos(np.median(north))), 0.05))
-    chosen = _step(east, north, ratio) if step is None else step
-    steps = (chosen * ratio, chosen)
+    ratio = max(round(1.0 / max(float(np.cos(np.median(north))), 0.05)), 1)
+    if step is None:
+        sides = np.array([np.ptp(east) / ratio, np.ptp(north)])
+        step = max(float(np.sqrt(sides.prod() * _ENOUGH / east.size)), float(sides.max()) / _MOST, _LEAST)
+    steps = (step * ratio, step)
     west, column, columns = _sorted(east, steps[0])
     south, row, rows = _sorted(north, steps[1])
     cell = row * columns + column
@@ -309,24 +301,8 @@ def turned(places: Array, middle: float | None = None) -> tuple[Array, Array]:
     return in_turn(longitudes, middle), latitudes
 
 
-def _round(ratio: float) -> float:
-    """The nearest of 1, 2, 5, 10, 20."""
-    choices = np.array([1.0, 2.0, 5.0, 10.0, 20.0])
-    return float(choices[np.argmin(np.abs(np.log(choices / ratio)))])
-
-
 def _sorted(values: Array, step: float) -> tuple[float, Index, int]:
     """First edge, cell of each value, and number of cells; edges are multiples of the step."""
     low = int(np.floor(values.min() / step + 1e-9))
     index = np.maximum(np.floor(values / step + 1e-9).astype(np.int64) - low, 0)
     return low * step, index, int(index.max()) + 1
-
-
-def _step(east: Array, north: Array, ratio: float) -> float:
-    """rad, the smallest of the round sizes whose cells hold enough points and are not too many."""
-    for step in _STEPS:
-        _, column, columns = _sorted(east, step * DEG * ratio)
-        _, row, rows = _sorted(north, step * DEG)
-        if max(rows, columns) <= _MOST and east.size >= _ENOUGH * np.unique(row * columns + column).size:
-            return step * DEG
-    return _STEPS[-1] * DEG

@@ -261,18 +261,6 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
     return _Search(residual_rows(at, _chosen(at.network)), level).found()
 
 
-def named_effects(of: Solution | Linearised, level: float = LEVEL) -> tuple[Effect, ...]:
-    """The named effects of `unexplained`, clearest first.
-
-    Examples
-    --------
-    >>> from mgsgraph.analysis.unexplained import named_effects
-    >>> named_effects(solution)
-    ()
-    """
-    return unexplained(of, level).effects
-
-
 class _Search:
     """Effects named one after another."""
 

@@ -258,7 +258,7 @@ def reading_statements(images: Sequence[PushbroomImage]) -> list[str]:
 def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose residuals (k, 2) with the nominal orientation no error within the a-priori sigmas explains."""
     found = [
-        f"{network.images[one.image].name} {one.median:.0f} px (expected {one.expected:.2g})"
+        f"{network.images[one.image].name} {one.size:.0f} px (expected {one.expected:.2g})"
         for one in unexplained_residuals(network, residuals)
     ]
     return found and [
@@ -270,7 +270,7 @@ def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
 def range_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose range residuals (r,) with the nominal orientation no error within the a-priori sigmas explains."""
     found = [
-        f"{network.images[one.image].name} {one.mean:+.4g} m (expected {one.expected:.2g})"
+        f"{network.images[one.image].name} {one.size:+.4g} m (expected {one.expected:.2g})"
         for one in unexplained_ranges(network, residuals)
     ]
     return found and [

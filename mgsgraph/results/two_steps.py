@@ -123,9 +123,7 @@ def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
         found.append("Nothing is known beforehand of some orientation: there is no a-priori sigma.")
     if heights.count:
         found.append(
-            f"Heights above the terrain are of {many(heights.count, 'point')}, where the rays alone put them. Rms of "
-            f"the adjusted ones: {heights.rms_adjusted:.3g} m above the adjusted model, {heights.rms_given:.3g} m over "
-            "the given one."
+            f"Heights above the terrain are of {many(heights.count, 'point')}, where the rays alone put them."
         )
     for count, why in (
         (statistics.without_row, "had no height row, beside the terrain model or over missing posts"),
@@ -200,8 +198,6 @@ def _group_json(group: GroupStatistics) -> dict[str, Any]:
         "heights": {
             "points": heights.count,
             **{key: dict(zip(STAGES, values, strict=True)) for key, values in by_stage.items()},
-            "rms_above_given_model_m": heights.rms_given,
-            "rms_of_adjusted_points_m": heights.rms_adjusted,
         },
     }  # fmt: skip
 

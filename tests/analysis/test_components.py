@@ -144,16 +144,6 @@ def test_random_signs_come_near_the_exact_matrix() -> None:
     assert np.allclose(estimate.helmert.sum(axis=1), exact.redundancy, atol=1e-6)
 
 
-def test_groups_of_image_kinds_are_parts_of_the_ties() -> None:
-    at = at_rest(solved("pair"))
-    whole, parts = (group_redundancy(at, group_rows(at.network, kinds)) for kinds in (None, ["nadir", "aside"]))
-    assert parts.names[:2] == ("tie image points, nadir", "tie image points, aside")
-    assert parts.redundancy[:2].sum() == pytest.approx(whole.redundancy[0], rel=1e-9)
-    assert parts.helmert[:2, :2].sum() == pytest.approx(whole.helmert[0, 0], rel=1e-9)
-    with pytest.raises(InputError, match="image kinds: 1; expected one for each of 2 images"):
-        group_rows(at.network, ["nadir"])
-
-
 def test_scaling_a_group_scales_its_sigmas_and_no_others() -> None:
     net = on_surface(with_shift_and_surface(network(pair())), pair())
     grouping = group_rows(net)
@@ -411,11 +401,11 @@ def test_quantile_sheet_shows_each_group_with_its_band() -> None:
 
 
 def test_a_verdict_names_what_it_depends_on() -> None:
-    one = replace(component(1.3, 9.0), beside="ground priors", correlation=-0.99, given="position")
-    assert one.sentence.endswith("with ground priors, correlation -0.99; if the stated sigmas of position are right")
+    one = replace(component(1.3, 9.0), beside="ground priors", correlation=-0.99)
+    assert one.sentence.endswith("with ground priors, correlation -0.99")
 
 
-def test_a_factor_that_hangs_on_the_sigmas_of_a_group_that_is_not_judged_says_so() -> None:
+def test_a_group_that_is_not_judged_names_the_one_that_has_its_redundancy() -> None:
     """Pointing (1) and position (2) share all they have; ties (0) have nothing to do with either."""
     helmert = np.array([[90.0, 0.0, 0.0], [0.0, 10.0, 9.9], [0.0, 9.9, 10.0]])
     r = helmert.sum(axis=1)
@@ -424,7 +414,6 @@ def test_a_factor_that_hangs_on_the_sigmas_of_a_group_that_is_not_judged_says_so
     judgements = [Judgement.JUDGED, Judgement.JUDGED, Judgement.INSEPARABLE]
     assert judge_groups(found, {}).count(Judgement.INSEPARABLE) == 1
     groups = components_from_redundancy(found, judgements, np.ones(3)).groups
-    assert [one.given for one in groups] == ["", "position", ""]
     assert groups[1].beside == "ties"
     assert groups[2].beside == "pointing"
     assert groups[2].correlation == pytest.approx(-0.99, abs=1e-6)

@@ -21,7 +21,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import UNCONTROLLED, pair_tests, residual_covariance
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.measures import Levels, MeasureKind, inverse
+from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.reliability import (
     PointIndex,
     Reliability,
@@ -313,12 +313,6 @@ def test_a_robust_test_is_that_of_the_prediction() -> None:
     found, dimensions = pair_tests(left[None, :2], np.diag(hat)[None, :2], hat[0, 1:2], np.sqrt(weight[:1]))
     assert dimensions == 2
     assert found[0] == pytest.approx(error @ np.linalg.solve(covariance, error), rel=1e-9)
-
-
-def test_inverses_by_cofactors() -> None:
-    roots = np.random.default_rng(2).normal(size=(20, 3, 3))
-    full = roots @ np.swapaxes(roots, 1, 2) + 0.1 * np.eye(3)
-    assert np.allclose(inverse(full), np.linalg.inv(full), rtol=1e-8)
 
 
 def test_ties_with_two_rays_are_one_group_and_others_are_not() -> None:

@@ -15,7 +15,7 @@ from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows, tail
 from mgsgraph.analysis.systematic import EffectKind
-from mgsgraph.analysis.unexplained import named_effects, unexplained
+from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
@@ -105,7 +105,7 @@ def test_jitter_is_named_and_good_data_name_nothing(case: Case) -> None:
     clean = unexplained(adjust_network(case.network, case.settings))
     assert not clean.effects
     assert min(one.p_value for one in clean.others) > clean.level
-    first = named_effects(adjust_network(shaken(case, 1.3), case.settings))[0]
+    first = unexplained(adjust_network(shaken(case, 1.3), case.settings)).effects[0]
     assert first.kind is EffectKind.JITTER
     both = f"{first.where} (period {first.period:.2g} s)", *first.alternatives
     assert f"image {case.network.images[0].name} (period 1.3 s)" in both
