@@ -25,9 +25,9 @@ from mgsgraph.adjustment.covariances import (
 from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.drivers import Drivers, driver_sentences, drivers_of
 from mgsgraph.adjustment.fit import Fit, Residuals, fit, residuals, strained_orientations
-from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
+from mgsgraph.adjustment.gpu import require_usable, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shift_values
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import best_of_starts, starts_wanted
@@ -414,7 +414,7 @@ def adjust_network(
         _require_ties(name, solved)
         del before, layout  # the posterior needs the memory
         found = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
-        return replace(found, minima=minima, message=" ".join([found.message, *remarks_of(sweeper)]))
+        return replace(found, minima=minima, message=" ".join(filter(None, [found.message, sweeper.remark])))
 
 
 class Adjustment:

@@ -24,7 +24,7 @@ import numpy as np
 from mgsgraph.adjustment.batch import BundleProblem, HeldProblem, levenberg_marquardt
 from mgsgraph.adjustment.covariances import MOST_POINTS, MOST_UNKNOWNS, orientation_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import Sweeper
+from mgsgraph.adjustment.graph.forms import Sweeper
 from mgsgraph.adjustment.marginals import JointCovariance, in_cliques, joint_covariance
 from mgsgraph.adjustment.rounds import Solved, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings

@@ -19,7 +19,7 @@ from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.covariances import Linearised, orientation_covariance
 from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.rays import followed
 from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen

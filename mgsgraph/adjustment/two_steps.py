@@ -19,7 +19,7 @@ from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
 from mgsgraph.adjustment.cluster.connection import Connection
 from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.rounds import Progress, Selection, determined_points, everything, settled
 from mgsgraph.adjustment.settings import SolverSettings

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER
 from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expected
 from mgsgraph.errors import WeakNetwork

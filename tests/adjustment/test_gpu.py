@@ -16,11 +16,10 @@ from sharing import with_all_kinds
 
 from mgsgraph.adjustment import gpu
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.gpu import Gpu, choice
-from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
+from mgsgraph.adjustment.gpu import Gpu, sweeper_of
 from mgsgraph.adjustment.gpu.sweeper import DenseCholesky, DenseLibraries
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, sparse_factor
+from mgsgraph.adjustment.graph.forms import IN_PROCESS, sparse_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError
@@ -33,29 +32,29 @@ NUMPY = DenseLibraries(np, scipy.linalg, nullcontext)
 
 def test_the_cpu_unless_it_is_said() -> None:
     assert sweeper_of(SolverSettings(), LAYOUT) is IN_PROCESS
-    assert list(remarks_of(IN_PROCESS)) == []
+    assert IN_PROCESS.remark == ""
 
 
 def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.MonkeyPatch) -> None:
     auto, found = SolverSettings(device="auto"), Gpu("a device", math.inf, 2)
-    monkeypatch.setattr(choice, "find_gpu", lambda: found)
+    monkeypatch.setattr(gpu, "find_gpu", lambda: found)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
-    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
-    monkeypatch.setattr(choice, "find_gpu", lambda: SMALL)
+    monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
+    monkeypatch.setattr(gpu, "find_gpu", lambda: SMALL)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
     assert SMALL.remark
     assert not found.remark
 
 
 def test_auto_goes_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
+    monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
     monkeypatch.setattr(gpu, "find_spec", lambda name: None)
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
 
 
 def test_auto_goes_without_a_gpu_of_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
-    monkeypatch.setattr(choice, "find_gpu", lambda: Gpu("a device", 1e3, 2))
+    monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
+    monkeypatch.setattr(gpu, "find_gpu", lambda: Gpu("a device", 1e3, 2))
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
     with pytest.raises(InputError, match="GB to use"):
         sweeper_of(SolverSettings(device="cuda"), LAYOUT)

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.cluster.connection import LEAST_MEMORY, Connection, Lost
 from mgsgraph.adjustment.cluster.workers import GIGA
-from mgsgraph.adjustment.graph.bundle import numbers, sparse_factor
+from mgsgraph.adjustment.graph.forms import Sweeper, numbers
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
@@ -145,8 +144,8 @@ class _Part:
         return f"a partition of {self.points.stop - self.points.start} points ({self.size / GIGA:.2f} GB)"
 
 
-class Partitions:
-    """Sweeps by the workers of a cluster (a `graph.bundle.Sweeper`); a context that lets the points go at its end.
+class Partitions(Sweeper):
+    """Sweeps by the workers of a cluster; a context that lets the points go at its end.
 
     Parameters
     ----------
@@ -223,10 +222,6 @@ class Partitions:
             layout, rows, numbers, lambda part: (orientation, joint[part.blocks], points[part.points])
         )
         return np.concatenate([values for values, _ in found])
-
-    def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Factor:
-        """Factor of the full linear system at a reduction: this process's task."""
-        return sparse_factor(layout, reduction, damping)
 
     # --- who does it
 

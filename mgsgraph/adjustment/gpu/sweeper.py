@@ -1,4 +1,4 @@
-"""Sweeps by a GPU (a `graph.bundle.Sweeper`): a layout's rows go there once, per iteration only the orientation.
+"""Sweeps by a GPU: a layout's rows go there once, per iteration only the orientation.
 
 What its memory doesn't hold at once is swept in partitions, which go there anew at every sweep.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.gpu import WHERE, Gpu
-from mgsgraph.adjustment.graph.bundle import Solving, of_rows, sparse_factor
+from mgsgraph.adjustment.graph.forms import Solving, Sweeper, of_rows, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError
@@ -181,7 +181,7 @@ class GpuReduction(Reduction):
         return None if self.blocks_on_device is None else self._fetched("blocks", self.blocks_on_device)
 
 
-class GpuSweeper:
+class GpuSweeper(Sweeper):
     """Sweeps by a GPU.
 
     Parameters
@@ -205,7 +205,7 @@ class GpuSweeper:
         self._divide(layout)
 
     @property
-    def remark(self) -> str:
+    def remark(self) -> str:  # type: ignore[override]
         """What a user should know of how the device was used."""
         said = f"Swept by the GPU ({self._gpu.name})"
         if not self._held:
