@@ -257,15 +257,11 @@ def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
         basis = [numbers[end] ** t for t in range(terms)]
         slopes = [t * numbers[end] ** max(t - 1, 0) * float(rows.observation_rate[0]) for t in range(terms)]
     columns = rows.entry_column[: terms + singles].tolist()
+    directions = tuple(tuple(numbers[last + e * width : last + (e + 1) * width]) for e in range(singles))
     correction = Correction(
-        width,
-        6 if width >= 6 else 3,
-        tuple(columns[:terms]),
-        tuple(basis),
-        tuple(slopes),
-        tuple(columns[terms:]),
-        tuple(tuple(numbers[last + e * width : last + (e + 1) * width]) for e in range(singles)),
-    )
+        width, 6 if width >= 6 else 3, tuple(columns[:terms]), tuple(basis), tuple(slopes), tuple(columns[terms:]),
+        directions,
+    )  # fmt: skip
     return _measurement(rows, model, kind, numbers[:end]), correction
 
 
@@ -293,17 +289,9 @@ def _image_ray(model: Model, constants: list[float], focal: float) -> ImageRay:
         velocity, angular_rate, slope, offset = nothing, nothing, nothing[:2], (0.0,)
         scale = tuple(rest[:2]), tuple(rest[2:])
     return ImageRay(
-        _ATTITUDES[model.angles],
-        tuple(centre),
-        tuple(nominal),
-        velocity,
-        angular_rate,
-        tuple(detector),
-        slope,
-        scale,
-        offset[0],
-        focal,
-    )
+        _ATTITUDES[model.angles], tuple(centre), tuple(nominal), velocity, angular_rate, tuple(detector), slope, scale,
+        offset[0], focal,
+    )  # fmt: skip
 
 
 def observation_factor(
