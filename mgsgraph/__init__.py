@@ -99,8 +99,8 @@ if TYPE_CHECKING:
     from mgsgraph.export.frames import to_pandas as to_pandas
     from mgsgraph.export.frames import to_xarray as to_xarray
     from mgsgraph.export.solution_export import export_solution as export_solution
-    from mgsgraph.fetch.archives import Archives as Archives
     from mgsgraph.fetch.folder import fetch_images as fetch_images
+    from mgsgraph.fetch.needs import Archives as Archives
     from mgsgraph.files.tie_points import TiePoints as TiePoints
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
@@ -120,7 +120,7 @@ if TYPE_CHECKING:
 _HOME = {
     "adjust": "mgsgraph.case.reading",
     "adjust_network": "mgsgraph.adjustment.adjust",
-    "Archives": "mgsgraph.fetch.archives",
+    "Archives": "mgsgraph.fetch.needs",
     "Case": "mgsgraph.case.reading",
     "convert": "mgsgraph.export.exchange",
     "DemSettings": "mgsgraph.registration.dem.model",

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
 
 _LONGEST_PART = 400
 """Characters of a file's name or a finding that a message holds; of longer ones, the beginning and the end."""
@@ -163,3 +165,33 @@ class Unsolvable(SolverError):
 
     def __reduce__(self) -> tuple[type, tuple[str, object]]:
         return type(self), (str(self), self.state)
+
+
+
+
+def library(name: str, extra: str, wanted_for: str, called: str = "") -> ModuleType:
+    """The module of a library that is there only with an extra.
+
+    Parameters
+    ----------
+    name : str
+        What is imported.
+    extra : str
+        Extra of mgsgraph that brings it.
+    wanted_for : str
+        What needs it, for the error.
+    called : str, optional
+        How people call it; by the name of its module when absent.
+
+    Raises
+    ------
+    InputError
+        If it is not installed, or can't be imported.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name == name
+        why = "is not installed" if missing else f"can't be imported ({' '.join(str(error).split())})"
+        found = f"{called or name} {why}"
+        raise InputError(wanted_for, found, remedy=f'pip install "mgsgraph[{extra}]"') from None

@@ -26,7 +26,7 @@ from study import at_least, command, show, table
 from mgsgraph.case.groups import window_beside
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.export.network_content import source_networks
-from mgsgraph.fetch.lock import LOCK, Lock, LockedFile
+from mgsgraph.fetch.store import LOCK, Lock, LockedFile
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.network_file import read_network
 from mgsgraph.files.networks.table import read_tie_points

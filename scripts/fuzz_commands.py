@@ -43,7 +43,7 @@ _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
     "check": ("case.toml", ()),
     "convert": ("network.pvl out.net --to net --thin 5 --case case.toml", ()),
     "export": ("result --to isis --out out --scaled", _RESULT),
-    "fetch": ("--verify fetched", ("fetched/fetch.lock",)),
+    "fetch": ("M04/02852 --out fetched", ("fetched/fetch.lock",)),
     "help": ("case images", ()),
     "init": ("out --case case.toml --name x", ()),
     "new": ("image_A.isd image_B.isd network.pvl lidar.json --out out.toml --name x", ()),

@@ -31,7 +31,7 @@ a process of their own, for CSPICE ends the one that it is in on some that are d
 ## What is not promised
 
 * *Lies that fit.* A number changed to another that could be true is taken as it stands: a flipped digit of a tie
-  point is a blunder, which the adjustment may or may not find. Fetched files have checksums in `fetch.lock`;
+  point is a blunder, which the adjustment may or may not find. Fetched files have checksums in `fetch.store`;
   projects, results, tiles and records have their own.
 * *Malice in what the program keeps.* These checksums tell damage ([](incremental.md), `scripts/bit_flips.py`), not an
   enemy who writes them anew. Take projects and results from people whom you trust; networks, cases and data from

@@ -136,10 +136,11 @@ def of_what_is_kept() -> Iterator[Row]:
 
 
 def of_archives() -> Iterator[Row]:
-    from mgsgraph.fetch.archives import Archives
     from mgsgraph.fetch.case_file import _INSTRUMENT, camera_focal_length
-    from mgsgraph.fetch.lock import LOCK, Lock, PartialFile
+    from mgsgraph.fetch.download import PartialFile
+    from mgsgraph.fetch.needs import Archives
     from mgsgraph.fetch.search import read_index
+    from mgsgraph.fetch.store import LOCK, Lock
 
     addresses = "".join(f'{name} = "https://example.org/{name}/"\n' for name in ("images", "kernels", "pedr"))
     entry = {"url": "http://x.org/a", "size": 3, "sha256": "0" * 64, "fetched": "2026-11-23T12:00:00"}

@@ -49,8 +49,7 @@ from profiles import with_profile
 TEMPORARY = "tmp"
 """Folder of a trial that stands for the system's temporary files."""
 TABLES = (
-    "image", "shared", "bundle", "bundle_image", "bundle_surface", "point_names", "point_columns", "adjusted_columns",
-    "ray_columns", "range_columns", "height_columns", "terrain", "profile",
+    "image", "shared", "bundle", "bundle_image", "packed", "grid", "profile",
 )  # fmt: skip
 """Of a project, all that is no time and no name of a machine."""
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)

@@ -5,7 +5,7 @@ the camera's geometry. Of M01/00115 there are all pixels but no SPICE: its orien
 points outside the crop, from a circular orbit like that of E02/01461 that looks at the nadir. Tie points inside the
 crop are for comparison alone.
 
-    python scripts/match_moc_pair.py [--data FOLDER] [--method sift|grid] [--step METRES] [--cells N] [--out FILE]
+    python scripts/match_moc_pair.py [--data FOLDER] [--step METRES] [--cells N] [--out FILE]
 
 Prints, and writes to a file (Markdown) if one is given. Exit status: 0 done, 2 bad input.
 """
@@ -35,8 +35,7 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.matching.match import match_scene
-from mgsgraph.matching.matches import Matches
+from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.text import root_mean_square as rms
@@ -390,12 +389,11 @@ def main() -> int:
     """Command line."""
     parser = command(__doc__)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the real data")
-    parser.add_argument("--method", choices=("sift", "grid"), default="sift")
     parser.add_argument("--step", type=positive, default=None, help="m between pixels of the ground grid")
     parser.add_argument("--cells", type=at_least(1), default=1000, help="of the ground that both show")
     parser.add_argument("--out", type=Path, default=None, help="file for what is printed")
     chosen = parser.parse_args()
-    settings = MatchSettings(method=chosen.method, step=chosen.step, cells=chosen.cells)
+    settings = MatchSettings(step=chosen.step, cells=chosen.cells)
     return write_page(parser, chosen.out, lambda: page(trial(chosen.data, settings)))
 
 

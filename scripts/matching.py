@@ -4,7 +4,7 @@ Each site is simulated with rendered pictures, written in the mission's formats,
 with the tie points that are given with it, and with the matches alone. A match's true error: the ray of its reference
 pixel is cast on the true ground with the true orientation, and the place found there projected into the other image.
 
-    python scripts/matching.py [--sites gusev,eos,isidis] [--seeds 3] [--method sift|grid] [--out FOLDER]
+    python scripts/matching.py [--sites gusev,eos,isidis] [--seeds 3] [--out FOLDER]
 
 Writes matching_truth.md to the folder, docs by default. Exit status: 0 done, 2 bad input.
 """
@@ -24,8 +24,8 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
 from mgsgraph.geometry.records import Array
-from mgsgraph.matching.matches import Matches
-from mgsgraph.matching.settings import MatchSettings, method_of
+from mgsgraph.matching.match import Matches
+from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.registration.case import ProfileRegistration, register_case
 from mgsgraph.results.matching import match_into
 from mgsgraph.simulation.demo.truth import nees
@@ -39,7 +39,7 @@ BLUNDER = 1.0
 """pixels in line or sample beyond which a match is called a blunder."""
 WORDS = """# Matches against truth
 
-Made by `scripts/matching.py` ({machine}); method {method}. Simulated sites with rendered pictures (noise of 1.5 grey
+Made by `scripts/matching.py` ({machine}). Simulated sites with rendered pictures (noise of 1.5 grey
 values), in the mission's formats, the whole road: `simulate`, `match`, `adjust`, `register`. Errors are those of the
 second image's line and sample against the true ground under the reference's pixel. *stated / true*: root of the mean
 stated variance over the rms error, for line and for sample (1: as stated). *NEES / 2*: squared errors by their stated
@@ -75,7 +75,6 @@ def main() -> int:
     parser = command(__doc__)
     parser.add_argument("--sites", default="gusev", help=f"some of {','.join(SITE_NAMES)}")
     parser.add_argument("--seeds", type=at_least(1), default=3)
-    parser.add_argument("--method", choices=["sift", "grid"], default="sift")
     parser.add_argument("--out", type=Path, default=DOCS)
     chosen = parser.parse_args()
 
@@ -84,8 +83,8 @@ def main() -> int:
         for site in chosen.sites.split(","):
             for seed in range(1, chosen.seeds + 1):
                 show(f"{site}, seed {seed} of {chosen.seeds}")
-                rows.append(one(site, seed, MatchSettings(method=method_of(chosen.method))))
-        return page(rows, chosen.method)
+                rows.append(one(site, seed, MatchSettings()))
+        return page(rows)
 
     return write_page(parser, chosen.out / PAGE, text)
 
@@ -179,13 +178,13 @@ def cells_of(row: Row) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def page(rows: list[Row], method: str) -> str:
+def page(rows: list[Row]) -> str:
     """Both tables."""
     head = (
         "site", "seed", "seconds", "points", "cells", "rms error, px", "mean error, px", "stated / true", "NEES / 2",
         "blunders",
     )  # fmt: skip
-    parts = [WORDS.format(machine=machine(), method=method, blunder=BLUNDER), *table(head, [cells_of(r) for r in rows])]
+    parts = [WORDS.format(machine=machine(), blunder=BLUNDER), *table(head, [cells_of(r) for r in rows])]
     head = (
         "site", "seed", "between", "sigma0", "misregistration before", "after, given ties", "after, matches",
         "points, m", "by sigma",

@@ -30,7 +30,6 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.registration.relief import registered
 from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of
@@ -40,6 +39,7 @@ from mgsgraph.simulation.relief import PeriodicSurface, add_craters, fractal
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES, site_settings
 from mgsgraph.units import DEG
+from mgsgraph.workers import Progress, no_progress
 
 OFF, DIRECTIONS, REACH = 1500.0, 24, 2000.0
 """m, by which profiles are displaced, in so many directions; m, up to which shifts are searched then."""

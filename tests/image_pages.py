@@ -18,11 +18,11 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 import mgsgraph
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.geometry.records import Array
-from mgsgraph.studio.block import Block
-from mgsgraph.studio.routes_images import routes
+from mgsgraph.studio.changes import EditLock
+from mgsgraph.studio.opened import Block
+from mgsgraph.studio.routes import Views, routes
 
 PAGE = Path(mgsgraph.__file__).parent / "studio" / "page"
 _HTML = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>images</title>
@@ -61,11 +61,8 @@ class Scene:
         File of each image's pixels.
     """
 
-    def __init__(
-        self, block: Block, pictures: dict[str, Path | None], folder: Path | None = None,
-        solution: Solution | None = None,
-    ) -> None:  # fmt: skip
-        self.pictures, self.folder, self.solution, self.revision, self._block = pictures, folder, solution, 0, block
+    def __init__(self, block: Block, pictures: dict[str, Path | None]) -> None:
+        self.pictures, self.revision, self._block = pictures, 0, block
 
     def block(self) -> Block:
         return self._block
@@ -93,7 +90,8 @@ def application(scene: Scene) -> Starlette:
         routes=[
             Route("/", lambda _: HTMLResponse(_HTML)),
             Route("/app.js", lambda _: Response(_APP, media_type="text/javascript")),
-            Route("/api/scene", described), Route("/api/refine", refine, methods=["POST"]), *routes(scene),
+            Route("/api/scene", described), Route("/api/refine", refine, methods=["POST"]),
+            *routes(scene, Views(scene), EditLock()),
             Mount("/page", StaticFiles(directory=PAGE)),
         ],
         exception_handlers={MgsgraphError: failed},

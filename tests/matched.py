@@ -14,10 +14,9 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.matching.match import match_scene
-from mgsgraph.matching.matches import Matches
+from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
-from mgsgraph.matching.settings import MatchSettings, Method
+from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
@@ -105,14 +104,14 @@ def true_terrain(step: float = 5e-4, margin: float = 0.02) -> TerrainGrid:
     return TerrainGrid("made by the test", radii, *np.radians([east[0], south[0], step, step]))
 
 
-def matches(count: int = 2, method: Method = "sift") -> Matches:
+def matches(count: int = 2) -> Matches:
     """What is found in them."""
-    return _matches(count, method)
+    return _matches(count)
 
 
 @once
-def _matches(count: int, method: Method) -> Matches:
-    return match_scene(scene(count), replace(SETTINGS, method=method))
+def _matches(count: int) -> Matches:
+    return match_scene(scene(count), SETTINGS)
 
 
 def true_places(name: str, places: Array, other: str) -> Array:

@@ -4,7 +4,7 @@ from typing import Any
 
 from studio_server import Studio
 
-PANELS = ("map", "images", "point", "questions", "registration", "comparison")
+PANELS = ("map", "images", "point", "questions")
 
 
 class Page:

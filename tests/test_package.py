@@ -29,7 +29,7 @@ FLOORS = (
     ("kernel", "geometry"),
     ("factors",),
     (
-        "atomic_write", "compiled", "errors", "libraries", "names", "progress", "record", "sandbox", "text", "units",
+        "atomic_write", "compiled", "errors", "names", "record", "text", "units",
         "workers",
     ),
 )  # fmt: skip
@@ -49,7 +49,7 @@ ONLY_IN = {
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
         "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.terrain_model",
-        "mgsgraph.studio.ground",
+        "mgsgraph.studio.linked",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),
@@ -157,9 +157,9 @@ DOOR = {
     "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},
-    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.lock": {"open"},
+    "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.download": {"open"},
     "mgsgraph.project.campaign.record": {"open"},
-    "mgsgraph.atomic_write": {"open"}, "mgsgraph.sandbox": {"open"}, "mgsgraph.workers": {"open"},
+    "mgsgraph.atomic_write": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip
 """Where files from outside are opened and parsed: all else takes them from these (docs/hostile_files.md)."""
 METHODS = {"open", "read_bytes", "read_text"}

@@ -13,7 +13,7 @@ import pytest
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import frozen
-from mgsgraph.sandbox import read_apart
+from mgsgraph.workers import read_apart
 
 
 class Odd(Exception):
@@ -80,7 +80,7 @@ def test_a_lower_limit_of_time_stays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_fork_that_waits_for_ever_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """As one does whose lock another thread held when it was forked: that costs no processor time."""
-    monkeypatch.setattr("mgsgraph.sandbox._PATIENCE", 1)
+    monkeypatch.setattr("mgsgraph.workers._PATIENCE", 1)
     held = threading.Lock()
     held.acquire()
     with pytest.raises(InputError, match="SIGALRM"):

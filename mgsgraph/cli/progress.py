@@ -10,7 +10,7 @@ import click
 from tqdm import tqdm
 
 from mgsgraph.compiled import is_compiling
-from mgsgraph.progress import Stages
+from mgsgraph.workers import Stages
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.batch import Iteration

@@ -162,48 +162,39 @@ def simulate(
     help="Degrees: longitudes east, planetocentric latitudes.",
 )  # fmt: skip
 @click.option("--volume", "volumes", multiple=True, metavar="mgsc_NNNN", help="Where the images are; may be repeated.")
-@click.option("--mirror", metavar="URL", help="All archives below one address: URL/images/, URL/kernels/ ...")
-@click.option("--mirrors", type=PATH, help="TOML file with addresses of single archives; also $MGSGRAPH_MIRRORS.")
-@click.option("--update", is_flag=True, help="Ask the archives for everything anew, and take what has changed.")
-@click.option("--verify", type=PATH, metavar="FOLDER", help="Compare a folder with its fetch.lock; fetches nothing.")
+@click.option(
+    "--mirror", metavar="URL|FILE", envvar="MGSGRAPH_MIRRORS",
+    help="All archives below one address (URL/images/, URL/kernels/ ...), or a TOML file with single ones' addresses.",
+)  # fmt: skip
 def fetch(
     images: tuple[str, ...], out: Path | None, terrain: str, altimeter: str | None,
-    box: tuple[float, float, float, float] | None, volumes: tuple[str, ...], mirror: str | None, mirrors: Path | None,
-    update: bool, verify: Path | None,
+    box: tuple[float, float, float, float] | None, volumes: tuple[str, ...], mirror: str | None,
 ) -> None:
     """Fetch all that the adjustment of images needs, by their ids, and write a case file: of MOC's narrow angle
     (E02/00665, e0200665), CTX (B10_013341_1010_XN_79S172W), LROC NAC (M103595705LE) or HRSC (h5270_0000_ir2), those of
     one mission in a folder, with their kernels and the laser shots about them.
 
-    What has come is locked by size and SHA-256: the same command again brings only what is missing, and an interrupted
-    download goes on where it was. Exit status: 0, 2 for bad input or an archive that can't give what is needed, 130
-    interrupted.
+    What has come is locked by size and SHA-256: the same command again brings only what is missing or differs, and an
+    interrupted download goes on where it was. Exit status: 0, 2 for bad input or an archive that can't give what is
+    needed, 130 interrupted.
     """
-    if verify is not None:
-        if images or out is not None or update:
-            raise click.UsageError("--verify takes a folder, and neither images nor --out or --update")
-        _verify(verify)
-        return
     if out is None:
         raise click.UsageError(_OUT_MISSING)
     if (altimeter is None) != (box is None) or (altimeter is not None and images):
         raise click.UsageError("--shots and --box go together, without images")
     from mgsgraph.cli.progress import counting_bar, passing_word
-    from mgsgraph.fetch.archives import Archives
     from mgsgraph.fetch.folder import fetch_images, fetch_shots
+    from mgsgraph.fetch.needs import Archives
 
-    archives = Archives.chosen(mirror, mirrors)
+    archives = Archives.chosen(mirror)
     if altimeter is not None and box is not None:
         with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
-            table = fetch_shots(
-                altimeter, box, out, archives=archives, update=update, progress=show, say=passing_word
-            )
+            table = fetch_shots(altimeter, box, out, archives=archives, progress=show, say=passing_word)
         click.echo(f"The shots are in {table}")
         return
     with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
         fetched = fetch_images(
-            images, out, terrain=terrain, archives=archives, volumes=volumes, update=update, progress=show,
-            say=passing_word,
+            images, out, terrain=terrain, archives=archives, volumes=volumes, progress=show, say=passing_word
         )
     print_sentences(fetched.sentences)
     click.echo(f"The case is {fetched.case}")
@@ -215,24 +206,11 @@ def fetch(
         click.echo("Next: fetch an image that overlaps it, into the same folder")
 
 
-def _verify(folder: Path) -> None:
-    from mgsgraph.cli.progress import counting_bar
-    from mgsgraph.fetch.lock import verify
-
-    with counting_bar("verifying", "B") as show:
-        lock = verify(folder, show)
-    click.echo(f"{len(lock.files)} files, {lock.size / 1e6:.1f} MB, all as locked")
-
-
 @click.command()
 @click.argument("case", type=PATH)
 @click.option("--out", type=PATH, help="Folder for the networks, tables and figure; made anew. A project has its own.")
-@click.option(
-    "--method", type=click.Choice(["sift", "grid"]), default="sift", show_default=True,
-    help="At distinct features, or at the nodes of a regular grid.",
-)  # fmt: skip
+@click.option("--method", hidden=True)
 @click.option("--step", type=float, metavar="M", help="Pixel of the common ground grid; default: the coarsest image's.")
-@click.option("--spacing", type=float, metavar="M", help="Between nodes of the regular grid.")
 @click.option(
     "--search", type=float, metavar="M",
     help="By how much the nominal orientations may contradict each other on the ground; default: 3 a-priori sigmas.",
@@ -244,7 +222,7 @@ def _verify(folder: Path) -> None:
 @click.option("--workers", type=click.IntRange(1), help="Tiles at a time; one per processor when absent.")
 @NO_FIGURES
 def match(
-    case: Path, out: Path | None, method: str, step: float | None, spacing: float | None, search: float | None,
+    case: Path, out: Path | None, method: str | None, step: float | None, search: float | None,
     height: float | None, height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
 ) -> None:
     """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
@@ -256,14 +234,14 @@ def match(
     `mgsgraph adjust CASE --ties OUT/network.pvl`. An interrupted run goes on where it was.
     """
     from mgsgraph.errors import InputError
-    from mgsgraph.matching.settings import MatchSettings, method_of
+    from mgsgraph.matching.settings import MatchSettings
     from mgsgraph.project.changes import take_ties, waiting_case
     from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 
-    settings = MatchSettings(
-        method=method_of(method), step=step, spacing=spacing, search=search, cells=cells, per_cell=per_cell
-    )
+    if method not in (None, "sift"):
+        raise click.UsageError(f"--method {method} is gone: features alone are matched; for more of them, --per-cell")
+    settings = MatchSettings(step=step, search=search, cells=cells, per_cell=per_cell)
     project: Path | None = None
     if (case / FILE).is_file():
         if out is not None:

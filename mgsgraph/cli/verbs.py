@@ -40,6 +40,9 @@ REMOVED = {
     "adjust --relief": "mgsgraph coregister CASE",
     "add --check": "mgsgraph solve PROJECT ends with the closing check",
     "remove --check": "mgsgraph solve PROJECT ends with the closing check",
+    "fetch --mirrors": "--mirror takes a file of addresses, too",
+    "fetch --update": "to have what the archives have now, fetch into another folder",
+    "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",
     "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",
 }
 """Options that verbs had once, and what serves instead."""

@@ -24,14 +24,13 @@ import shapely
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.atomic_write import made_beside
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, library
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.rasters.coordinate_systems import authority_code, geographic_crs, wkt2
 from mgsgraph.files.writing import fresh_file
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
-from mgsgraph.libraries import library
 from mgsgraph.results.sigmas import write_sigma_raster
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"

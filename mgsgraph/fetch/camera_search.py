@@ -8,10 +8,9 @@ from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import MARGIN, Interval
-from mgsgraph.fetch.needs import ArchivedCamera, CameraProduct, ImageNeeds, WantedFile, kernel_path
+from mgsgraph.fetch.needs import ArchivedCamera, Archives, CameraProduct, ImageNeeds, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.files.opening import read_text
 from mgsgraph.files.pvl import Block, flat_label

@@ -4,24 +4,29 @@ What is done of a fault: a cut connection, a stalled one, too few bytes, 429 and
 from the byte where it broke off; any byte more begins the count of tries anew. Content that has changed meanwhile, or a
 server that ignores Range, means to begin anew. All else (404, an endless redirect, a certificate) is an error at once.
 Redirects lead to http and https, not from https to http.
+
+What has come in part is in NAME.part, and beside it NAME.part.json has what the archive said of the whole. Whatever
+lies at these two, no link is followed, and no file is taken up or written to that has another name, too.
 """
 
+import errno
+import json
+import os
 import re
+import shutil
+import stat
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from email.utils import parsedate_to_datetime
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
-from urllib.parse import urljoin, urlsplit
+from urllib.parse import urljoin
 
 from mgsgraph.errors import InputError, printable
-from mgsgraph.fetch.archives import require_address
-from mgsgraph.fetch.lock import PartialFile, RemoteSource
-from mgsgraph.files.opening import ANY_SIZE
+from mgsgraph.fetch.needs import require_address
+from mgsgraph.files.opening import ANY_SIZE, read_json
 
 if TYPE_CHECKING:
     import requests
@@ -40,8 +45,145 @@ _LATER = (429, 500, 502, 503, 504)
 _NOT_THERE = (404, 410)
 _NOTHING_MORE = 416
 """Status of a file that ends before the byte asked for."""
+_REDIRECTS = 10
+"""Followed at the most."""
 _LONGEST_PAGE = 1 << 22
 """bytes of a listing that are looked at."""
+_SPARE = 1 << 20
+"""bytes that stay free on the disk."""
+_LONGEST = 1 << 16
+"""bytes of NAME.part.json."""
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file is there, no link to one, and under this name alone."""
+    try:
+        about = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISREG(about.st_mode) and about.st_nlink == 1
+
+
+def _write(path: Path, how: int, content: bytes) -> None:
+    """Write to a file that is new, or appended to, and not reached by a link."""
+    flags = os.O_WRONLY | how | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+    with open(os.open(path, flags, 0o666), "wb") as file:
+        file.write(content)
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteSource:
+    """What an archive says of a file."""
+
+    url: str
+    total: int | None
+    """bytes; None where it doesn't say."""
+    etag: str
+    """Its ETag; empty where there is none."""
+    modified: str
+    """Its Last-Modified; empty where there is none."""
+
+    @property
+    def sound(self) -> bool:
+        """Whether its values are of the kinds that they should be: it may have been read from a file."""
+        texts = all(isinstance(one, str) for one in (self.url, self.etag, self.modified))
+        return texts and (self.total is None or (type(self.total) is int and self.total >= 0))
+
+    @property
+    def validator(self) -> str:
+        """By what If-Range knows the content again: a strong ETag, or the date; empty for neither."""
+        return self.etag if self.etag and not self.etag.startswith("W/") else self.modified
+
+    def same_content(self, other: "RemoteSource") -> bool:
+        """Whether the other is the same content, as far as both say."""
+        return all(
+            not mine or not others or mine == others
+            for mine, others in ((self.etag, other.etag), (self.modified, other.modified), (self.total, other.total))
+        )
+
+
+class PartialFile:
+    """Grows to the file at `path`; what is there of an earlier attempt is taken up where the archive's content can be
+    known again.
+    """
+
+    def __init__(self, path: Path, url: str) -> None:
+        self.path, self.file = path, path.with_name(f"{path.name}.part")
+        self._said = path.with_name(f"{path.name}.part.json")
+        self.source: RemoteSource | None = None
+        self._take_up(url)
+
+    def _take_up(self, url: str) -> None:
+        if not _is_own(self._said) or not _is_own(self.file):
+            return
+        try:
+            source = RemoteSource(**read_json(self._said, limit=_LONGEST))
+        except (InputError, TypeError):  # no part, or one that says nothing
+            return
+        if source.sound and source.url == url and self.size > 0:
+            self.source = source
+
+    @property
+    def size(self) -> int:
+        """Bytes that are there."""
+        return self.file.lstat().st_size if _is_own(self.file) else 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether all bytes are there, as far as the archive said how many."""
+        return self.source is not None and self.source.total in (None, self.size)
+
+    def wanted(self) -> Mapping[str, str]:
+        """Headers that ask for the rest, if the content is still the same; none to begin anew."""
+        if self.source is None or not self.source.validator:
+            return {}
+        return {"Range": f"bytes={self.size}-", "If-Range": self.source.validator}
+
+    def begin(self, source: RemoteSource) -> None:
+        """Begin anew: nothing is there."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            free = shutil.disk_usage(self.path.parent).free
+            if source.total is not None and source.total + _SPARE > free:
+                raise InputError(
+                    str(self.path), f"{free / 1e6:.1f} MB free on the disk", f"{source.total / 1e6:.1f} MB for it",
+                    "free some space, or choose another --out",
+                )
+            for path, content in ((self.file, b""), (self._said, json.dumps(asdict(source)).encode())):
+                path.unlink(missing_ok=True)
+                _write(path, os.O_CREAT | os.O_EXCL, content)
+        except OSError as error:
+            raise self._refusal(error) from None
+        self.source = source
+
+    def add(self, more: bytes) -> None:
+        """Bytes that follow on those that are there."""
+        try:
+            _write(self.file, os.O_APPEND, more)
+        except OSError as error:
+            raise self._refusal(error) from None
+
+    def finish(self) -> None:
+        """Let it take the file's place."""
+        try:
+            self.file.replace(self.path)
+            self._said.unlink(missing_ok=True)
+        except OSError as error:
+            raise self._refusal(error) from None
+
+    def discard(self) -> None:
+        """Forget what is there."""
+        self.source = None
+        try:
+            self.file.unlink(missing_ok=True)
+            self._said.unlink(missing_ok=True)
+        except OSError as error:
+            raise self._refusal(error) from None
+
+    def _refusal(self, error: OSError) -> InputError:
+        space = "free some space, or " if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        remedy = f"{space}choose another --out; what has come is kept"
+        return InputError(str(self.path), f"can't be written ({error.strerror or error})", remedy=remedy)
 
 
 class Refused(InputError):
@@ -129,8 +271,8 @@ class Remote:
 
     def download(
         self, url: str, path: Path, check: Check, limit: int = ANY_SIZE,
-        progress: ByteProgress = lambda done, total: None, known: RemoteSource | None = None,
-    ) -> RemoteSource | None:
+        progress: ByteProgress = lambda done, total: None,
+    ) -> None:
         """Bring a file; it takes its place at `path` when it is whole and `check` has nothing against it.
 
         Parameters
@@ -144,46 +286,30 @@ class Remote:
             bytes that the file may have, announced or not.
         progress : callable
             Called as bytes come.
-        known : RemoteSource, optional
-            What is at `path` already: nothing is done where the archive says it is that still.
-
-        Returns
-        -------
-        Source or None
-            What the archive said of the file; None where it is what was known.
 
         Raises
         ------
-        NotInArchive
-            No such file.
         InputError
-            Everything else, one line.
+            NotInArchive where there is no such file; everything else, one line.
         """
         part = PartialFile(path, url)
-        source = self._persist(url, lambda: self._attempt(url, part, limit, progress, known), lambda: part.size)
-        if source is None:
-            return None
+        self._persist(url, lambda: self._attempt(url, part, limit, progress), lambda: part.size)
         try:
             check(part.file)
         except InputError as error:
             part.discard()
             raise InputError(url, error.found, error.expected, error.remedy or _ELSEWHERE) from None
         part.finish()
-        return source
 
     # --- one try
 
-    def _attempt(
-        self, url: str, part: PartialFile, limit: int, progress: ByteProgress, known: RemoteSource | None
-    ) -> RemoteSource | None:
+    def _attempt(self, url: str, part: PartialFile, limit: int, progress: ByteProgress) -> None:
         if part.source is not None and part.source.total is not None and part.size >= part.source.total:
             if part.whole:
-                return part.source
+                return
             part.discard()
-        with self._answer(url, part.wanted() or _unless(known)) as answer:
+        with self._answer(url, part.wanted()) as answer:
             said = _source(url, answer)
-            if answer.status_code == 304:
-                return None
             if answer.status_code == _NOTHING_MORE:
                 part.discard()
                 raise _Trouble("it is shorter than was announced before")
@@ -209,7 +335,6 @@ class Remote:
                 progress(size, said.total)
         if not part.whole:
             raise _Trouble(f"{part.size} bytes came of {said.total} that were announced")
-        return said
 
     @contextmanager
     def _answer(self, url: str, headers: Mapping[str, str]) -> Iterator["requests.Response"]:
@@ -225,13 +350,13 @@ class Remote:
     def _followed(self, url: str, headers: Mapping[str, str]) -> "requests.Response":
         """The answer at an address, or where redirects lead from there; nothing of these' own content is read."""
         address = url
-        for _ in range(REDIRECTS + 1):
+        for _ in range(_REDIRECTS + 1):
             answer = self._asked(url, address, headers)
             if not answer.is_redirect:
                 return answer
             answer.close()
-            address = led_to(url, address, answer.headers["Location"])
-        raise InputError(url, f"more than {REDIRECTS} redirects", "a file", _ELSEWHERE)
+            address = _led_to(url, address, answer.headers["Location"])
+        raise InputError(url, f"more than {_REDIRECTS} redirects", "a file", _ELSEWHERE)
 
     def _asked(self, url: str, address: str, headers: Mapping[str, str]) -> "requests.Response":
         """What one address answers."""
@@ -306,13 +431,13 @@ def _too_long(url: str, found: str, limit: int) -> InputError:
 
 
 def _require_content(url: str, answer: "requests.Response") -> None:
-    """Raise _Trouble or InputError unless the answer is a file, a part of one, or that it has not changed."""
+    """Raise _Trouble or InputError unless the answer is a file, or a part of one."""
     status = f"{answer.status_code} {answer.reason}".strip()
     if answer.status_code in _NOT_THERE:
         raise NotInArchive(url, f"not there ({status})", remedy="check the mirror, or the archive's own pages")
     if answer.status_code in _LATER:
-        raise _Trouble(f"the server says {status}", _later(answer.headers.get("Retry-After", "")))
-    if answer.status_code not in (200, 206, 304, _NOTHING_MORE):
+        raise _Trouble(f"the server says {status}", _count(answer.headers.get("Retry-After", "")) or 0.0)
+    if answer.status_code not in (200, 206, _NOTHING_MORE):
         raise Refused(url, f"the server says {status}", "the file", _ELSEWHERE)
     if answer.headers.get("Content-Encoding", "identity").lower() not in ("identity", ""):
         raise InputError(url, f"sent as {answer.headers['Content-Encoding']}", "the file as it is", _ELSEWHERE)
@@ -357,58 +482,29 @@ def _first(answer: "requests.Response") -> int | None:
 
 
 def _count(text: str) -> int | None:
-    """A number of bytes; None for anything else."""
+    """A number of bytes, or of seconds; None for anything else."""
     return int(text) if re.fullmatch(r"\s*[0-9]{1,18}\s*", text) else None
-
-
-def _unless(known: RemoteSource | None) -> Mapping[str, str]:
-    """Headers that ask for the file unless it is still what is known."""
-    if known is None or not (known.etag or known.modified):
-        return {}
-    return {"If-None-Match": known.etag} if known.etag else {"If-Modified-Since": known.modified}
-
-
-def _later(text: str) -> float:
-    """Seconds from now, of a Retry-After in seconds or as a date; 0 for none."""
-    if text.strip().isdecimal():
-        return float(text)
-    try:
-        return max(0.0, (parsedate_to_datetime(text) - datetime.now(UTC)).total_seconds())
-    except (ValueError, TypeError):
-        return 0.0
 
 
 def _words(error: Exception) -> str:
     """The innermost reason of an exception of requests, in a few words."""
     reason: object = error
-    while isinstance(reason, Exception):
-        inner = [getattr(reason, "reason", None), *reason.args]
-        deeper = next((one for one in inner if isinstance(one, Exception)), None)
-        if deeper is None:
-            break
-        reason = deeper
+    while inner := [one for one in (getattr(reason, "reason", None), *getattr(reason, "args", ()))
+                    if isinstance(one, Exception)]:  # fmt: skip
+        reason = inner[0]
     text = getattr(reason, "strerror", None) or str(reason)
     return " ".join(str(text).rpartition(": ")[2].split())[:120]
 
 
-REDIRECTS = 10
-"""Followed at the most."""
-
-
-def led_to(url: str, address: str, location: str) -> str:
-    """The address that a redirect of another one leads to; `url` is what was asked for.
-
-    Raises
-    ------
-    InputError
-        None of http or https; from https to http.
+def _led_to(url: str, address: str, location: str) -> str:
+    """The address that a redirect of another one leads to (`url` was asked for); InputError where it is none of http or
+    https, or leads from https to http.
     """
     try:
         to = urljoin(address, location)
-        parts, before = urlsplit(to), urlsplit(address)
     except ValueError:
         raise InputError(url, f"redirected to {location!r}", "an address", _ELSEWHERE) from None
     require_address(to.partition("?")[0].partition("#")[0], f"{url}, redirected")
-    if before.scheme == "https" and parts.scheme != "https":
+    if address.startswith("https:") and not to.startswith("https:"):
         raise InputError(url, f"redirected to {to}, which is not encrypted", "https", _ELSEWHERE)
     return to

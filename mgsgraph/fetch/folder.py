@@ -8,7 +8,6 @@ from pathlib import Path
 from shlex import quote
 
 from mgsgraph.errors import InputError, printable
-from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import Box, shots_in
 from mgsgraph.fetch.case_file import (
     CASE,
@@ -19,8 +18,8 @@ from mgsgraph.fetch.case_file import (
     meta_kernel_path,
 )
 from mgsgraph.fetch.download import Remote, RetryPolicy
-from mgsgraph.fetch.lock import FOLDERS, LOCK, Lock
 from mgsgraph.fetch.needs import (
+    Archives,
     ImageNeeds,
     Product,
     WantedFile,
@@ -32,7 +31,7 @@ from mgsgraph.fetch.needs import (
     wanted_grids,
 )
 from mgsgraph.fetch.search import Search, volumes_of
-from mgsgraph.fetch.store import DownloadFolder, Progress
+from mgsgraph.fetch.store import FOLDERS, LOCK, DownloadFolder, Lock, Progress
 from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.writing import claimed, write_file
 from mgsgraph.record import Record
@@ -98,7 +97,6 @@ def fetch_images(
     terrain: str = "16",
     archives: Archives | None = None,
     volumes: Sequence[str] = (),
-    update: bool = False,
     retry: RetryPolicy | None = None,
     progress: Progress = lambda done, total: None,
     say: Callable[[str], None] = lambda sentence: None,
@@ -117,8 +115,6 @@ def fetch_images(
         Mirrors; the public archives when absent.
     volumes : sequence of str
         Where to look for the images, as mgsc_1068; everywhere when empty.
-    update : bool
-        Ask the archives for everything anew, and take what has changed.
     retry : RetryPolicy, optional
         How long to wait for archives.
     progress : callable
@@ -146,8 +142,8 @@ def fetch_images(
     with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
         lock = Lock.read(folder)
         lock.write()
-        store = DownloadFolder(lock, remote, update, progress)
-        _find(products, lock, Search(archives, store, volumes), update)
+        store = DownloadFolder(lock, remote, progress)
+        _find(products, lock, Search(archives, store, volumes))
         needs = tuple(lock.images.values())
         store.get_all(wanted_files(needs, archives))
         notes = _write_own(lock, meta_kernel_path(needs), meta_kernel(needs))
@@ -178,7 +174,6 @@ def fetch_shots(
     out: str | Path,
     *,
     archives: Archives | None = None,
-    update: bool = False,
     retry: RetryPolicy | None = None,
     progress: Progress = lambda done, total: None,
     say: Callable[[str], None] = lambda sentence: None,
@@ -212,8 +207,8 @@ def fetch_shots(
     with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
         lock = Lock.read(folder)
         lock.write()
-        store = DownloadFolder(lock, remote, update, progress)
-        if update or not lock.whole(name):
+        store = DownloadFolder(lock, remote, progress)
+        if not lock.whole(name):
             found = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, remote)
             if not found:
                 raise InputError(f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
@@ -242,11 +237,11 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _find(products: Sequence[Product], lock: Lock, search: Search, update: bool) -> None:
+def _find(products: Sequence[Product], lock: Lock, search: Search) -> None:
     """Enter what each image needs in the lock; no network for those that are there."""
     require_one_mission([*products, *(image.product for image in lock.images.values())])
     for product in products:
-        if update or str(product) not in lock.images:
+        if str(product) not in lock.images:
             lock.images[str(product)] = search.needs(product)
             lock.write()
 

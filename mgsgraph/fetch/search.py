@@ -3,24 +3,25 @@
 A PEDR file holds about a day and is called after its first orbit, MGS's mapping orbit + 10000: from the image's orbit
 one goes downward to the first file that there is, and its label says whether it is the one.
 
-Volumes are in the order of time, and so are ids: of the volumes that the archive's listing names (or, without one, of
-all numbers there may be) some ten indices (ASCII tables that PDS3 labels describe), each of a few hundred kilobytes,
-tell which one an image is in. They stay in the folder, for the next image.
+Volumes are in the order of time, and so are ids: of the volumes that the archive's listing names some ten indices
+(ASCII tables that PDS3 labels describe), each of a few hundred kilobytes, tell which one an image is in. They stay in
+the folder, for the next image.
 """
 
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import CameraSearch
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels
-from mgsgraph.fetch.needs import CameraProduct, ImageNeeds, Product, ProductId, WantedFile, kernel_path
+from mgsgraph.fetch.needs import Archives, CameraProduct, ImageNeeds, Product, ProductId, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
 from mgsgraph.files.altimetry.pedr import FRAME, HEADER_RECORDS
 from mgsgraph.files.opening import read_bytes, read_text
@@ -155,19 +156,15 @@ def _rows(table: Path, places: list[slice]) -> Iterator[IndexRow]:
             continue  # calibration and the like
 
 
-NUMBERS = range(1001, 1601)
-"""Of volumes, where the archive lists none: those of the mapping mission end at 1578 or a little later."""
 NAMES = ("imgindx", "imgindex")
 """What the index of a volume is called, more often the first."""
 _NAME = re.compile(r"mgsc_1\d{3}")
 _BESIDE = 2
 """Volumes on either side in which an image is looked for that is not where its id says."""
-_ASKED = 50
-"""Volumes asked for, none of which is there, before it is taken that there are none at all."""
+_AFTER_ALL = (9, 0, 0)
+"""Later than any id."""
 _TAIL = 10
-"""Of a volume's ids the first and the last tenth don't tell where it stands: some image may have come late."""
-_NEAREST = 3
-"""Ids that an error suggests."""
+"""Of a volume's ids the last tenth doesn't tell where it stands: some image may have come late."""
 
 Rows = Callable[[str], Sequence[IndexRow]]
 """Index of a volume by its name; empty where there is no such volume."""
@@ -181,9 +178,9 @@ class Found(NamedTuple):
 
 
 def volumes_listed(page: str) -> tuple[str, ...]:
-    """Volumes to which the archive's listing has links; those of all numbers where it has none."""
-    named = sorted({f"mgsc_{number}" for number in re.findall(r'href="[^"]*?mgsc_(1\d{3})/?"', page, re.IGNORECASE)})
-    return tuple(named) or tuple(f"mgsc_{number}" for number in NUMBERS)
+    """Volumes to which the archive's listing has links."""
+    named = {f"mgsc_{number}" for number in re.findall(r'href="[^"]*?mgsc_(1\d{3})/?"', page, re.IGNORECASE)}
+    return tuple(sorted(named))
 
 
 def volumes_of(texts: Sequence[str]) -> tuple[str, ...]:
@@ -205,80 +202,35 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
     volumes : sequence of str
         In the order of time.
     rows : callable
-        Reads the index of a volume.
+        Reads the index of a volume; asked for the same again and again.
 
     Raises
     ------
     InputError
-        No volumes at all; an id that none has, with the nearest that there are; or an image of the wide angle.
+        No volumes at all; an id that none has; or an image of the wide angle.
     """
-    seen: dict[str, Sequence[IndexRow]] = {}
 
-    def look(volume: str) -> Sequence[IndexRow]:
-        if volume not in seen:
-            seen[volume] = rows(volume)
-            if len(seen) >= min(_ASKED, len(volumes)) and not any(seen.values()):
-                raise InputError(
-                    f"image {product}", f"no volume where the archive should be (not {some([*seen], len(seen))})",
-                    "mgsc_NNNN/index/", "check the mirror's address, or --volume",
-                )
-        return seen[volume]
+    def last(number: int) -> tuple[int, int, int]:
+        """Latest id of a volume, or of the next that has an index, but for few that are out of order."""
+        for volume in volumes[number:]:
+            looked.append(volume)
+            if found := rows(volume):
+                return sorted(row.product.order for row in found)[-1 - len(found) // _TAIL]
+        return _AFTER_ALL
 
-    last = _nearest(product, volumes, look)
-    around = sorted(range(len(volumes)), key=lambda k: abs(k - last))[: 2 * _BESIDE + 1]
-    near = [volumes[k] for k in sorted(around)]
-    for volume in [*seen, *near]:
-        for row in look(volume):
+    looked = list[str]()
+    place = bisect_left(range(len(volumes)), product.order, key=last)
+    looked += volumes[max(0, place - _BESIDE) : place + _BESIDE + 1]
+    for volume in dict.fromkeys(looked):
+        for row in rows(volume):
             if row.product == product:
-                return Found(volume, _narrow(row, seen))
-    through = [volume for volume in near if seen[volume]]
-    found = f"in no volume that was looked through ({some(through, len(through))})"
-    raise InputError(f"image {product}", found, _suggestion(product, seen), "check the id")
-
-
-def _nearest(product: ProductId, volumes: Sequence[str], look: Rows) -> int:
-    """Position of the volume that has the image, or would have it, but for few that are out of order."""
-    low, high, last = 0, len(volumes) - 1, 0
-    while low <= high:
-        middle = _existing(low, high, lambda k: look(volumes[k]))
-        if middle is None:
-            break
-        orders = sorted(row.product.order for row in look(volumes[middle]))
-        last, tail = middle, len(orders) // _TAIL
-        if product.order < orders[tail]:
-            high = middle - 1
-        elif product.order > orders[-1 - tail]:
-            low = middle + 1
-        else:
-            break
-    return last
-
-
-def _existing(low: int, high: int, look: Callable[[int], Sequence[IndexRow]]) -> int | None:
-    """The volume nearest to the middle that there is."""
-    middle = (low + high) // 2
-    nearest = sorted(range(low, high + 1), key=lambda k: abs(k - middle))
-    return next((k for k in nearest if look(k)), None)
-
-
-def _narrow(row: IndexRow, seen: dict[str, Sequence[IndexRow]]) -> IndexRow:
-    if not row.narrow:
-        raise InputError(
-            f"image {row.product}", f"of the wide angle ({row.instrument})", _suggestion(row.product, seen),
-            "only the narrow angle's geometry is modelled",
-        )
-    return row
-
-
-def _suggestion(product: ProductId, seen: dict[str, Sequence[IndexRow]]) -> str:
-    """Narrow-angle images with ids near to one, in words."""
-
-    def apart(other: ProductId) -> list[int]:
-        return [abs(a - b) for a, b in zip(other.order, product.order, strict=True)]
-
-    narrow = sorted({row.product for rows in seen.values() for row in rows if row.narrow}, key=lambda one: one.order)
-    nearest = sorted(sorted(narrow, key=apart)[:_NEAREST], key=lambda one: one.order)
-    return f"a narrow-angle image, such as {', '.join(map(str, nearest))}" if nearest else "a narrow-angle image"
+                if not row.narrow:
+                    found = f"of the wide angle ({row.instrument})"
+                    raise InputError(f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
+                return Found(volume, row)
+    through = sorted(volume for volume in {*looked} if rows(volume))
+    found = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
+    raise InputError(f"image {product}", found, "a narrow-angle image", "check the id, the mirror, or --volume")
 
 
 _LABEL = 8192
@@ -297,7 +249,7 @@ class Search:
         self._archives, self._store = archives, store
         self._other = CameraSearch(archives, store)
         self._volumes = tuple(volumes)
-        self._rows: dict[str, Sequence[IndexRow]] = {}
+        self._index = cache(self._read_index)
 
     def needs(self, product: Product) -> ImageNeeds:
         """All that one image needs.
@@ -325,13 +277,8 @@ class Search:
             (*unconfirmed, *([why] if why else [])),
         )
 
-    def _index(self, volume: str) -> Sequence[IndexRow]:
-        """Of a volume; empty where the archive has none."""
-        if volume not in self._rows:
-            self._rows[volume] = self._read_index(volume)
-        return self._rows[volume]
-
     def _read_index(self, volume: str) -> Sequence[IndexRow]:
+        """Of a volume; empty where the archive has none."""
         for name in NAMES:
             address, path = f"{self._archives.images}{volume}/index/{name}", f"index/{volume}"
             try:

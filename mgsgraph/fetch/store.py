@@ -1,18 +1,122 @@
-"""The folder that files are brought into, two at a time, each checked and entered in its lock once it is whole."""
+"""The folder that files are brought into, two at a time, each checked and entered in fetch.lock once it is whole, with
+its SHA-256: by it a second run asks no network for what is there.
+"""
 
+import re
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.download import Remote
-from mgsgraph.fetch.lock import Lock, LockedFile, is_ours
-from mgsgraph.fetch.needs import WantedFile
+from mgsgraph.fetch.needs import ImageNeeds, WantedFile, require_address
 from mgsgraph.files.altimetry.pedr import FRAME
 from mgsgraph.files.labels.image_label import read_label
 from mgsgraph.files.opening import head_of, read_bytes, sha256_of
+from mgsgraph.files.records import read_record, record_text
+from mgsgraph.files.writing import write_file
+
+LOCK = "fetch.lock"
+"""Its name in the folder."""
+_FORMAT = 1
+FOLDERS = ("images", "index", "kernels", "megdr", "pedr", "shots")
+"""In the folder, for what is fetched."""
+_NAME = re.compile(rf"({'|'.join(FOLDERS)})/\w[\w.-]*")
+"""Paths of files in the folder: nothing of a lock leads out of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LockedFile:
+    """One file as it came."""
+
+    url: str
+    size: int
+    """bytes."""
+    sha256: str
+    fetched: str
+    """UTC."""
+
+    def differs(self, path: Path) -> str:
+        """How what is at `path` differs from it, in words; empty for not at all."""
+        try:
+            if path.is_symlink():
+                return "a link"
+            size = path.stat().st_size
+            if size != self.size:
+                return f"{size} bytes instead of {self.size}"
+            return "" if sha256_of(path) == self.sha256 else "another SHA-256"
+        except FileNotFoundError:
+            return "missing"
+        except OSError as error:
+            return f"can't be read ({error.strerror})"
+        except InputError as error:
+            return error.found
+
+
+@dataclass(slots=True)
+class Lock:
+    """All files of a folder by their paths in it, what each image needs, and what we wrote ourselves."""
+
+    folder: Path
+    files: dict[str, LockedFile] = field(default_factory=dict)
+    images: dict[str, ImageNeeds] = field(default_factory=dict)
+    """By product id."""
+    written: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of what was written here, case and meta-kernel, by paths."""
+
+    @classmethod
+    def read(cls, folder: Path) -> "Lock":
+        """That of a folder, or an empty one where there is none; InputError where it can't be understood."""
+        path = folder / LOCK
+        if not path.exists():
+            return cls(folder)
+        content = read_record(path)
+        if content.get("format") != _FORMAT:
+            raise InputError(f"{path}, format", f"{content.get('format')}", f"{_FORMAT}", "use a newer mgsgraph")
+        try:
+            return cls(
+                folder,
+                {name: _locked(name, entry) for name, entry in content["files"].items()},
+                {name: ImageNeeds.of(entry) for name, entry in content["images"].items()},
+                {str(name): str(digest) for name, digest in content["written"].items()},
+            )
+        except (TypeError, ValueError, KeyError, AttributeError):
+            found, remedy = "entries that are not ours", "move the folder away, and fetch anew"
+            raise InputError(str(path), found, remedy=remedy) from None
+
+    def write(self) -> None:
+        """Whole or not at all."""
+        content: dict[str, Any] = {
+            "program": "mgsgraph", "format": _FORMAT,
+            "images": {name: needs.entry() for name, needs in self.images.items()},
+            "files": {name: asdict(self.files[name]) for name in sorted(self.files)},
+            "written": self.written,
+        }  # fmt: skip
+        write_file(self.folder / LOCK, record_text(content), remedy="choose another --out")
+
+    def whole(self, name: str) -> bool:
+        """Whether a file is there as it was locked."""
+        return name in self.files and not self.files[name].differs(self.folder / name)
+
+def _locked(name: str, entry: Mapping[str, Any]) -> LockedFile:
+    """A file's entry; TypeError or ValueError for one that is not ours."""
+    texts = [entry[key] for key in ("url", "sha256", "fetched")]
+    file = LockedFile(texts[0], entry["size"], *texts[1:])
+    require_address(file.url, name)
+    if not is_ours(name) or type(file.size) is not int or not all(isinstance(one, str) for one in texts):
+        raise ValueError(name)
+    return file
+
+
+def is_ours(name: str) -> bool:
+    """Whether a path in the folder may be one of a file that is fetched; none leads out of it."""
+    return _NAME.fullmatch(name) is not None
+
+
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that have come and all bytes that are known to come."""
@@ -22,15 +126,13 @@ _AT_ONCE = 2
 class DownloadFolder:
     """A folder of ours, its lock, and the way to the archives."""
 
-    def __init__(
-        self, lock: Lock, remote: Remote, update: bool = False, progress: Progress = lambda done, total: None
-    ) -> None:
+    def __init__(self, lock: Lock, remote: Remote, progress: Progress = lambda done, total: None) -> None:
         self.lock, self.remote = lock, remote
         self.notes: list[str] = []
         """Sentences about files that were not as locked."""
         self.brought: dict[str, int] = {}
         """bytes of files that came, by their paths."""
-        self._update, self._progress = update, progress
+        self._progress = progress
         self._asked: set[str] = set()
         self._bytes: dict[str, tuple[int, int]] = {}
         self._guard = threading.RLock()
@@ -40,7 +142,7 @@ class DownloadFolder:
         return self.lock.folder / name
 
     def get(self, wanted: WantedFile) -> Path:
-        """A file, brought unless it is there as locked (and, to update, still the archive's).
+        """A file, brought unless it is there as locked.
 
         Raises
         ------
@@ -56,10 +158,10 @@ class DownloadFolder:
             return path
         locked = self.lock.files.get(name)
         how = locked.differs(path) if locked else ""
-        if locked is None or how or self._update:
-            if how:
-                self._say(f"{name} was not as fetch.lock has it ({how}), and was fetched again")
-            self._bring(wanted, path, locked, whole=not how)
+        if how:
+            self._say(f"{name} was not as fetch.lock has it ({how}), and was fetched again")
+        if locked is None or how:
+            self._bring(wanted, path, locked)
         self._asked.add(name)
         return path
 
@@ -81,31 +183,26 @@ class DownloadFolder:
         rest = [(name, file) for name, file in self.lock.files.items() if name not in self._asked]
         self.get_all([WantedFile(file.url, name) for name, file in rest if file.differs(self.path(name))])
 
-    def _bring(self, wanted: WantedFile, path: Path, locked: LockedFile | None, whole: bool) -> None:
+    def _bring(self, wanted: WantedFile, path: Path, locked: LockedFile | None) -> None:
         sums: list[str] = []
 
         def check(came: Path) -> None:
             require_content(came, wanted.path)
             sums.append(sha256_of(came))
-            if locked is not None and not self._update and sums[0] != locked.sha256:
+            if locked is not None and sums[0] != locked.sha256:
                 raise InputError(
                     wanted.path, f"another content (SHA-256 {sums[0][:12]}...) than fetch.lock has",
-                    f"{locked.sha256[:12]}... of {locked.fetched}", "--update takes what the archive has now",
+                    f"{locked.sha256[:12]}... of {locked.fetched}", "fetch into another folder to have it",
                 )
 
-        # another server's ETag and date say nothing of this one's file
-        known = locked.source if locked is not None and whole and locked.url == wanted.url else None
-        came = self.remote.download(wanted.url, path, check, limit_of(wanted.path),
-                                    lambda *now: self._count(wanted.path, *now), known)  # fmt: skip
-        if came is None:  # the archive still has what is here
-            return
+        self.remote.download(
+            wanted.url, path, check, limit_of(wanted.path), lambda *now: self._count(wanted.path, *now)
+        )
         size, now = path.stat().st_size, datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         with self._guard:
             self.brought[wanted.path] = size
-            self.lock.files[wanted.path] = LockedFile(wanted.url, size, sums[0], now, came.etag, came.modified)
+            self.lock.files[wanted.path] = LockedFile(wanted.url, size, sums[0], now)
             self.lock.write()
-        if self._update and locked is not None and locked.sha256 != sums[0]:
-            self._say(f"{wanted.path} has changed at the archive since {locked.fetched}")
 
     def _count(self, name: str, done: int, total: int | None) -> None:
         with self._guard:

@@ -12,7 +12,6 @@ good and false pairs have shown (docs/matching.md); `chance_agreements` is theor
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +19,7 @@ import numpy as np
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.coarse import Agreement, consensus, displacements, robust_sigma, units_between
 from mgsgraph.matching.measuring import Measured
-from mgsgraph.matching.pairs import Pair, by_pair
-from mgsgraph.matching.scene import Scene
+from mgsgraph.matching.scene import Pair, Scene, by_pair
 from mgsgraph.text import listed
 
 _DEGREE = 2
@@ -43,8 +41,7 @@ _FEWEST = 12
 """Matches of a pair that have to be coplanar under one correction."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasureChecks:
+class MeasureChecks(NamedTuple):
     """Whether n measures are consistent with one another."""
 
     coplanar: Mask

@@ -19,7 +19,7 @@ from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.network.observations import require_inside
-from mgsgraph.progress import Count, no_progress
+from mgsgraph.workers import Count, no_progress
 
 Pictures = Callable[[int], Pixels]
 """Pixels of an image by its number; asked for again and again, one image after the other."""

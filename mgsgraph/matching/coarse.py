@@ -19,12 +19,11 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.pairs import Pair, boxes, first_picture, next_pair
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.patches import Links, TileStore, Window, features_on, kept_links, links_on, tiling, together
+from mgsgraph.matching.scene import Ground, Pair, Picture, Scene, boxes, first_picture, next_pair
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.tiles import Links, TileStore, Window, features_on, kept_links, links_on, tiling, together
-from mgsgraph.progress import Progress
 from mgsgraph.text import root_mean_square
+from mgsgraph.workers import Progress
 
 SAMPLE = 5
 """Matches of a trial: ten equations, and the prior."""

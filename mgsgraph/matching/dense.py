@@ -21,19 +21,18 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.coarse import robust_sigma
 from mgsgraph.matching.equations import SplinePicture
-from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
+from mgsgraph.matching.least_squares import match_least_squares
 from mgsgraph.matching.measuring import FINEST, SharpPictures, half_window
-from mgsgraph.matching.pairs import Pair, boxes, pairs_of
-from mgsgraph.matching.patches import MOST, NODE, Tile, disparities, node_pixels, opencv, ortho_patch
-from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
-from mgsgraph.matching.tiles import tiling
-from mgsgraph.progress import Progress, no_progress
+from mgsgraph.matching.patches import MOST, NODE, Tile, disparities, node_pixels, opencv, ortho_patch, tiling
+from mgsgraph.matching.scene import Ground, GroundChart, Pair, Picture, Scene, boxes, pairs_of
+from mgsgraph.workers import Progress, no_progress
 
 _SMOOTH = 9
 """pixels of the tile over which slopes are taken."""
 _STEEPEST = 0.6
 """Change of the displacement per m: a window cannot follow ground that is foreshortened more."""
-_LEAST_SQUARES = LeastSquaresSettings(tolerance=5e-3, reach=2.5)
+_REACH, _TOLERANCE = 2.5, 5e-3
+"""pixels by which a match may leave its start, and of its last step but one."""
 _LIMIT = 4.0
 """Robust standard deviations by which displacements may differ: across the parallax from zero, along it from those of
 the neighbours."""
@@ -45,28 +44,10 @@ _FEWEST = 6
 """Least number of neighbours with which a post is compared."""
 
 
-@dataclass(frozen=True, slots=True)
-class DenseSettings:
-    """How posts are matched."""
-
-    spacing: float | None = None
-    """m between posts; five pixels of the ground grid when None."""
-    half_window: int = 8
-    """pixels of the ground grid from the middle of a window of least-squares matching to its edge."""
-    least_correlation: float = 0.5
-    """Least correlation of the two windows."""
-    largest_sigma: float = 0.5
-    """pixels, in any direction."""
-
-    def __post_init__(self) -> None:
-        checks = {
-            "spacing": (self.spacing is None or 0.0 < self.spacing < np.inf, "a positive number of metres"),
-            "half_window": (self.half_window >= 4, "at least 4"),
-            "least_correlation": (0.0 < self.least_correlation < 1.0, "a number between 0 and 1"),
-            "largest_sigma": (0.0 < self.largest_sigma < np.inf, "a positive number"),
-        }
-        for name, (good, expected) in checks.items():
-            require(good, f"dense matching, {name}", str(getattr(self, name)), expected)
+HALF_WINDOW = 8
+"""pixels of the ground grid from the middle of a window of least-squares matching to its edge."""
+_LEAST_CORRELATION, _LARGEST_SIGMA = 0.5, 0.5
+"""Of the two windows; and pixels, in any direction, beyond which a match isn't kept."""
 
 
 class View(NamedTuple):
@@ -115,8 +96,8 @@ class _Start(NamedTuple):
 
 
 def matches_on(
-    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, reach: int, spacing: float,
-    settings: DenseSettings, step: float, threads: int | None,
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, reach: int, spacing: float, step: float,
+    threads: int | None,
 ) -> tuple[int, PostMatches]:
     """Match the posts of a tile without its margin; their number on ground that both pictures show, and the matches.
 
@@ -135,7 +116,7 @@ def matches_on(
     mine = tile.owns(plane) & both[rows[row], columns[column]]
     sought = mine & np.isfinite(shift[rows[row], columns[column]])
     start = _start(view, tile, shift, (row[sought], column[sought]), (rows, columns))
-    return int(mine.sum()), _measured(view, splines, tile, start, settings, step, threads)
+    return int(mine.sum()), _measured(view, splines, tile, start, step, threads)
 
 
 def no_matches() -> PostMatches:
@@ -182,14 +163,14 @@ def _slopes(shift: Array) -> tuple[Array, Array]:
 
 
 def _measured(
-    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, start: _Start,
-    settings: DenseSettings, step: float, threads: int | None,
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, start: _Start, step: float,
+    threads: int | None,
 ) -> PostMatches:
     anchors = np.floor(start.first) + 0.5
     begin = start.second + np.einsum("nij,nj->ni", start.affine, anchors - start.first)
-    half = half_window(view.ground, view.pictures[0], settings.half_window * step)
+    half = half_window(view.ground, view.pictures[0], HALF_WINDOW * step)
     found = match_least_squares(
-        *splines, anchors, begin, start.affine, half, settings=_LEAST_SQUARES, threads=threads
+        *splines, anchors, begin, start.affine, half, reach=_REACH, tolerance=_TOLERANCE, threads=threads
     )
     along = -start.by_plane[:, :, 0]
     covariances = found.covariance_with_relief(along) + FINEST**2 * np.eye(2)
@@ -198,7 +179,7 @@ def _measured(
     moved[good] = np.linalg.solve(start.by_plane[good], (found.pixels - begin)[good, :, None])[:, :, 0] / tile.step
     sigma = np.sqrt(np.linalg.eigvalsh(covariances[good])[:, 1])
     sound = np.zeros(found.status.size, dtype=bool)
-    sound[good] = (found.correlation[good] >= settings.least_correlation) & (sigma <= settings.largest_sigma)
+    sound[good] = (found.correlation[good] >= _LEAST_CORRELATION) & (sigma <= _LARGEST_SIGMA)
     kept = sound & _coplanar(moved[:, 1], sound)
     kept &= _like_neighbours(start, start.disparity - moved[:, 0], kept)
     return PostMatches(anchors[kept], found.pixels[kept], covariances[kept], found.correlation[kept])
@@ -275,7 +256,7 @@ class DenseMatches:
 
 def dense_matches(
     scene: Scene,
-    settings: DenseSettings | None = None,
+    spacing: float | None = None,
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> tuple[DenseMatches, ...]:
@@ -285,8 +266,8 @@ def dense_matches(
     ----------
     scene : Scene
         Pictures with adjusted orientations (`Picture.correction`), over one ground.
-    settings : DenseSettings, optional
-        Choices.
+    spacing : float, optional
+        m between posts; five pixels of the ground grid when absent.
     workers : int, optional
         Threads; as many as there are processors when absent.
     progress : callable, optional
@@ -297,9 +278,9 @@ def dense_matches(
     InputError
         Where pictures are blank or saturated, none overlap, all look from the same side, or nothing matches.
     """
-    settings = settings or DenseSettings()
+    require(spacing is None or 0.0 < spacing < np.inf, "dense matching, spacing", f"{spacing}", "a positive number")
     step = scene.step
-    spacing = settings.spacing or _SPACING * step
+    spacing = spacing or _SPACING * step
     sharp = SharpPictures(scene.pictures)
     scene.require_contrast()
     shown = boxes(scene)
@@ -316,7 +297,7 @@ def dense_matches(
         first, second = (sharp[j].spline for j in view.numbers)
         for tile in tiles:
             reach = _reach(view, tile.step)
-            count, matched = matches_on(view, (first, second), tile, reach, spacing, settings, step, workers)
+            count, matched = matches_on(view, (first, second), tile, reach, spacing, step, workers)
             posts, done = posts + count, done + 1
             parts.append(matched)
             progress("dense matching", done, most)

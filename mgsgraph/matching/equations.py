@@ -1,8 +1,6 @@
-"""The equations of a window's pixels in least-squares matching: grey values, and what each unknown changes in them.
-
-Compiled into the kernel of `window`, which says what is estimated.
-
-Grey values between pixels: a picture as an exact cubic B-spline, prefiltered once.
+"""The equations of a window's pixels in least-squares matching: grey values between pixels (a picture as an exact cubic
+B-spline, prefiltered once), what each unknown changes in them, how the pixels act on the position, and the covariances
+that follow. Compiled into the kernel of `window`, which says what is estimated.
 """
 
 import math
@@ -31,20 +29,15 @@ class SplinePicture:
     """(lines, samples) what each pixel is: `GOOD`, `EXTREME` or `MISSING`."""
 
     @classmethod
-    def of(cls, pixels: NDArray[Any], where: str = "picture", extremes: tuple[float, float] | None = None) -> (
-        "SplinePicture"
-    ):
+    def of(cls, pixels: NDArray[Any], where: str = "picture") -> "SplinePicture":
         """Filter a picture; takes some 50 ns per pixel.
 
         Parameters
         ----------
         pixels : (lines, samples)
-            Grey values of any real type; NaN where there is none.
+            Grey values of any real type; NaN where there is none. Whole numbers at an end of their scale are saturated.
         where : str
             Name of the picture, for messages.
-        extremes : (2,), optional
-            Grey values at or below and at or above which a pixel is saturated. Left out: 0 and 255 for bytes, the ends
-            of the scale for other whole numbers, none for floating point.
 
         Raises
         ------
@@ -54,7 +47,7 @@ class SplinePicture:
         pixels = np.asarray(pixels)
         if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or min(pixels.shape) < 4:
             raise InputError(where, f"{pixels.dtype} of shape {pixels.shape}", "(lines, samples) of at least 4 x 4")
-        marks = _marks(pixels, extremes)
+        marks = _marks(pixels)
         if np.all(marks == MISSING):
             raise InputError(where, "no pixel with a grey value", "a picture")
         return cls(_filtered(_without_gaps(pixels, marks)), marks)
@@ -66,15 +59,13 @@ class SplinePicture:
         return lines, samples
 
 
-def _marks(pixels: NDArray[Any], extremes: tuple[float, float] | None) -> NDArray[np.uint8]:
+def _marks(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     marks = np.zeros(pixels.shape, dtype=np.uint8)
-    if extremes is None and pixels.dtype.kind in "ui":
-        scale = np.iinfo(pixels.dtype)
-        extremes = float(scale.min), float(scale.max)
-    if extremes is not None:
-        marks[(pixels <= extremes[0]) | (pixels >= extremes[1])] = EXTREME
     if pixels.dtype.kind == "f":
         marks[~np.isfinite(pixels)] = MISSING
+    else:
+        scale = np.iinfo(pixels.dtype)
+        marks[(pixels == scale.min) | (pixels == scale.max)] = EXTREME
     return marks
 
 
@@ -204,3 +195,150 @@ def derivatives(pixels: Reals, i: int, x: Reals, e: Reals, z: Reals, j: Reals) -
         along_z, along_j = e[0] * z[0] + e[1] * z[1], e[0] * j[0] + e[1] * j[1]
         z[8], z[9], z[10] = along_z * down * down, along_z * down * across, along_z * across * across
         j[8], j[9], j[10] = along_j * down * down, along_j * down * across, along_j * across * across
+
+
+
+_BLOCK = 4
+"""pixels along and across a block of pulls: residuals are correlated over fewer, or over more
+than a window can tell."""
+
+
+@compiled
+def _influences(pixels: Reals, x: Reals, e: Reals, by: Reals) -> bool:
+    """Fill by (unknowns, 4): a pixel's influence on the position is by[:, :2]' w z, on the bend
+    by[:, :2]' n z - by[:, 2:]' w z
+    with the narrow weights n, scaled to the sum of w. False where the texture does not determine the position.
+
+    The bend leans on the whole window's normal matrix: the middle's own may be singular.
+    """
+    unknowns = x.size
+    z, j = np.empty(unknowns), np.empty(unknowns)
+    wide, narrow = np.zeros((unknowns, unknowns)), np.zeros((unknowns, unknowns))
+    for i in range(pixels.shape[0]):
+        derivatives(pixels, i, x, e, z, j)
+        for k in range(unknowns):
+            for m in range(unknowns):
+                wide[m, k] += pixels[i, WEIGHT] * z[k] * j[m]
+                narrow[m, k] += pixels[i, NARROW] * z[k] * j[m]
+    if not abs(np.linalg.det(wide)) > 0.0:
+        return False
+    place = np.linalg.solve(wide, np.eye(unknowns)[:, :2].copy())
+    by[:, :2], by[:, 2:] = place, np.linalg.solve(wide, narrow @ place)
+    return bool(by[0, 0] > 0.0 and by[1, 1] > 0.0 and 4.0 * by[0, 0] * by[1, 1] > (by[0, 1] + by[1, 0]) ** 2)
+
+
+@compiled
+def _sums(pixels: Reals, x: Reals, e: Reals, by: Reals, row: Reals) -> tuple[Reals, Reals, float]:
+    """Fill the pulls, the residual and the bend; sums of squared influences on the position and on the bend (2, 2
+    each), times the variance of a residual, and by how much sums of squares grow for the unknowns' sake.
+    """
+    z, j = np.empty(x.size), np.empty(x.size)
+    of_place, of_bend, bend = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
+    u, v = np.empty(2), np.empty(2)
+    square, weight, weight_square = 0.0, 0.0, 0.0
+    for i in range(pixels.shape[0]):
+        derivatives(pixels, i, x, e, z, j)
+        residue = pixels[i, T] - x[6] * pixels[i, S] - x[7]
+        for k in range(2):
+            u[k], v[k] = 0.0, 0.0
+            for m in range(x.size):
+                u[k] += by[m, k] * z[m]
+                v[k] += by[m, 2 + k] * z[m]
+            v[k] = pixels[i, NARROW] * u[k] - pixels[i, WEIGHT] * v[k]
+            u[k] *= pixels[i, WEIGHT]
+        for k in range(2):
+            pixels[i, PULL + k] = u[k] * residue
+            bend[k] += v[k] * residue
+            for m in range(2):
+                of_place[k, m] += u[k] * u[m]
+                of_bend[k, m] += v[k] * v[m]
+        square += pixels[i, WEIGHT] * residue * residue
+        weight += pixels[i, WEIGHT]
+        weight_square += pixels[i, WEIGHT] * pixels[i, WEIGHT]
+    growth = 1.0 / (1.0 - x.size * weight_square / (weight * weight))
+    variance = growth * square / weight
+    row[RESIDUAL], row[BEND], row[BEND + 1] = math.sqrt(variance), bend[0], bend[1]
+    return variance * of_place, variance * of_bend, growth
+
+
+@compiled
+def _misfit(pixels: Reals, x: Reals, e: Reals, row: Reals) -> None:
+    """Fill the normal equations (3, 4) of the middle's squared residuals over a constant and squares of derivatives by
+    line and sample, c + T00 l l + T01 2 l s + T11 s s; the constant is reduced.
+
+    Derivatives of the two pictures are multiplied with each other: the square of a noisy one is too large.
+    """
+    z, j = np.empty(x.size), np.empty(x.size)
+    squares, own, mean, total = np.empty(3), np.empty(4), np.zeros(4), np.zeros((3, 4))
+    sums, weight = np.zeros(3), 0.0
+    for i in range(pixels.shape[0]):
+        derivatives(pixels, i, x, e, z, j)
+        squares[0], squares[1], squares[2] = z[0] * z[0], 2.0 * z[0] * z[1], z[1] * z[1]
+        own[0], own[1], own[2] = z[0] * j[0], z[0] * j[1] + z[1] * j[0], z[1] * j[1]
+        own[3] = (pixels[i, T] - x[6] * pixels[i, S] - x[7]) ** 2
+        weight += pixels[i, NARROW]
+        for m in range(4):
+            mean[m] += pixels[i, NARROW] * (own[m] - mean[m]) / weight
+        for k in range(3):
+            sums[k] += pixels[i, NARROW] * squares[k]
+            for m in range(4):
+                total[k, m] += pixels[i, NARROW] * squares[k] * own[m]
+    for k in range(3):
+        for m in range(4):
+            row[MISFIT + 4 * k + m] = total[k, m] - sums[k] * mean[m]
+
+
+@compiled
+def _blocks(pixels: Reals, half: tuple[int, int]) -> Reals:
+    """Sum of the products (2, 2) of neighbouring pixels' pulls, with Bartlett's weights: over all square blocks, those
+    that stand out of the window included, the squared sums of pulls (Newey & West 1987, Conley 1999). Never negative.
+    """
+    down, across = 2 * half[0] + 1, 2 * half[1] + 1
+    total = np.zeros((2, 2))
+    for i in range(1 - _BLOCK, down):
+        for j in range(1 - _BLOCK, across):
+            line, sample = 0.0, 0.0
+            for k in range(max(i, 0), min(i + _BLOCK, down)):
+                for m in range(max(j, 0), min(j + _BLOCK, across)):
+                    line += pixels[k * across + m, PULL]
+                    sample += pixels[k * across + m, PULL + 1]
+            total[0, 0] += line * line
+            total[0, 1] += line * sample
+            total[1, 1] += sample * sample
+    total[1, 0] = total[0, 1]
+    return total / _BLOCK**2
+
+
+@compiled
+def _raise_to(a: Reals, floor: Reals) -> None:
+    """Make a (2, 2) no smaller than the floor in any direction."""
+    unit = np.linalg.cholesky(floor)
+    back = np.linalg.inv(unit)
+    ratios, vectors = np.linalg.eigh(back @ a @ back.T)
+    ways = unit @ vectors
+    for k in range(2):
+        if ratios[k] < 1.0:
+            a += (1.0 - ratios[k]) * np.outer(ways[:, k], ways[:, k])
+
+
+@compiled
+def fill_covariance(pixels: Reals, x: Reals, e: Reals, half: tuple[int, int], row: Reals) -> bool:
+    """Fill residual, covariance of the noise, bend and its covariance; False where the texture does not determine the
+    position.
+
+    The noise's part is the sum of products of the pulls of neighbouring pixels, at least that of white noise. Relief
+    that the model does not follow moves the position from the anchor's own to the window's mean. It shows in the bend,
+    by how much the position moves when the middle alone counts.
+    """
+    by = np.empty((x.size, 4))
+    if not _influences(pixels, x, e, by):
+        return False
+    white, of_bend, growth = _sums(pixels, x, e, by, row)
+    _misfit(pixels, x, e, row)
+    covariance = growth * _blocks(pixels, half)
+    if white[0, 0] > 0.0 and white[0, 0] * white[1, 1] > white[0, 1] * white[0, 1]:
+        _raise_to(covariance, white)
+    for k in range(2):
+        for m in range(2):
+            row[NOISE + 2 * k + m], row[OF_BEND + 2 * k + m] = covariance[k, m], of_bend[k, m]
+    return True

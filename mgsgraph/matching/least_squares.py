@@ -28,6 +28,13 @@ _TAIL = 0.01
 """Share of the largest residuals, mismatches among them, that don't count for the roughness of the ground."""
 _PIECE = 64
 """Matches that a thread takes at once."""
+ITERATIONS = 30
+"""At most."""
+SATURATED = 0.05
+"""Part of a window's pixels that may be saturated."""
+EMPHASIS = 0.5
+"""Standard deviation of the pixels' Gaussian weights about the anchor, in units of half the window. Smaller: less of
+the relief that the affine model does not follow, more noise."""
 
 
 class MatchStatus(IntEnum):
@@ -45,34 +52,6 @@ class MatchStatus(IntEnum):
     """No texture, or none that tells both directions."""
     SATURATED = window.SATURATED
     """Too many pixels at an end of the grey scale."""
-
-
-@dataclass(frozen=True, slots=True)
-class LeastSquaresSettings:
-    """How windows are matched."""
-
-    iterations: int = 30
-    """At most."""
-    tolerance: float = 1e-3
-    """pixels: a step that moves the position less, and the corners less than ten times that, is the last but one."""
-    reach: float = 4.0
-    """pixels by which a match may leave its start."""
-    saturated: float = 0.05
-    """Part of a window's pixels that may be saturated."""
-    emphasis: float = 0.5
-    """Standard deviation of the pixels' Gaussian weights about the anchor, in units of half the window. Smaller: less
-    of the relief that the affine model does not follow, more noise."""
-
-    def __post_init__(self) -> None:
-        checks = {
-            "iterations": (self.iterations >= 1, "at least 1"),
-            "tolerance": (0.0 < self.tolerance <= 0.1, "pixels above 0, up to 0.1"),
-            "reach": (0.0 < self.reach < np.inf, "pixels above 0"),
-            "saturated": (0.0 <= self.saturated <= 1.0, "a part from 0 to 1"),
-            "emphasis": (0.25 <= self.emphasis <= 1.0, "0.25 .. 1"),
-        }
-        for name, (good, expected) in checks.items():
-            require(good, f"least-squares matching, {name}", str(getattr(self, name)), expected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +147,8 @@ def match_least_squares(
     affine: ArrayLike,
     half: tuple[int, int],
     relief: ArrayLike | None = None,
-    settings: LeastSquaresSettings | None = None,
+    reach: float = 4.0,
+    tolerance: float = 1e-3,
     threads: int | None = None,
 ) -> LeastSquaresMatches:
     """Match windows of the template picture: template(anchor + d) = gain search(position + A d) + offset.
@@ -189,8 +169,10 @@ def match_least_squares(
         lines and samples of a window on each side of its anchor's: (10, 15) is 21 x 31 pixels.
     relief : (n, 2), optional
         direction in the search picture in which height displaces, of any length: the window's ground may be curved.
-    settings : LeastSquaresSettings, optional
-        How to match.
+    reach : float, optional
+        pixels by which a match may leave its start.
+    tolerance : float, optional
+        pixels: a step that moves the position less, and the corners less than ten times that, is the last but one.
     threads : int, optional
         All processors when left out.
 
@@ -198,7 +180,7 @@ def match_least_squares(
     ------
     InputError
         If arrays differ in length or hold NaN, an anchor is no centre of a pixel, an A has no inverse, a direction no
-        length, or the window is smaller than 7 x 7 or has fewer pixels of weight than there are unknowns.
+        length, or the window is smaller than 7 x 7.
 
     Examples
     --------
@@ -212,16 +194,14 @@ def match_least_squares(
     >>> found.pixels.round(2)
     array([[30.1, 31.2]])
     """
-    settings = settings or LeastSquaresSettings()
     where = "least-squares matching"
     anchors = frozen(anchors, f"{where}, anchors", (None, 2))
     n = anchors.shape[0]
     pixels, affine = frozen(pixels, f"{where}, pixels", (n, 2)), frozen(affine, f"{where}, affine", (n, 2, 2))
     _require_centres(anchors, where)
     _require_windows(affine, half, where)
-    weights, growth = _weights(half, settings.emphasis)
+    weights, growth = _weights(half)
     directions = np.zeros((n, 0)) if relief is None else _directions(relief, n, f"{where}, relief")
-    _require_pixels(weights[:, 0], equations.PLAIN if relief is None else equations.RELIEF, where)
     starts = np.concatenate([pixels, affine.reshape(n, 4), directions], axis=1)
     rows, states = np.full((n, equations.NUMBERS), np.nan), np.empty(n, dtype=np.int64)
 
@@ -229,8 +209,8 @@ def match_least_squares(
         part = slice(first, first + _PIECE)
         window.match_windows(
             template.coefficients, template.marks, search.coefficients, search.marks, anchors[part], starts[part],
-            (int(half[0]), int(half[1])), weights, settings.iterations, settings.tolerance, settings.reach,
-            settings.saturated, rows[part], states[part],
+            (int(half[0]), int(half[1])), weights, ITERATIONS, tolerance, reach, SATURATED,
+            rows[part], states[part],
         )  # fmt: skip
 
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
@@ -263,20 +243,13 @@ def _require_windows(affine: Array, half: tuple[int, int], where: str) -> None:
         raise InputError(f"{where}, affine {k}", f"{affine[k].tolist()}", "a matrix with an inverse")
 
 
-def _require_pixels(weights: Array, unknowns: int, where: str) -> None:
-    """Raise InputError where so few pixels have weight that nothing is left to tell their noise."""
-    pixels = weights.sum() ** 2 / (weights @ weights)
-    found = f"the weight of {pixels:.1f} pixels for {unknowns} unknowns"
-    require(pixels > unknowns, f"{where}, window", found, "more of them", "a larger window or emphasis")
-
-
-def _weights(half: tuple[int, int], emphasis: float) -> tuple[Array, float]:
+def _weights(half: tuple[int, int]) -> tuple[Array, float]:
     """Weights (n, 2) of a window's pixels, and of the same sum those that count its middle alone; by what the square of
     a bend, the difference of both, is grown to that of what the first misses of a parabola.
     """
     down, across = (np.arange(-size, size + 1) / size for size in half)
     square = np.add.outer(down * down, across * across).ravel()
-    weights = np.exp(-0.5 * square[:, None] / (emphasis * np.array([1.0, _NARROW])) ** 2)
+    weights = np.exp(-0.5 * square[:, None] / (EMPHASIS * np.array([1.0, _NARROW])) ** 2)
     weights[:, 1] *= weights[:, 0].sum() / weights[:, 1].sum()
     wide, narrow = (square @ weights) / weights.sum(axis=0)
     return weights, float((wide / (wide - narrow)) ** 2)

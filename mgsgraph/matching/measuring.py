@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.equations import SplinePicture
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
-from mgsgraph.matching.pairs import by_pair, star
-from mgsgraph.matching.patches import opencv
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.patches import Links, opencv
+from mgsgraph.matching.scene import Ground, Picture, Scene, by_pair, star
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.tiles import Links
 
 _READY = 8
 """Pictures that stay prepared."""

@@ -1,21 +1,27 @@
 """Pictures resampled onto tiles of the ground grid: one scale, one direction, and hardly any displacement left; and the
 disparities that are left, where rows run along the parallax, by semi-global matching.
 
+Features of the patches (SIFT; Lowe 2004), and links between those of two pictures: on a common ground grid the same
+feature has the same size and direction in every picture, and lies where the geometry says, but for what is not known of
+orientation and height. Candidates are sought along that short path alone.
+
 Hirschmueller, H. (2008): Stereo processing by semiglobal matching and mutual information, IEEE PAMI 30(2); OpenCV's,
 with Birchfield & Tomasi's cost of horizontal gradients, to which other brightness and contrast don't matter.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.errors import library
+from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import refined
-from mgsgraph.libraries import library
-from mgsgraph.matching.scene import Ground, Picture
+from mgsgraph.matching.scene import Ground, Picture, Scene
 
 NODE = 16
 """pixels of the ground grid between the nodes that are projected; between nodes, lines and samples are bilinear."""
@@ -166,3 +172,225 @@ def disparities(one: Patch, other: Patch, reach: int) -> Array:
     found = cv2.medianBlur(matcher.compute(one.grey, other.grey), 5).astype(np.float64) / _SIXTEENTHS
     known = (found >= -count / 2) & (one.valid > 0)
     return np.where(known, found, np.nan)
+
+
+# --- features and links
+_SIZE = 1024
+"""pixels of a tile either way, without its margin."""
+_CONTRAST = 0.015
+"""SIFT's threshold on contrast: half of Lowe's, for evenly lit plains."""
+_BORDER = 9
+"""pixels which features keep from where a picture ends."""
+_TOGETHER = 256
+"""Features that are compared at a time."""
+_SAME = 4.0
+"""pixels within which a second-best candidate is the best one over again."""
+_TURN, _SCALE = 0.5, 1.6
+"""rad and ratio by which direction and size of two features may differ."""
+
+
+class Features(NamedTuple):
+    """Features of one picture on one tile."""
+
+    plane: Array
+    """(n, 2) m of the chart."""
+    response: NDArray[np.float32]
+    """(n,) strength."""
+    size: NDArray[np.float32]
+    """(n,) pixels of the ground grid."""
+    direction: NDArray[np.float32]
+    """(n,) rad."""
+    descriptors: NDArray[np.float32]
+    """(n, 128) of length one (square roots of SIFT's; Arandjelovic & Zisserman 2012)."""
+
+
+class Window(NamedTuple):
+    """Where the counterpart of a feature may lie: about the same position of the chart, farther along one direction."""
+
+    direction: Array
+    """(2,) unit, of the displacement by height."""
+    along: float
+    """m either way."""
+    across: float
+    """m either way."""
+
+
+class Links(NamedTuple):
+    """Positions on the chart at which two pictures show the same ground."""
+
+    plane: Array
+    """(n, 2) m of the chart."""
+    picture: Index
+    """(n,) picture in which each position was found."""
+    links: Index
+    """(k, 2) numbers of two positions."""
+    likeness: Array
+    """(k,) the greater, the surer."""
+
+
+def together(parts: Sequence[Links]) -> Links:
+    """Links of several tiles, their positions numbered through."""
+    first = np.cumsum([0, *(len(part.plane) for part in parts)])[:-1]
+    return Links(
+        np.concatenate([np.zeros((0, 2)), *(part.plane for part in parts)]),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(part.picture for part in parts)]),
+        np.concatenate([np.zeros((0, 2), dtype=np.int64), *(p.links + k for p, k in zip(parts, first, strict=True))]),
+        np.concatenate([np.zeros(0), *(part.likeness for part in parts)]),
+    )
+
+
+def tiling(boxes: Sequence[Array], step: float, margin: float) -> list[Tile]:
+    """Tiles that cover boxes (2, 2) in m, least and largest x and y of each picture on the chart, and meet two of them
+    at least; pixels lie `step` m apart, and neighbouring tiles share `margin` m on every side of their common edge.
+    """
+    corners = np.array(boxes)
+    low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    extra = int(np.ceil(margin / step))
+    counts = np.maximum(np.ceil((high - low) / (_SIZE * step)), 1).astype(int)
+    sizes = np.ceil((high - low) / step / counts).astype(int) + 1
+    tiles = list[Tile]()
+    for row in range(counts[1]):
+        for column in range(counts[0]):
+            corner = low + np.array([column, row]) * sizes * step
+            edges = corner - 0.5 * step, corner + (sizes - 0.5) * step  # of pixels, not of their middles
+            meets = np.all((corners[:, 0] <= edges[1]) & (corners[:, 1] >= edges[0]), axis=1)
+            if np.count_nonzero(meets) > 1:
+                west, south = corner - extra * step
+                rows, columns = sizes[1] + 2 * extra, sizes[0] + 2 * extra
+                tiles.append(Tile(len(tiles), float(west), float(south), step, int(rows), int(columns), extra))
+    return tiles
+
+
+def features_on(scene: Scene, tile: Tile, wanted: Sequence[int], most: int) -> dict[int, Features]:
+    """Features of the wanted pictures that show something of a tile, by number."""
+    found = dict[int, Features]()
+    for j in wanted:
+        patch = ortho_patch(scene.pictures[j], scene.ground, tile)
+        if patch is not None:
+            features = detect(patch, tile, most)
+            if len(features.plane):
+                found[j] = features
+    return found
+
+
+def links_on(
+    found: Mapping[int, Features], tile: Tile, windows: Mapping[tuple[int, int], Window], ratio: float
+) -> Links:
+    """Links between the features of each pair that has a window, first features within the tile itself."""
+    numbers, begin = dict[int, int](), 0
+    for j, features in found.items():
+        numbers[j], begin = begin, begin + len(features.plane)
+    links, likeness = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)]
+    for (i, j), window in windows.items():
+        if i in found and j in found:
+            first, second, score = pair_up(found[i], found[j], window, tile.step, ratio)
+            links.append(np.column_stack([first + numbers[i], second + numbers[j]]))
+            likeness.append(score)
+    if not numbers:
+        return together([])
+    plane = np.concatenate([features.plane for features in found.values()])
+    picture = np.concatenate([np.full(len(features.plane), j) for j, features in found.items()])
+    return owned(Links(plane, picture, np.concatenate(links), np.concatenate(likeness)), tile)
+
+
+def owned(links: Links, tile: Tile) -> Links:
+    """Links whose first position lies in the tile without its margin, and no position without a link."""
+    mine = tile.owns(links.plane)[links.links[:, 0]]
+    kept = links.links[mine]
+    used, numbered = np.unique(kept, return_inverse=True)
+    return Links(links.plane[used], links.picture[used], numbered.reshape(-1, 2), links.likeness[mine])
+
+
+class TileStore(Protocol):
+    """Arrays by name, kept from one run to the next with the same inputs and choices."""
+
+    def load(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """Arrays that were kept under a name; None where there are none."""
+        ...
+
+    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Keep arrays under a name."""
+        ...
+
+
+def kept_links(store: TileStore | None, name: str, find: Callable[[], Links]) -> Links:
+    """Links that an earlier run kept under a name; else those that are found now, and kept."""
+    kept = store.load(name) if store else None
+    if kept is not None and kept.keys() == set(Links._fields):
+        return Links(**kept)
+    links = find()
+    if store:
+        store.keep(name, links._asdict())
+    return links
+
+
+# --- features
+
+
+def detect(patch: Patch, tile: Tile, most: int) -> Features:
+    """The strongest features of a patch, in order of y."""
+    cv2 = opencv()
+    block = np.ones((2 * _BORDER + 1,) * 2, np.uint8)
+    inner = cv2.erode(patch.valid, block, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=_CONTRAST)
+    found, descriptors = sift.detectAndCompute(patch.grey, inner)
+    if not found:
+        nothing = np.zeros(0, dtype=np.float32)
+        return Features(np.zeros((0, 2)), nothing, nothing, nothing, np.zeros((0, 128), dtype=np.float32))
+    rows = np.array([(*one.pt, one.response, one.size, one.angle) for one in found])
+    order = np.argsort(rows[:, 1], kind="stable")
+    rows, descriptors = rows[order], descriptors[order]
+    unit = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
+    thin = rows.astype(np.float32)
+    return Features(tile.plane(rows[:, 0], rows[:, 1]), thin[:, 2], thin[:, 3], np.radians(thin[:, 4]), unit)
+
+
+def pair_up(one: Features, other: Features, window: Window, step: float, ratio: float) -> tuple[Index, Index, Array]:
+    """Numbers (k,) of features of both pictures that choose each other, each against its second choice, and the cosines
+    (k,) of their descriptors.
+
+    The window says where the other's may lie, seen from the first; `step` is the ground grid's pixel in m, and `ratio`
+    the most that the distance of the best may be of the second best's.
+    """
+    forth, likeness = _best(one, other, window, step, ratio)
+    back, _ = _best(other, one, window, step, ratio)
+    first = np.flatnonzero(forth >= 0)
+    first = first[back[forth[first]] == first]
+    return first, forth[first], likeness[first]
+
+
+def _best(one: Features, other: Features, window: Window, step: float, ratio: float) -> tuple[Index, Array]:
+    """For each feature the one that is most like it in its window, -1 where there is none or not a clear one."""
+    best, likeness = np.full(len(one.plane), -1, dtype=np.int64), np.zeros(len(one.plane))
+    if len(other.plane) == 0:
+        return best, likeness
+    reach = abs(window.direction[1]) * window.along + abs(window.direction[0]) * window.across
+    for begin in range(0, len(one.plane), _TOGETHER):
+        some = slice(begin, min(begin + _TOGETHER, len(one.plane)))
+        y = one.plane[some, 1]
+        low, high = np.searchsorted(other.plane[:, 1], [y[0] - reach, y[-1] + reach])
+        if low == high:
+            continue
+        near = slice(int(low), int(high))
+        alike = one.descriptors[some] @ other.descriptors[near].T
+        alike[~_candidates(one, other, some, near, window)] = -1.0
+        top = np.argmax(alike, axis=1)
+        rows = np.arange(top.size)
+        score = alike[rows, top].copy()
+        apart = np.linalg.norm(other.plane[near][None] - other.plane[near][top][:, None], axis=2) > _SAME * step
+        second = np.where(apart, alike, -1.0).max(axis=1)
+        # distances of unit vectors: d^2 = 2 - 2 cos
+        clear = (score > 0.0) & ((1.0 - score) <= ratio**2 * (1.0 - second))
+        best[begin + rows[clear]] = low + top[clear]
+        likeness[begin + rows[clear]] = score[clear]
+    return best, likeness
+
+
+def _candidates(one: Features, other: Features, some: slice, near: slice, window: Window) -> NDArray[np.bool_]:
+    away = other.plane[near][None] - one.plane[some][:, None]
+    along = away @ window.direction
+    across = away @ np.array([-window.direction[1], window.direction[0]])
+    turn = np.abs(in_turn((other.direction[near][None] - one.direction[some][:, None]).astype(np.float64)))
+    scale = np.abs(np.log(other.size[near][None] / one.size[some][:, None]))
+    inside = (np.abs(along) <= window.along) & (np.abs(across) <= window.across)
+    return np.asarray(inside & (turn <= _TURN) & (scale <= np.log(_SCALE)))

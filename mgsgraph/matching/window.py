@@ -12,7 +12,7 @@ pixel and knows neither its noise nor that of the search picture. For the gain, 
 noise in one alone makes a gain too small.
 
 The covariance of the position is that of the influences of all pixels on it, u r with u = M^-1 w z and M = sum w z j':
-noise in gradients makes z'z larger than it is, M not. See `influences.fill_covariance` for correlated residuals, and
+noise in gradients makes z'z larger than it is, M not. See `equations.fill_covariance` for correlated residuals, and
 for relief.
 """
 
@@ -35,12 +35,12 @@ from mgsgraph.matching.equations import (
     S,
     T,
     derivatives,
+    fill_covariance,
     inside,
     read_template,
     resample,
     seen,
 )
-from mgsgraph.matching.influences import fill_covariance
 
 CONVERGED, LEFT, UNFINISHED, WANDERED, FLAT, SATURATED = 0, 1, 2, 3, 4, 5
 """How a match may end."""

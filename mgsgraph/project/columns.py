@@ -1,4 +1,4 @@
-"""Points, rays, ranges and stereo heights of bundles as packed columns of the tables, and arrays of them again.
+"""Points, rays, ranges and stereo heights of bundles as packed columns (table `packed`), and arrays of them again.
 
 A cell holds a column of one bundle: its numbers one after another, little-endian, or a single number where all of them
 are the same to the bit. Points are numbered from 0 on within their bundle, images by their position in it.
@@ -6,39 +6,40 @@ are the same to the bit. Points are numbered from 0 on within their bundle, imag
 
 import hashlib
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.geometry.records import Array, Index, Mask, concatenated
+from mgsgraph.geometry.records import Array, Index, concatenated
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
-from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
+from mgsgraph.network import GroundPoints, Network
 from mgsgraph.network.control import StereoControl
 from mgsgraph.results.archive_arrays import pack, unpack
 
-_Columns = dict[str, tuple[str, tuple[int, ...]]]
-
-POINTS: _Columns = {
-    "class": ("i1", ()), "kind": ("i1", ()), "profile": ("<i4", ()), "surface_sigma": ("<f8", ()),
-    "place": ("<f8", (3,)), "covariance": ("<f8", (3, 3)),
+COLUMNS: dict[str, dict[str, tuple[str, tuple[int, ...]]]] = {
+    "points": {
+        "class": ("i1", ()), "kind": ("i1", ()), "profile": ("<i4", ()), "surface_sigma": ("<f8", ()),
+        "place": ("<f8", (3,)), "covariance": ("<f8", (3, 3)),
+    },
+    "adjusted": {"place": ("<f8", (3,)), "covariance": ("<f8", (3, 3))},
+    "rays": {
+        "point": ("<i4", ()), "image": ("<i4", ()), "place": ("<f8", (2,)), "sigma": ("<f8", (2,)),
+        "back_projected": ("i1", ()), "rejected": ("i1", ()),
+    },
+    "ranges": {
+        "point": ("<i4", ()), "image": ("<i4", ()), "time": ("<f8", ()), "value": ("<f8", ()), "sigma": ("<f8", ()),
+        "rejected": ("i1", ()),
+    },
+    "heights": {
+        "point": ("<i4", ()), "surface": ("<i4", ()), "sigma": ("<f8", ()), "rejected": ("i1", ()), "level": ("i1", ()),
+    },
 }  # fmt: skip
-"""Type and shape of a point's part of each column of a table; in the order of the table."""
-ADJUSTED: _Columns = {"place": ("<f8", (3,)), "covariance": ("<f8", (3, 3))}
-RAYS: _Columns = {
-    "point": ("<i4", ()), "image": ("<i4", ()), "place": ("<f8", (2,)), "sigma": ("<f8", (2,)),
-    "back_projected": ("i1", ()), "rejected": ("i1", ()),
-}  # fmt: skip
-RANGES: _Columns = {
-    "point": ("<i4", ()), "image": ("<i4", ()), "time": ("<f8", ()), "value": ("<f8", ()), "sigma": ("<f8", ()),
-    "rejected": ("i1", ()),
-}  # fmt: skip
-HEIGHTS: _Columns = {
-    "point": ("<i4", ()), "surface": ("<i4", ()), "sigma": ("<f8", ()), "rejected": ("i1", ()), "level": ("i1", ()),
-}  # fmt: skip
+"""Of each kind of rows: type and shape of a row's part of each column. What they mean: `schema`."""
 
 
 def packed(values: NDArray[Any], kind: str) -> bytes:
@@ -58,47 +59,49 @@ def unpacked(cell: bytes, kind: str, shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 class Cells:
-    """Tables with packed columns of bundles, on an open connection."""
+    """The table of packed columns, on an open connection."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
 
-    def put(
-        self, table: str, bundle: int, count: int, columns: _Columns, values: Iterable[NDArray[Any] | None]
-    ) -> None:
-        """Write the columns of a bundle."""
-        cells = [
-            None if one is None else packed(one, kind) for one, (kind, _) in zip(values, columns.values(), strict=True)
-        ]
-        names, marks = ", ".join(columns), ", ".join("?" * (2 + len(cells)))
-        statement = f"INSERT OR REPLACE INTO {table} (bundle, size, {names}) VALUES ({marks})"
-        self._connection.execute(statement, (bundle, count, *cells))
-
-    def read(self, table: str, columns: _Columns, bundle: int | None) -> Iterator[tuple[int, int, list[Any]]]:
-        """Number, size and columns of one bundle, or of each bundle; zeros for a column that it has not."""
-        where, values = ("", ()) if bundle is None else ("WHERE bundle = ?", (bundle,))
-        statement = f"SELECT bundle, size, {', '.join(columns)} FROM {table} {where} ORDER BY bundle"
-        for number, size, *cells in self._connection.execute(statement, values):
-            yield number, size, [
-                unpacked(bytes(np.dtype(kind).itemsize) if cell is None else cell, kind, (size, *shape))
-                for cell, (kind, shape) in zip(cells, columns.values(), strict=True)
-            ]
-
-    def drop(self, tables: Sequence[str], bundle: int) -> None:
-        """Take out the columns of a bundle."""
-        for table in tables:
-            self._connection.execute(f"DELETE FROM {table} WHERE bundle = ?", (bundle,))
+    def put(self, bundle: int, kind: str, *values: NDArray[Any] | None) -> None:
+        """Write the columns of a bundle's rows of a kind, in their order, None for zeros; nothing without a row."""
+        size = next(len(one) for one in values if one is not None)
+        columns = zip(COLUMNS[kind].items(), values, strict=True)
+        cells = {name: packed(one, of) for (name, (of, _)), one in columns if one is not None and size}
+        self._insert(bundle, kind, size, cells)
 
     def put_names(self, bundle: int, names: Names) -> None:
         """Write the names of a bundle's points."""
-        cells = names.data.tobytes(), names.offsets[1:].astype("<i4").tobytes()
-        self._connection.execute("INSERT INTO point_names VALUES (?, ?, ?, ?)", (bundle, len(names), *cells))
+        cells = {"text": names.data.tobytes(), "ends": names.offsets[1:].astype("<i4").tobytes()}
+        self._insert(bundle, "names", len(names), cells)
+
+    def _insert(self, bundle: int, kind: str, size: int, cells: Mapping[str, bytes]) -> None:
+        rows = [(bundle, kind, name, size, cell) for name, cell in cells.items()]
+        self._connection.executemany("INSERT OR REPLACE INTO packed VALUES (?, ?, ?, ?, ?)", rows)
+
+    def drop(self, bundle: int) -> None:
+        """Take out all columns of a bundle."""
+        self._connection.execute("DELETE FROM packed WHERE bundle = ?", (bundle,))
+
+    def _read(self, kind: str, bundle: int | None) -> Iterator[tuple[int, int, dict[str, bytes]]]:
+        """Number, size and cells of one bundle, or of each bundle that has such rows."""
+        where, values = ("", (kind,)) if bundle is None else ("AND bundle = ?", (kind, bundle))
+        statement = f"SELECT bundle, size, name, cell FROM packed WHERE kind = ? {where} ORDER BY bundle"
+        for (number, size), rows in groupby(self._connection.execute(statement, values), key=lambda row: row[:2]):
+            yield number, size, {name: cell for _, _, name, cell in rows}
+
+    def read(self, kind: str, bundle: int | None) -> Iterator[tuple[int, int, list[Any]]]:
+        """Number, size and columns of one bundle, or of each bundle; zeros for a column that it has not."""
+        for number, size, cells in self._read(kind, bundle):
+            yield number, size, [
+                unpacked(cells.get(name, bytes(np.dtype(of).itemsize)), of, (size, *shape))
+                for name, (of, shape) in COLUMNS[kind].items()
+            ]
 
     def names(self, bundle: int | None = None) -> tuple[Names, Index, Index]:
         """Names of the points of one bundle, or of all; numbers (b,) of these bundles and how many points each has."""
-        where, values = ("", ()) if bundle is None else ("WHERE bundle = ?", (bundle,))
-        statement = f"SELECT bundle, size, text, ends FROM point_names {where} ORDER BY bundle"
-        rows = self._connection.execute(statement, values).fetchall()
+        rows = [(number, size, cells["text"], cells["ends"]) for number, size, cells in self._read("names", bundle)]
         numbers, sizes = (np.array([row[k] for row in rows], dtype=np.int64) for k in range(2))
         if any(len(text) != int.from_bytes(ends[-4:], "little") or len(ends) != 4 * n for _, n, text, ends in rows):
             raise ValueError("names of points that are longer or shorter than their text")
@@ -106,6 +109,46 @@ class Cells:
         ends = np.frombuffer(b"".join(row[3] for row in rows), "<i4") + before
         data = np.frombuffer(b"".join(row[2] for row in rows), np.uint8)
         return Names(data, np.concatenate([np.zeros(1, dtype=np.int64), ends])), numbers, sizes
+
+    def points(self, bundle: int | None) -> "StoredPoints":
+        """Points of a bundle, or all points."""
+        names, bundles, sizes = self.names(bundle)
+        rows = np.stack([bundles, np.cumsum(sizes) - sizes, sizes], axis=1).tolist()
+        runs = {number: Run(first, size) for number, first, size in rows}
+        class_, kind, profile, sigma, place, covariance = self._of_points("points", bundle, runs)
+        points = GroundPoints(names, class_.astype(np.int64), kind.astype(np.int64), place, covariance)
+        place, covariance = self._of_points("adjusted", bundle, runs)
+        return StoredPoints(points, profile.astype(np.int64), sigma, place, covariance, runs)
+
+    def _of_points(self, kind: str, bundle: int | None, runs: "Mapping[int, Run]") -> list[NDArray[Any]]:
+        """Columns of points, those of bundles one after another."""
+        read = list(self.read(kind, bundle))
+        if [(number, size) for number, size, _ in read] != [(number, run.size) for number, run in runs.items()]:
+            raise ValueError(f"other {kind} than have names")
+        return _joined([one for _, _, one in read], kind)
+
+    def rows(
+        self, kind: str, bundle: int | None, runs: "Mapping[int, Run]", images: Mapping[int, Index] | None = None
+    ) -> list[NDArray[Any]]:
+        """Columns of rows of points, those of bundles one after another; their points numbered as those of `runs` are,
+        and the images by the numbers (m,) given.
+        """
+        parts = list[list[NDArray[Any]]]()
+        for number, size, (point, second, *rest) in self.read(kind, bundle):
+            run = runs[number]
+            if size > 1 and not any(one.strides[0] for one in (point, second, *rest)):
+                raise ValueError(f"{kind} that are all the same")
+            if point.min() < 0 or point.max() >= run.size or second.min() < 0:
+                raise ValueError(f"one of the {kind} belongs to no point")
+            second = second.astype(np.int64) if images is None else images[number][second]
+            parts.append([point.astype(np.int64) + run.first, second, *rest])
+        marks = (one.astype(bool) if one.dtype == np.int8 else one for one in _joined(parts, kind))
+        return [one.astype(np.int64) if one.dtype == np.int32 else one for one in marks]
+
+
+def _joined(parts: Sequence[Sequence[NDArray[Any]]], kind: str) -> list[NDArray[Any]]:
+    nothing = [np.zeros((0, *shape), dtype=of) for of, shape in COLUMNS[kind].values()]
+    return [concatenated(column) for column in zip(*(parts or [nothing]), strict=True)]
 
 
 class StoredPoints(NamedTuple):
@@ -134,101 +177,6 @@ class Run(NamedTuple):
     """How many."""
 
 
-def put_points(
-    cells: Cells, bundle: int, points: GroundPoints, profiles: Index | None, surface_sigmas: Array | None
-) -> None:
-    """Write the points of a bundle; `profiles` (n,) are the numbers of their profiles in their table, 0 for none."""
-    cells.put_names(bundle, points.ids)
-    sigmas = np.full(len(points), np.inf) if surface_sigmas is None else surface_sigmas
-    values = points.classes, points.kinds, profiles, sigmas, points.places, points.covariances
-    cells.put("point_columns", bundle, len(points), POINTS, values)
-
-
-def put_adjusted(cells: Cells, bundle: int, places: Array, covariances: Array) -> None:
-    """Write where the points of a bundle are, (n, 3) m, and their covariances, (n, 3, 3) m^2."""
-    cells.put("adjusted_columns", bundle, len(places), ADJUSTED, (places, covariances))
-
-
-def put_rays(cells: Cells, bundle: int, rays: ImageRays) -> None:
-    """Write the rays of a bundle, if it has any."""
-    if rays.point.size:
-        values = rays.point, rays.image, rays.places, rays.sigmas, _marks(rays.back_projected), _marks(rays.rejected)
-        cells.put("ray_columns", bundle, rays.point.size, RAYS, values)
-
-
-def put_ranges(cells: Cells, bundle: int, ranges: Ranges) -> None:
-    """Write the ranges of a bundle, if it has any."""
-    if ranges.point.size:
-        values = ranges.point, ranges.image, ranges.times, ranges.values, ranges.sigmas, _marks(ranges.rejected)
-        cells.put("range_columns", bundle, ranges.point.size, RANGES, values)
-
-
-def _marks(marks: Mask | None) -> Mask | None:
-    return marks if marks is not None and np.any(marks) else None
-
-
-def points_of(cells: Cells, bundle: int | None) -> StoredPoints:
-    """Points of a bundle, or all points."""
-    names, bundles, sizes = cells.names(bundle)
-    rows = np.stack([bundles, np.cumsum(sizes) - sizes, sizes], axis=1).tolist()
-    runs = {number: Run(first, size) for number, first, size in rows}
-    class_, kind, profile, sigma, place, covariance = _of_points(cells, "point_columns", POINTS, bundle, runs)
-    points = GroundPoints(names, class_.astype(np.int64), kind.astype(np.int64), place, covariance)
-    place, covariance = _of_points(cells, "adjusted_columns", ADJUSTED, bundle, runs)
-    return StoredPoints(points, profile.astype(np.int64), sigma, place, covariance, runs)
-
-
-def _of_points(
-    cells: Cells, table: str, columns: _Columns, bundle: int | None, runs: Mapping[int, Run]
-) -> list[NDArray[Any]]:
-    """Columns of points, those of bundles one after another."""
-    read = list(cells.read(table, columns, bundle))
-    if [(number, size) for number, size, _ in read] != [(number, run.size) for number, run in runs.items()]:
-        raise ValueError(f"other points in {table} than have names")
-    return _joined([one for _, _, one in read], columns)
-
-
-def _joined(parts: Sequence[Sequence[NDArray[Any]]], columns: _Columns) -> list[NDArray[Any]]:
-    nothing = [np.zeros((0, *shape), dtype=kind) for kind, shape in columns.values()]
-    return [concatenated(column) for column in zip(*(parts or [nothing]), strict=True)]
-
-
-def rays_of(cells: Cells, bundle: int | None, runs: Mapping[int, Run], images: Mapping[int, Index]) -> ImageRays:
-    """Rays of a bundle, or all; `runs` are the points of the bundles, `images` (m,) the numbers of their images."""
-    point, image, place, sigma, *marks = rows_of(cells, "ray_columns", RAYS, bundle, runs, images)
-    return ImageRays(point, image, place, sigma, *(one.astype(bool) for one in marks))
-
-
-def ranges_of(cells: Cells, bundle: int | None, runs: Mapping[int, Run], images: Mapping[int, Index]) -> Ranges:
-    """Ranges of a bundle, or all."""
-    point, image, time, value, sigma, mark = rows_of(cells, "range_columns", RANGES, bundle, runs, images)
-    return Ranges(point, image, time, value, sigma, mark.astype(bool))
-
-
-def rows_of(
-    cells: Cells,
-    table: str,
-    columns: _Columns,
-    bundle: int | None,
-    runs: Mapping[int, Run],
-    images: Mapping[int, Index] | None = None,
-) -> list[NDArray[Any]]:
-    """Columns of rows of points, those of bundles one after another; their points numbered as those of `runs` are, and
-    the images by the numbers (m,) given.
-    """
-    parts = list[list[NDArray[Any]]]()
-    for number, size, (point, second, *rest) in cells.read(table, columns, bundle):
-        run = runs[number]
-        if size > 1 and not any(one.strides[0] for one in (point, second, *rest)):
-            raise ValueError(f"rows of {table} that are all the same")
-        if point.min() < 0 or point.max() >= run.size or second.min() < 0:
-            raise ValueError(f"a row of {table} that belongs to no point")
-        parts.append([point.astype(np.int64) + run.first, second if images is None else images[number][second], *rest])
-    return _joined(parts, columns) if parts else [
-        np.zeros((0, *shape), dtype=np.int64 if kind == "<i4" else kind) for kind, shape in columns.values()
-    ]
-
-
 def index_among(numbers: Index, known: Index) -> Index:
     """Places (...) of numbers (...) among the known ones (n,), in whatever order these are; KeyError for another."""
     order = np.argsort(known)
@@ -242,62 +190,46 @@ def index_among(numbers: Index, known: Index) -> Index:
 _Kind = TypeVar("_Kind", bound=TerrainGrid | StereoSurface)
 
 
-class StoredRecords(Generic[_Kind]):
-    """A table of records of a kind, on an open connection."""
+class StoredGrids:
+    """The table of terrain grids and stereo surfaces, on an open connection, and the heights above these."""
 
-    def __init__(self, connection: sqlite3.Connection, where: str, table: str, kind: type[_Kind]) -> None:
-        self._connection, self._where, self._table, self._kind = connection, where, table, kind
-        self._records: dict[int, _Kind] = {}
-        self._numbers: dict[int, tuple[_Kind, int]] = {}
+    def __init__(self, connection: sqlite3.Connection, where: str) -> None:
+        self._connection, self._cells, self._where = connection, Cells(connection), where
+        self._records: dict[int, Any] = {}
+        self._numbers: dict[int, tuple[Any, int]] = {}
 
-    def record(self, number: int) -> _Kind:
+    def record(self, number: int, kind: type[_Kind]) -> _Kind:
         """A record by its number; ValueError where there is none."""
         if number not in self._records:
-            query = f"SELECT record FROM {self._table} WHERE id = ?"
-            ((content,),) = self._connection.execute(query, (number,)).fetchall()
-            found = unpack(content, self._kind, f"{self._where}, {self._table.replace('_', ' ')} {number}")
+            ((content,),) = self._connection.execute("SELECT record FROM grid WHERE id = ?", (number,)).fetchall()
+            found = unpack(content, kind, f"{self._where}, grid {number}")
             self._records[number], self._numbers[id(found)] = found, (found, number)
-        return self._records[number]
+        known: _Kind = self._records[number]
+        return known
 
-    def number(self, record: _Kind, salt: str = "", **columns: Any) -> int:
-        """Number of a record in its table, where it is written, with further columns, unless an equal one of the same
-        salt is there.
-        """
+    def number(self, record: TerrainGrid | StereoSurface, first: int | None = None, second: int | None = None) -> int:
+        """Number of a record (a stereo surface of two images) in the table, where it is written unless it is there."""
         if id(record) not in self._numbers:
             content = pack(record)
-            digest = hashlib.sha256(content + salt.encode()).hexdigest()
+            digest = _digest(content, first, second)
             self._connection.execute(
-                f"INSERT INTO {self._table} (sha256, record, {', '.join(columns)}) "
-                f"VALUES (?, ?{', ?' * len(columns)}) ON CONFLICT (sha256) DO NOTHING",
-                (digest, content, *columns.values()),
+                "INSERT INTO grid (sha256, first, second, record) VALUES (?, ?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
+                (digest, first, second, content),
             )
             ((number,),) = self._of(digest)
             self._numbers[id(record)] = record, number  # held, so that its id stays its own
             self._records.setdefault(number, record)
         return self._numbers[id(record)][1]
 
-    def equal(self, record: _Kind) -> _Kind:
-        """The record that is there with the same content, or the one given where there is none; nothing is written."""
+    def equal(self, record: TerrainGrid) -> TerrainGrid:
+        """The grid that is there with the same content, or the one given where there is none; nothing is written."""
         if id(record) in self._numbers:
             return record
-        found = self._of(hashlib.sha256(pack(record)).hexdigest())
-        return self.record(found[0][0]) if found else record
-
-    def forget(self, numbers: set[int]) -> None:
-        """Records of these numbers are no longer in the table."""
-        self._records = {number: one for number, one in self._records.items() if number not in numbers}
-        self._numbers = {key: one for key, one in self._numbers.items() if one[1] not in numbers}
+        found = self._of(_digest(pack(record)))
+        return self.record(found[0][0], TerrainGrid) if found else record
 
     def _of(self, digest: str) -> list[tuple[int]]:
-        return self._connection.execute(f"SELECT id FROM {self._table} WHERE sha256 = ?", (digest,)).fetchall()
-
-
-class StoredStereo:
-    """The tables of stereo surfaces and of heights above them, on an open connection."""
-
-    def __init__(self, connection: sqlite3.Connection, where: str) -> None:
-        self._connection, self._cells = connection, Cells(connection)
-        self._surfaces = StoredRecords(connection, where, "stereo_surface", StereoSurface)
+        return self._connection.execute("SELECT id FROM grid WHERE sha256 = ?", (digest,)).fetchall()
 
     def control(
         self, bundle: int | None, runs: Mapping[int, Run], images: Index, starts: Array
@@ -313,45 +245,42 @@ class StoredStereo:
         starts : (n, 3)
             m, where the points lie.
         """
-        mine, surface, sigma, rejected_, level_ = rows_of(self._cells, "height_columns", HEIGHTS, bundle, runs)
+        mine, surface, sigma, rejected_, level_ = self._cells.rows("heights", bundle, runs)
         if mine.size == 0:
             return None
         used, inside = np.unique(surface, return_inverse=True)
         pairs = [
-            self._connection.execute("SELECT first, second FROM stereo_surface WHERE id = ?", (number,)).fetchone()
+            self._connection.execute("SELECT first, second FROM grid WHERE id = ?", (number,)).fetchone()
             for number in used.tolist()
         ]
         of_point, sigmas = np.full(len(starts), -1), np.full(len(starts), np.inf)
         rejected, level = np.zeros((2, len(starts)), dtype=bool)
-        of_point[mine], sigmas[mine], rejected[mine], level[mine] = inside, sigma, rejected_ != 0, level_ != 0
-        shown = tuple(self._surfaces.record(number) for number in used.tolist())
+        of_point[mine], sigmas[mine], rejected[mine], level[mine] = inside, sigma, rejected_, level_
+        shown = tuple(self.record(number, StereoSurface) for number in used.tolist())
         sides = index_among(np.array(pairs), images)
         return StereoControl(shown, sides, of_point, sigmas, starts, rejected, level)
 
-    def put(self, bundle: int, network: Network, images: Index) -> None:
+    def put_heights(self, bundle: int, network: Network, images: Index) -> None:
         """Write the heights of a bundle; `images` are numbers as for `control`."""
         control = network.stereo
         if control is None:
             return
         on = np.flatnonzero(control.surface >= 0)
-        numbers = np.array([
-            self._number(one, *images[pair].tolist())
-            for one, pair in zip(control.surfaces, control.images, strict=True)
-        ], dtype=np.int64)  # fmt: skip
+        pairs = zip(control.surfaces, control.images, strict=True)
+        numbers = np.array([self.number(one, *images[pair].tolist()) for one, pair in pairs], dtype=np.int64)
         marks = [None if one is None else one[on] for one in (control.rejected, control.level)]
-        surface = numbers[control.surface[on]]
-        self._cells.put("height_columns", bundle, on.size, HEIGHTS, (on, surface, control.sigmas[on], *marks))
-        self._connection.executemany(
-            "INSERT INTO bundle_surface VALUES (?, ?)", [(bundle, number) for number in np.unique(surface).tolist()]
-        )
+        self._cells.put(bundle, "heights", on, numbers[control.surface[on]], control.sigmas[on], *marks)
 
     def sweep(self) -> None:
         """Take out surfaces on which no point lies any longer."""
-        gone = self._connection.execute(
-            "SELECT id FROM stereo_surface WHERE id NOT IN (SELECT surface FROM bundle_surface)"
-        ).fetchall()
-        self._connection.executemany("DELETE FROM stereo_surface WHERE id = ?", gone)
-        self._surfaces.forget({number for (number,) in gone})
+        surfaces = {number for (number,) in self._connection.execute("SELECT id FROM grid WHERE first IS NOT NULL")}
+        if surfaces:
+            heights = self._cells.read("heights", None)
+            surfaces.difference_update(*(np.unique(surface).tolist() for _, _, (_, surface, *_) in heights))
+        self._connection.executemany("DELETE FROM grid WHERE id = ?", [(number,) for number in surfaces])
+        self._records = {number: one for number, one in self._records.items() if number not in surfaces}
+        self._numbers = {key: one for key, one in self._numbers.items() if one[1] not in surfaces}
 
-    def _number(self, surface: StereoSurface, first: int, second: int) -> int:
-        return self._surfaces.number(surface, f"{first} {second}", first=first, second=second)
+
+def _digest(content: bytes, *images: int | None) -> str:
+    return hashlib.sha256(content + " ".join(str(one) for one in images if one is not None).encode()).hexdigest()

@@ -9,11 +9,11 @@ from typing import NamedTuple
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.project.project import Project
 from mgsgraph.registration.relief import profile_names, register_by_relief
 from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 from mgsgraph.results.relief import write_coregistration
+from mgsgraph.workers import Progress, no_progress
 
 
 class RegisteredProject(NamedTuple):

@@ -5,12 +5,10 @@ seconds TDB past J2000. The user version is a checksum (`checksum.py`): whoever 
 Numbers stand in columns without a type: one of type REAL loses the sign of zero. NaN is NULL.
 Blobs named so hold float64, little-endian, row by row; the others are NumPy archives (.npz).
 
-Points, rays, ranges and stereo heights, of which there are millions, stand in packed columns (`columns.py`): a row of
-their tables holds those of one bundle, a cell one column of them. A cell with one number alone means that number for
-all; NULL means zeros.
+Points, rays, ranges and stereo heights, of which there are millions, stand in packed columns (`columns.py`).
 """
 
-FORMAT = 8
+FORMAT = 9
 """Number of the layout; raised with every change of a table."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -47,11 +45,12 @@ TABLES = (
     considered INTEGER NOT NULL DEFAULT 0, -- 1: held at zero, while its a-priori covariance is carried
     UNIQUE (kind, name)
 )""",
-    """CREATE TABLE terrain ( -- grids of the terrain model and of the areoid
+    """CREATE TABLE grid ( -- grids of the terrain model and of the areoid, and stereo surfaces
     id INTEGER PRIMARY KEY,
-    sha256 TEXT NOT NULL UNIQUE, -- of the record
-    source TEXT NOT NULL,
-    record BLOB NOT NULL -- .npz: posts, m
+    sha256 TEXT NOT NULL UNIQUE, -- of the record and the images
+    first INTEGER REFERENCES image, -- of the two images that show a stereo surface; NULL for others
+    second INTEGER REFERENCES image,
+    record BLOB NOT NULL -- .npz: posts, m; places in the second image of nodes in the first, averaged over a footprint
 )""",
     """CREATE TABLE profile ( -- laser profiles with an unknown horizontal shift
     id INTEGER PRIMARY KEY,
@@ -65,10 +64,10 @@ TABLES = (
     points INTEGER NOT NULL, -- how many
     rays INTEGER NOT NULL,
     ranges INTEGER NOT NULL,
-    terrain INTEGER REFERENCES terrain, -- model that its points lie on
+    terrain INTEGER REFERENCES grid, -- model that its points lie on
     terrain_shift_sigma, -- m, a-priori, of that model
     terrain_considered INTEGER NOT NULL DEFAULT 0, -- 1: that shift is not estimated
-    areoid INTEGER REFERENCES terrain,
+    areoid INTEGER REFERENCES grid,
     unknowns TEXT, -- JSON: those of the reduced system, in the order of its columns; NULL where there is none
     at BLOB, -- float64 (d), m and rad, where the reduced system was made
     normal BLOB, -- float64 (d, d), per m and rad
@@ -83,69 +82,27 @@ TABLES = (
     PRIMARY KEY (image, bundle)
 ) WITHOUT ROWID""",
     "CREATE INDEX image_of_bundle ON bundle_image (bundle, position)",
-    """CREATE TABLE stereo_surface ( -- surfaces that two images show, averaged over a footprint
-    id INTEGER PRIMARY KEY,
-    sha256 TEXT NOT NULL UNIQUE, -- of the record and the images
-    first INTEGER NOT NULL REFERENCES image,
-    second INTEGER NOT NULL REFERENCES image,
-    record BLOB NOT NULL -- .npz: places in the second image of nodes in the first
-)""",
-    """CREATE TABLE point_names ( -- names of the points of a bundle
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    text BLOB NOT NULL, -- UTF-8, one after another
-    ends BLOB NOT NULL -- int32 (n), byte of the text where each ends
-)""",
-    """CREATE TABLE point_columns ( -- points of a bundle, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    class BLOB, -- int8 (n), 0 tie, 1 laser, 2 control
-    kind BLOB, -- int8 (n), 0 free, 1 constrained, 2 fixed
-    profile BLOB, -- int32 (n), laser profile whose shift it shares; 0 for none
-    surface_sigma BLOB, -- float64 (n), m, of its height above the terrain model; Inf for none
-    place BLOB, -- float64 (n, 3), m, body-fixed, a-priori; NaN where unknown
-    covariance BLOB -- float64 (n, 3, 3), m^2, a-priori
-)""",
-    """CREATE TABLE adjusted_columns ( -- where they are after the adjustment
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL,
-    place BLOB, -- float64 (n, 3), m, body-fixed; NaN where undetermined or not adjusted yet
-    covariance BLOB -- float64 (n, 3, 3), m^2, for sigma0 = 1; NaN where the place is
-)""",
-    """CREATE TABLE ray_columns ( -- image coordinates of them, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    point BLOB, -- int32 (k), of the bundle, from 0 on
-    image BLOB, -- int32 (k), position in the bundle (bundle_image)
-    place BLOB, -- float64 (k, 2), line and sample in pixels, the first pixel's centre at (0.5, 0.5)
-    sigma BLOB, -- float64 (k, 2), pixels
-    back_projected BLOB, -- int8 (k), 1: a projection with the nominal orientation
-    rejected BLOB -- int8 (k), 1: a blunder to the last batch adjustment
-)""",
-    """CREATE TABLE range_columns ( -- laser ranges to them, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    point BLOB, -- int32 (r), of the bundle, from 0 on
-    image BLOB, -- int32 (r), position in the bundle of the image whose orientation carries it
-    time BLOB, -- float64 (r), s TDB past J2000
-    value BLOB, -- float64 (r), m, one-way
-    sigma BLOB, -- float64 (r), m
-    rejected BLOB -- int8 (r), 1: a blunder to the last batch adjustment
-)""",
-    """CREATE TABLE height_columns ( -- heights of them above stereo surfaces, packed
-    bundle INTEGER PRIMARY KEY REFERENCES bundle,
-    size INTEGER NOT NULL, -- how many
-    point BLOB, -- int32 (h), of the bundle, from 0 on
-    surface BLOB, -- int32 (h), number of the stereo surface
-    sigma BLOB, -- float64 (h), m, of the height above it
-    rejected BLOB, -- int8 (h), 1: a blunder to the last batch adjustment
-    level BLOB -- int8 (h), 1: as if the ground were level, for its horizontal position isn't found
-)""",
-    """CREATE TABLE bundle_surface ( -- stereo surfaces that points of a bundle lie on
+    """CREATE TABLE packed ( -- a column of a bundle's rows of a kind in each row, little-endian
+    -- names: text UTF-8, one after another; ends int32 (n), byte of the text where each ends
+    -- points: class int8 (n), 0 tie, 1 laser, 2 control; kind int8 (n), 0 free, 1 constrained, 2 fixed;
+    --   profile int32 (n), laser profile whose shift it shares, 0 for none; surface_sigma float64 (n), m, of its height
+    --   above the terrain model, Inf for none; place float64 (n, 3), m, body-fixed, a-priori, NaN where unknown;
+    --   covariance float64 (n, 3, 3), m^2
+    -- adjusted: place and covariance (for sigma0 = 1) after the adjustment; NaN where undetermined or not adjusted yet
+    -- rays: point int32 (k), of the bundle, from 0 on; image int32 (k), position in the bundle (bundle_image);
+    --   place float64 (k, 2), line and sample in pixels, the first pixel's centre at (0.5, 0.5); sigma (k, 2), pixels;
+    --   back_projected int8 (k), 1: a projection with the nominal orientation
+    -- ranges: point, image (whose orientation carries it); time float64 (r), s TDB past J2000; value, sigma, m, one-way
+    -- heights: point; surface int32 (h), number in grid; sigma float64 (h), m, of the height above it;
+    --   level int8 (h), 1: as if the ground were level, for its horizontal position isn't found
+    -- rejected int8, of all three, 1: a blunder to the last batch adjustment
     bundle INTEGER NOT NULL REFERENCES bundle,
-    surface INTEGER NOT NULL REFERENCES stereo_surface,
-    PRIMARY KEY (bundle, surface)
-) WITHOUT ROWID""",
+    kind TEXT NOT NULL, -- names, points, adjusted, rays, ranges, heights
+    name TEXT NOT NULL, -- of the column; one that is not there is zeros
+    size INTEGER NOT NULL, -- how many rows
+    cell BLOB NOT NULL, -- numbers of all rows, or one number that all have
+    PRIMARY KEY (bundle, kind, name)
+)""",
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
@@ -166,13 +123,12 @@ TABLES = (
     folder TEXT, -- of its products, in the project's folder
     kind TEXT NOT NULL DEFAULT 'batch' -- batch or incremental
 )""",
-    """CREATE TABLE pass ( -- images on one trajectory
-    name TEXT PRIMARY KEY,
-    record BLOB NOT NULL -- .npz: names of images, times of the orientation images, prior, how cameras are mounted
-) WITHOUT ROWID""",
-    """CREATE TABLE shared_by_images ( -- unknowns that several images share
-    name TEXT PRIMARY KEY,
-    record BLOB NOT NULL -- .npz: kind, names of images, a-priori sigmas
+    """CREATE TABLE common ( -- what several images have in common
+    kind TEXT NOT NULL, -- passes: they are on one trajectory; shared: unknowns that they share
+    name TEXT NOT NULL,
+    record BLOB NOT NULL, -- .npz: names of images; times of the orientation images, prior, how cameras are mounted; or
+    -- what is shared, and a-priori sigmas
+    PRIMARY KEY (kind, name)
 ) WITHOUT ROWID""",
     """CREATE TABLE edit ( -- measures and a-priori places that a person has changed, one point each
     number INTEGER PRIMARY KEY AUTOINCREMENT,

@@ -15,24 +15,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
-from mgsgraph.network import TERRAIN, Network, ProfileShifts, Surface
+from mgsgraph.network import TERRAIN, ImageRays, Network, ProfileShifts, Ranges, Surface
 from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, with_definitions
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
-from mgsgraph.project.columns import (
-    POINTS,
-    Cells,
-    StoredPoints,
-    StoredRecords,
-    StoredStereo,
-    index_among,
-    points_of,
-    put_adjusted,
-    put_points,
-    put_ranges,
-    put_rays,
-    ranges_of,
-    rays_of,
-)
+from mgsgraph.project.columns import Cells, StoredGrids, StoredPoints, index_among
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
 from mgsgraph.results.archive_arrays import pack, unpack
 
@@ -46,14 +32,9 @@ _AT_HAND = 100
 """Bundles that are kept after they were read: a change looks at the same ones several times."""
 _TEXTS = 1 << 16
 """Members of bundles that are kept after their text was read: a change reads those of all bundles several times."""
-_COMMON: dict[str, Any] = {"pass": NamedPass, "shared_by_images": NamedShared}
-"""Records of passes and of unknowns that images share, by table."""
+_COMMON: dict[str, Any] = {"passes": NamedPass, "shared": NamedShared}
+"""Records of passes and of unknowns that images share, by kind."""
 _SHARED = ("prior", "motion", "ground", "value", "covariance")
-_PACKED = (
-    "point_names", "point_columns", "adjusted_columns", "ray_columns", "range_columns", "height_columns",
-    "bundle_surface", "bundle_image",
-)  # fmt: skip
-"""Tables with what a bundle holds."""
 
 
 @guarded_readings
@@ -67,9 +48,8 @@ class ProjectStore:
         self._connection, self._where = connection, where
         self._cells = Cells(connection)
         self._images = dict[str, KnownImage]()
-        self._grids = StoredRecords(connection, where, "terrain", TerrainGrid)
+        self._grids = StoredGrids(connection, where)
         self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
-        self._stereo = StoredStereo(connection, where)
         self._definitions: Definitions | None = None
         self._names: tuple[Names, Index, Index] | None = None
 
@@ -136,23 +116,17 @@ class ProjectStore:
     def definitions(self) -> Definitions:
         """Passes and shared unknowns; read once and kept."""
         if self._definitions is None:
-            passes, shared = (
-                {name: unpack(record, kind, f"{self._where}, {table} {name}") for name, record in self._ask(
-                    f"SELECT name, record FROM {table} ORDER BY name"
-                )}
-                for table, kind in _COMMON.items()
-            )  # fmt: skip
-            self._definitions = Definitions(passes, shared)
+            found = {kind: dict[str, Any]() for kind in _COMMON}
+            for kind, name, record in self._ask("SELECT kind, name, record FROM common ORDER BY name"):
+                found[kind][name] = unpack(record, _COMMON[kind], f"{self._where}, {kind} {name}")
+            self._definitions = Definitions(**found)
         return self._definitions
 
     def put_definitions(self, known: Definitions) -> None:
         """Take these in the place of all that there are."""
-        before = self.definitions()
-        for table, was, now in zip(_COMMON, (before.passes, before.shared), (known.passes, known.shared), strict=True):
-            gone = [(name,) for name in was if name not in now]
-            self._connection.executemany(f"DELETE FROM {table} WHERE name = ?", gone)
-            new = [(name, pack(one)) for name, one in now.items() if was.get(name) is not one]
-            self._connection.executemany(f"INSERT OR REPLACE INTO {table} (name, record) VALUES (?, ?)", new)
+        rows = [(kind, name, pack(one)) for kind in _COMMON for name, one in getattr(known, kind).items()]
+        self._connection.execute("DELETE FROM common")
+        self._connection.executemany("INSERT INTO common VALUES (?, ?, ?)", rows)
         self._definitions = known
 
     # --- bundles
@@ -205,18 +179,19 @@ class ProjectStore:
     def _read(self, members: Members) -> Bundle:
         row = self._one(f"SELECT {', '.join(_BUNDLE)} FROM bundle WHERE members = ?", _text(members))
         number, points, rays, ranges, terrain, shift_sigma, stays, areoid, *reduced = row
+        surface = None if terrain is None else (self._grids.record(terrain, TerrainGrid), shift_sigma)
         names, numbers = self._images_of(number)
-        read, places = points_of(self._cells, number), {number: np.arange(len(names))}
+        read, places = self._cells.points(number), {number: np.arange(len(names))}
         known = [self.image(name) for name in names]
         network = Network(
             *image_columns(known),
             read.points,
-            rays_of(self._cells, number, read.runs, places),
-            ranges_of(self._cells, number, read.runs, places),
+            ImageRays(*self._cells.rows("rays", number, read.runs, places)),
+            Ranges(*self._cells.rows("ranges", number, read.runs, places)),
             self._shifts(read),
-            None if terrain is None else Surface(self._grids.record(terrain), read.surface_sigmas, shift_sigma),
-            None if areoid is None else self._grids.record(areoid),
-            stereo=self._stereo.control(number, read.runs, numbers, read.places),
+            _surface(surface, read),
+            None if areoid is None else self._grids.record(areoid, TerrainGrid),
+            stereo=self._grids.control(number, read.runs, numbers, read.places),
         ).considering([*self._considered_profiles, *([TERRAIN] if stays else [])])
         network = with_definitions(network, self.definitions())
         self._require(
@@ -234,7 +209,7 @@ class ProjectStore:
             self._drop(members)
         for members, bundle in new.items():
             self._put(members, bundle)
-        self._stereo.sweep()
+        self._grids.sweep()
 
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
@@ -242,14 +217,15 @@ class ProjectStore:
             self._bundles.pop(members, None)
             text = _text(members)
             (number,) = self._one("SELECT id FROM bundle WHERE members = ?", text)
-            put_adjusted(self._cells, number, bundle.places, bundle.covariances)
+            self._cells.put(number, "adjusted", bundle.places, bundle.covariances)
             change = ", ".join(f"{name} = ?" for name in _REDUCED)
             row = (*_reduced_row(bundle.reduced), text)
             self._connection.execute(f"UPDATE bundle SET {change} WHERE members = ?", row)
 
     def _drop(self, members: Members) -> None:
         (number,) = self._one("SELECT id FROM bundle WHERE members = ?", _text(members))
-        self._cells.drop(_PACKED, number)
+        self._cells.drop(number)
+        self._connection.execute("DELETE FROM bundle_image WHERE bundle = ?", (number,))
         self._connection.execute("DELETE FROM bundle WHERE id = ?", (number,))
 
     def _put(self, members: Members, bundle: Bundle) -> None:
@@ -257,20 +233,29 @@ class ProjectStore:
         surface = network.surface
         (number,) = self._one("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
         images = self._numbers_of(tuple(image.name for image in network.images))
-        sigmas = None if surface is None else surface.sigmas
-        put_points(self._cells, number, network.points, self._profiles(network), sigmas)
-        put_adjusted(self._cells, number, bundle.places, bundle.covariances)
-        put_rays(self._cells, number, network.rays)
-        put_ranges(self._cells, number, network.ranges)
-        self._stereo.put(number, network, images)
+        points, rays, ranges = network.points, network.rays, network.ranges
+        sigmas = np.full(len(points), np.inf) if surface is None else surface.sigmas
+        self._cells.put_names(number, points.ids)
+        self._cells.put(
+            number, "points", points.classes, points.kinds, self._profiles(network), sigmas, points.places,
+            points.covariances,
+        )  # fmt: skip
+        self._cells.put(number, "adjusted", bundle.places, bundle.covariances)
+        self._cells.put(
+            number, "rays", rays.point, rays.image, rays.places, rays.sigmas, rays.back_projected, rays.rejected
+        )
+        self._cells.put(
+            number, "ranges", ranges.point, ranges.image, ranges.times, ranges.values, ranges.sigmas, ranges.rejected
+        )
+        self._grids.put_heights(number, network, images)
         connection.execute(
             f"INSERT INTO bundle (members, {', '.join(_BUNDLE)}) VALUES ({', '.join('?' * (1 + len(_BUNDLE)))})",
             (
-                _text(members), number, len(network.points), network.rays.point.size, network.ranges.point.size,
-                None if surface is None else self._grids.number(surface.grid, source=surface.grid.source),
+                _text(members), number, len(points), rays.point.size, ranges.point.size,
+                None if surface is None else self._grids.number(surface.grid),
                 None if surface is None else surface.shift_sigma,
                 int(TERRAIN in network.considered),
-                None if network.areoid is None else self._grids.number(network.areoid, source=network.areoid.source),
+                None if network.areoid is None else self._grids.number(network.areoid),
                 *_reduced_row(bundle.reduced),
             ),
         )  # fmt: skip
@@ -289,16 +274,16 @@ class ProjectStore:
         """The same, and the places (n, 3) in m of its points, NaN where undetermined."""
         names = self.image_names()
         numbers, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
-        read, images = points_of(self._cells, None), self._images_by_bundle(numbers)
+        read, images = self._cells.points(None), self._images_by_bundle(numbers)
         network = Network(
             *image_columns(known),
             read.points,
-            rays_of(self._cells, None, read.runs, images),
-            ranges_of(self._cells, None, read.runs, images),
+            ImageRays(*self._cells.rows("rays", None, read.runs, images)),
+            Ranges(*self._cells.rows("ranges", None, read.runs, images)),
             self._shifts(read),
-            self._surface(read),
+            _surface(self.terrain, read),
             self.areoid,
-            stereo=self._stereo.control(None, read.runs, numbers, read.places),
+            stereo=self._grids.control(None, read.runs, numbers, read.places),
         ).considering(self.considered)
         return with_definitions(network, self.definitions()), read.places
 
@@ -312,25 +297,19 @@ class ProjectStore:
     def _considered_profiles(self) -> list[str]:
         return [name for (name,) in self._ask("SELECT name FROM profile WHERE considered ORDER BY id")]
 
-    def _surface(self, read: StoredPoints) -> Surface | None:
-        terrain = self.terrain
-        if terrain is None:
-            return None
-        return Surface(terrain[0], read.surface_sigmas, terrain[1])
-
     @property
     def terrain(self) -> tuple[TerrainGrid, float] | None:
         """The terrain model as control and the a-priori sigma (m) of its shift; None where there is none."""
         found = self._ask("SELECT DISTINCT terrain, terrain_shift_sigma FROM bundle WHERE terrain IS NOT NULL")
         if len(found) > 1:
             raise InputError(self._where, f"{len(found)} terrain models", "one for all points")
-        return (self._grids.record(found[0][0]), found[0][1]) if found else None
+        return (self._grids.record(found[0][0], TerrainGrid), found[0][1]) if found else None
 
     @property
     def areoid(self) -> TerrainGrid | None:
         """The areoid, where heights are to be above it."""
         found = self._ask("SELECT min(areoid) FROM bundle")
-        return None if found[0][0] is None else self._grids.record(found[0][0])
+        return None if found[0][0] is None else self._grids.record(found[0][0], TerrainGrid)
 
     def with_known_grids(self, network: Network) -> Network:
         """The network with this store's terrain grids in place of equal ones: parts of one network share one grid."""
@@ -348,7 +327,7 @@ class ProjectStore:
     def point_classes(self) -> dict[int, int]:
         """Number of points of each class that there is (`mgsgraph.network.PointClass`)."""
         found = np.zeros(128, dtype=np.int64)
-        for _, size, (classes,) in self._cells.read("point_columns", {"class": POINTS["class"]}, None):
+        for _, size, (classes, *_) in self._cells.read("points", None):
             found += np.bincount(classes, minlength=found.size) if classes.strides[0] else 0
             found[classes[0]] += 0 if classes.strides[0] else size
         return {number: count for number, count in enumerate(found.tolist()) if count}
@@ -440,6 +419,10 @@ def _members(text: str) -> Members:
     if not all(isinstance(word, str) for unknown in found for word in unknown):
         raise ValueError("an unknown that is no pair of names")
     return found
+
+
+def _surface(terrain: tuple[TerrainGrid, float] | None, read: StoredPoints) -> Surface | None:
+    return None if terrain is None else Surface(terrain[0], read.surface_sigmas, terrain[1])
 
 
 def _vector(blob: bytes) -> Array:

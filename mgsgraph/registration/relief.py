@@ -33,12 +33,12 @@ from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.control import Crossovers, StereoControl, crossovers
 from mgsgraph.network.terrain import with_posts
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.registration.minima import shots_alike
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
 from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
 from mgsgraph.text import some
+from mgsgraph.workers import Progress, no_progress
 
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""

@@ -19,10 +19,10 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import points_in_images
 from mgsgraph.network.terrain import Posts, TerrainModel, posts_of
-from mgsgraph.progress import Progress
 from mgsgraph.registration.dem.scene import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.registration.relief_records import ReliefSettings
 from mgsgraph.registration.search import StereoPair
+from mgsgraph.workers import Progress
 
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches

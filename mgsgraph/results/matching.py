@@ -21,15 +21,14 @@ from mgsgraph.files.output.folders import MATCH, PROGRAM, fresh_folder
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.records import FILES
 from mgsgraph.geometry.body import target_name
-from mgsgraph.matching.match import digest, match_scene
-from mgsgraph.matching.matches import Matches
+from mgsgraph.matching.match import Matches, digest, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.results.archive_arrays import read_members
 from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET
+from mgsgraph.workers import Progress, no_progress
 
 FORMAT = 1
 """Version of match.json's layout."""

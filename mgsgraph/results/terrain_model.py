@@ -24,7 +24,6 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.time_scales import utc_of_tdb
 from mgsgraph.matching.scene import Ground, Picture, Scene
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.registration.dem.checking import check_figures, check_profiles
 from mgsgraph.registration.dem.gridding import HeightGrid
 from mgsgraph.registration.dem.map import MapGrid
@@ -34,6 +33,7 @@ from mgsgraph.registration.dem.scene import adjusted_names, adjusted_scene, dens
 from mgsgraph.results.section import Section
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
+from mgsgraph.workers import Progress, no_progress
 
 FORMAT = 2
 """Version of dem.json's layout: 2 has the coordinate system as WKT2, not in PROJ's words."""

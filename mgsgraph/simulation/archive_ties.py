@@ -14,9 +14,9 @@ import numpy as np
 from mgsgraph.geometry.body import surface_radii
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.progress import Count, no_progress
 from mgsgraph.simulation.archive import Archive
 from mgsgraph.simulation.observations import well_inside
+from mgsgraph.workers import Count, no_progress
 
 _REGION = 20_000
 """Points of a region, about."""

@@ -9,7 +9,7 @@ from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network import PointClass
-from mgsgraph.studio.block import Block
+from mgsgraph.studio.opened import Block
 
 MOST_TIES = 20_000
 """Ties of an image that a page is sent; of more, evenly chosen ones."""

@@ -1,23 +1,31 @@
 """What is open in the studio: a project, results or a case, as it stands now; a change of a project makes it anew."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from mgsgraph.adjustment.multistart import Minima
+from mgsgraph.adjustment.covariances import prior_covariance
+from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.rounds import unmarked
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior, posterior_of_points
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.map_plane import centre_of, east_north
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
@@ -25,7 +33,126 @@ from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import KeptAdjustment, Project, open_project
 from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.results.archive import ARCHIVE, read_solution
-from mgsgraph.studio.block import Block
+
+_NEAR, _LEAST = 0.5, 5e3
+"""Share of its own reach, and m, one of which at least a place may lie farther from an image's middle and still be
+looked at: for heights, and for the orientation before the adjustment."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Images, points and their covariances, in one state."""
+
+    network: Network
+    """Who sees what."""
+    settings: SolverSettings
+    """How orientation is counted."""
+    values: Sequence[Array] | None
+    """Of all variables, as `Solution.values`; None before any adjustment."""
+    images: tuple[PushbroomImage, ...]
+    """With adjusted interior orientation, where that is adjusted."""
+    corrections: tuple[OrientationCorrection | None, ...]
+    """Of their nominal orientation; None for none."""
+    places: Array
+    """(n, 3) m, of the points, as adjusted, else a-priori; NaN where unknown."""
+    covariances_of: Callable[[], Array | None]
+    """Gives those of these, once they are asked for."""
+    used: Mask
+    """(k,) rays that take part."""
+    joint_of: Callable[[], JointCovariance | None]
+    """Gives the covariance of the shared unknowns; None where of some nothing is known."""
+    terrain: TerrainGrid | None = None
+    """Radii of the ground; None where no terrain model is at hand."""
+
+    @classmethod
+    def of_solution(cls, solution: Solution) -> "Block":
+        """An adjusted block."""
+        network, each = solution.network, range(len(solution.network.images))
+        return cls(
+            network, solution.settings, solution.values, tuple(map(solution.image, each)),
+            tuple(map(solution.correction, each)), solution.places, lambda: solution.covariances,
+            solution.rays_used, lambda: solution.joint_covariance, _terrain(network),
+        )  # fmt: skip
+
+    @classmethod
+    def of_posterior(cls, posterior: Posterior) -> "Block":
+        """A block where it is linearised: a project as its last change has left it."""
+        found, network = posterior.linearised, posterior.network
+        each, places = range(len(network.images)), found.places
+        used = unmarked(network).rays & np.isfinite(places[network.rays.point, 0])
+        return cls(
+            network, found.settings, found.values, tuple(map(posterior.image, each)),
+            tuple(map(posterior.correction, each)), places, found.point_covariances, used, lambda: found.joint,
+            _terrain(network),
+        )  # fmt: skip
+
+    @classmethod
+    def of_network(cls, network: Network, settings: SolverSettings) -> "Block":
+        """A block that has not been adjusted: nominal orientation, a-priori places and sigmas."""
+
+        def prior() -> JointCovariance | None:
+            try:
+                return prior_covariance(lay_out(network, settings))
+            except MgsgraphError:  # what can't be laid out has no covariance; its adjustment will say why
+                return None
+
+        return cls(
+            network, settings, None, network.images, (None,) * len(network.images), network.points.places,
+            lambda: None, unmarked(network).rays, prior, _terrain(network),
+        )  # fmt: skip
+
+    @property
+    def adjusted(self) -> bool:
+        """Whether it has been adjusted."""
+        return self.values is not None
+
+    @cached_property
+    def covariances(self) -> Array | None:
+        """(n, 3, 3) m^2, of the points' places, for sigma0 = 1; NaN for points without one; None
+        before any adjustment.
+        """
+        return self.covariances_of()
+
+    @cached_property
+    def joint(self) -> JointCovariance | None:
+        """Covariance of the shared unknowns, a-priori before any adjustment; None where of some nothing is known."""
+        return self.joint_of()
+
+    @cached_property
+    def rays_by_image(self) -> list[Index]:
+        """Of each image its rays."""
+        order = np.argsort(self.network.rays.image, kind="stable")
+        counts = np.bincount(self.network.rays.image, minlength=len(self.images))
+        return np.split(order, np.cumsum(counts)[:-1])
+
+    @cached_property
+    def caps(self) -> tuple[Array, Array]:
+        """Middle direction (m, 3) of each image's ground, and angle (m,) in rad from there within which that lies."""
+        middles, reaches = np.zeros((len(self.images), 3)), np.full(len(self.images), np.pi)
+        for j, (picture, correction) in enumerate(zip(self.images, self.corrections, strict=True)):
+            lines, samples = np.meshgrid(np.linspace(0.0, picture.lines, 9), np.linspace(0.0, picture.samples, 3))
+            points, _ = picture.image_to_ground(lines.ravel(), samples.ravel(), 0.0, correction)
+            if not np.all(np.isfinite(points)):
+                continue  # it looks past the body in part: never left out
+            ways = points / np.linalg.norm(points, axis=1, keepdims=True)
+            middle = ways.mean(axis=0)
+            middles[j] = middle / np.linalg.norm(middle)
+            reach = float(np.arccos(np.clip(ways @ middles[j], -1.0, 1.0)).max())
+            reaches[j] = reach + max(_NEAR * reach, _LEAST / picture.body.equatorial)
+        return middles, reaches
+
+    def terrain_motion(self, places: Array) -> Array:
+        """(n, 3) m by which the adjustment has moved the terrain model at places (n, 3) in m."""
+        surface, network = self.network.surface, self.network
+        if surface is None or self.values is None or not network.terrain_moves or self.terrain is not surface.grid:
+            return np.zeros_like(places)
+        return surface.moved(places, self.values[len(network.images) + len(network.shift_names) - 1])
+
+
+
+def _terrain(network: Network) -> TerrainGrid | None:
+    return None if network.surface is None else network.surface.grid
+
 
 Kind = Literal["project", "result", "case"]
 _Found = TypeVar("_Found")
@@ -46,7 +173,6 @@ class _Now(NamedTuple):
     solution: Solution | None
     """The batch solution that it is; None of a project that has changed since, and of a case."""
     pictures: Mapping[str, Path | None]
-    folder: Path | None
     warning: str
 
 
@@ -154,16 +280,6 @@ class Opened:
         return self._pictures  # no change of a point changes them
 
     @property
-    def folder(self) -> Path | None:
-        """Folder of its results."""
-        return self._now.folder
-
-    @property
-    def minima(self) -> Minima | None:
-        """Found by starts over the terrain model's shift."""
-        return None if self.solution is None else self.solution.minima
-
-    @property
     def before(self) -> Array | None:
         """(n, 3) m, places of the points before the adjustment; None where there was none."""
         return self._now.before
@@ -204,11 +320,6 @@ class Opened:
         return About(Block.of_posterior(near), near, None if before is None else before[mine])
 
     # --- the map
-
-    @cached_property
-    def map_words(self) -> str:
-        """What map coordinates are."""
-        return "m east and north of the block's middle, azimuthal equidistant on the sphere through it"
 
     def map_places(self, points: Array) -> Array:
         """(n, 2) m on the map, of points (n, 3) in m, body-fixed; NaN where there is none."""
@@ -322,22 +433,20 @@ def _pictures(case: Path | None) -> dict[str, Path | None]:
 def _result(path: Path, case: Path | None) -> _Now:
     results = results_of(path)
     solution = read_solution(results.folder)
-    return _of_solution(solution, results.folder, _pictures(case or results.case), "")
+    return _of_solution(solution, _pictures(case or results.case))
 
 
-def _of_solution(solution: Solution, folder: Path, pictures: Mapping[str, Path | None], warning: str) -> _Now:
-    words = [warning] if warning else []
-    if not solution.converged:
-        words.append(f"The adjustment has NOT converged, so that sigmas mean little: {solution.message}")
+def _of_solution(solution: Solution, pictures: Mapping[str, Path | None]) -> _Now:
+    words = f"The adjustment has NOT converged, so that sigmas mean little: {solution.message}"
     return _Now(solution.name, Block.of_solution(solution), solution.places_before, lambda: Posterior.of(solution),
-                solution, pictures, folder if folder.is_dir() else folder.parent, "; ".join(words))  # fmt: skip
+                solution, pictures, "" if solution.converged else words)  # fmt: skip
 
 
 def _of_case(path: Path, _: Path | None) -> _Now:
     case = read_case(path)
     words = "Nothing has been adjusted yet: nominal orientation, a-priori places."
     return _Now(case.name, Block.of_network(case.network, case.settings), None, None, None,
-                _pictures(path), None, words)  # fmt: skip
+                _pictures(path), words)  # fmt: skip
 
 
 def _project(path: Path, case: Path | None) -> _Now:
@@ -349,12 +458,11 @@ def _project(path: Path, case: Path | None) -> _Now:
         current = last is not None and bool(changes) and last.change >= changes[-1].number
         unsolved = None if solved else Block.of_network(project.store.network(), project.settings.solver.settings)
     if current and last is not None and last.folder is not None and (path / last.folder / ARCHIVE).is_file():
-        return _of_solution(read_solution(path / last.folder), path / last.folder, pictures, "")
-    folder = path / last.folder if last is not None and last.folder is not None else None
+        return _of_solution(read_solution(path / last.folder), pictures)
     if unsolved is not None:
-        return _Now(name, unsolved, None, None, None, pictures, folder, words)
+        return _Now(name, unsolved, None, None, None, pictures, words)
     posterior = read_posterior(path)[1]
-    return _Now(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, folder, words)
+    return _Now(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, words)
 
 
 def _words(project: Project) -> str:

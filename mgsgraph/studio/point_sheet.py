@@ -1,8 +1,9 @@
 """All that is known of one point: its place and sigmas, its rays with residuals and tests, points that go along."""
 
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -16,14 +17,21 @@ from mgsgraph.files.rasters.pictures import picture_size, read_picture_part
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.matching.equations import SplinePicture
+from mgsgraph.matching.least_squares import MatchStatus, match_least_squares
+from mgsgraph.matching.measuring import FINEST
 from mgsgraph.network import PointClass
+from mgsgraph.planning.candidates import planned_tie
+from mgsgraph.planning.coverage import ImageCoverage
+from mgsgraph.planning.plan import plan
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import Measure, open_project
+from mgsgraph.project.reading import read_state
 from mgsgraph.results.answers import Questions, answered
-from mgsgraph.studio.block import Block
+from mgsgraph.studio.linked import LinkedImages
 from mgsgraph.studio.map_points import MapPoints
 from mgsgraph.studio.marks import projected
-from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.opened import Block, Opened
 from mgsgraph.units import DEG
 
 _SHOWN = 12
@@ -190,3 +198,171 @@ def chip(path: Path, line: float, sample: float) -> bytes:
     file = BytesIO()
     picture.resize((_ENLARGED * wide, _ENLARGED * high), Image.Resampling.NEAREST).save(file, "png", compress_level=1)
     return file.getvalue()
+
+
+
+_HALF = (10, 10)
+"""px of the reference window on each side of its middle."""
+_REACH = 8.0
+"""px by which the place may leave where it was clicked."""
+_ROOM = 12
+"""px that are read beyond the window and its reach."""
+_WORDS = {
+    MatchStatus.LEFT: "its window leaves the picture, or lies where that has no grey values",
+    MatchStatus.NOT_CONVERGED: "it did not come to rest",
+    MatchStatus.WANDERED: f"it wandered more than {_REACH:g} px away",
+    MatchStatus.FLAT: "there is too little texture",
+    MatchStatus.SATURATED: "too many pixels are saturated",
+}
+
+
+class Refined(NamedTuple):
+    """A place refined by least squares."""
+
+    place: Array
+    """(2,) line and sample."""
+    covariance: Array
+    """(2, 2) px^2, the reference being given."""
+    correlation: float
+    """Of both windows."""
+
+    @property
+    def sigma(self) -> float:
+        """px, of line and sample on the average."""
+        return float((0.5 * self.covariance.trace()) ** 0.5)
+
+
+def refine(
+    linked: LinkedImages, pictures: Mapping[str, Path | None], reference: tuple[str, float, float],
+    search: tuple[str, float, float],
+) -> Refined:  # fmt: skip
+    """Move a clicked place to where the ground around the reference's place is.
+
+    The window's shape follows from the geometry of both images, turned and scaled by the Jacobian of one image's places
+    by the other's; least squares adjust it (Grün 1985). The covariance is that of noise and of what the window's own
+    bend has above its noise (`matching.least_squares`): in so small a window unknowns of the relief would add more
+    noise than they take away.
+
+    Parameters
+    ----------
+    linked : LinkedImages
+    pictures : mapping
+        File of each image's pixels.
+    reference, search : (str, float, float)
+        Image, line and sample: of the place that holds, and of that which was clicked.
+
+    Raises
+    ------
+    InputError
+        No pixels; images that don't show the same ground; a match that wasn't found.
+    """
+    name, wanted = reference[0], search[0]
+    place, start = np.array(reference[1:]), np.array(search[1:])
+    _, others = linked.under(*reference, wanted=(wanted,))
+    block = linked.block
+    found = next((one for one in others if one.image == block.network.image_number(wanted)), None)
+    if found is None:
+        raise InputError(f"image {wanted}", f"the ground of {name} isn't in it", "a place of the same ground")
+    reach = int(np.ceil(_REACH + np.abs(found.jacobian) @ np.array(_HALF)).max())
+    template, first = _window(block, pictures, name, place, _HALF[0] + _ROOM)
+    other, second = _window(block, pictures, wanted, start, reach + _ROOM)
+    anchor = np.floor(place) + 0.5
+    begin = start + found.jacobian @ (anchor - place)
+    match = match_least_squares(
+        template, other, (anchor - first)[None], (begin - second)[None], found.jacobian[None], _HALF,
+        reach=_REACH, threads=1,
+    )  # fmt: skip
+    if not match.converged[0]:
+        words = _WORDS[MatchStatus(int(match.status[0]))]
+        raise InputError(f"image {wanted}", f"no least-squares match with {name}: {words}", remedy="click it by eye")
+    there = match.pixels[0] + second + match.affine[0] @ (place - anchor)
+    return Refined(there, match.covariance[0] + FINEST**2 * np.eye(2), float(match.correlation[0]))
+
+
+def _window(
+    block: Block, pictures: Mapping[str, Path | None], image: str, place: Array, half: int
+) -> tuple[SplinePicture, Array]:
+    """Part of a picture around a place, and line and sample (2,) of its corner."""
+    path, record = pictures.get(image), block.images[block.network.image_number(image)]
+    if path is None:
+        raise InputError(f"image {image}", "no file of its pixels is known", remedy="measure without refinement")
+    low = np.maximum(np.floor(place).astype(int) - half, 0)
+    high = np.minimum(np.floor(place).astype(int) + half + 1, [record.lines, record.samples])
+    if np.any(high - low < 2 * _HALF[0]):
+        raise InputError(f"image {image}", "a place too near to its edge", "a window inside the picture")
+    pixels = read_picture_part(path, slice(low[0], high[0]), slice(low[1], high[1]))
+    return SplinePicture.of(pixels, f"image {image}"), low.astype(np.float64)
+
+
+
+_MOST_IMAGES = 60
+"""Images of a block up to which candidates are judged while somebody waits."""
+_LINES, _SAMPLES, _MOST_PLACES = 9, 3, 80
+"""Candidates along and across an image, and in all, about."""
+_SIGMA = 1.0
+"""px, of their measures."""
+
+
+def next_measures(opened: Opened, linked: LinkedImages, choose: int = 5) -> dict[str, Any]:
+    """Candidates on an even grid over the images, the best ones first, as JSON.
+
+    Parameters
+    ----------
+    opened : Opened
+        Adjusted.
+    linked : LinkedImages
+        Its images.
+    choose : int
+        How many are chosen one after the other, each judged with those before it.
+
+    Raises
+    ------
+    InputError
+        A large block; one that has not been adjusted; one without ground that two images see.
+    """
+    block = opened.block()
+    if len(block.images) > _MOST_IMAGES:
+        remedy = "mgsgraph plan RESULT CANDIDATES.toml judges your own"
+        raise InputError(str(opened.path), f"{len(block.images)} images", f"up to {_MOST_IMAGES} here", remedy)
+    _, state, _ = read_state(opened.path)
+    coverage = ImageCoverage(state)
+    places = _grid(linked)
+    names = [f"next-{k + 1}" for k in range(len(places))]
+    wanted = [planned_tie(coverage, name, place, _SIGMA) for name, place in zip(names, places, strict=True)]
+    wanted = [one for one in wanted if one.addition is not None]
+    if not wanted:
+        raise InputError(str(opened.path), "no ground that two images see", "images that overlap")
+    made = plan(state, wanted, choose, ("ties",), "mean", opened.name)
+    at = dict(zip(names, opened.map_places(places).tolist(), strict=True))
+    chosen = [
+        {"name": one.name, "map_m": at[one.name], "drop_percent": 100.0 * one.drop, "bits": one.bits,
+         "images": list(one.images),
+         "text": f"in {', '.join(one.images)}: mean sigma of the tie points {one.after.total:.4g} m, "
+                 f"{100.0 * one.drop:.2g} % less"}
+        for one in made.chosen
+    ]  # fmt: skip
+    sentence = (
+        f"Of {len(wanted)} places on a grid, measured to {_SIGMA:g} px in all images that show them, these would lower "
+        f"the mean sigma of the tie points most, one after the other: from {made.now.total:.4g} m to "
+        f"{made.after.total:.4g} m."
+    )
+    return {"sentence": sentence, "candidates": chosen}
+
+
+def _grid(linked: LinkedImages) -> Array:
+    """(n, 3) m, places on the ground, an even grid in each image, where another one shows them, too."""
+    images = linked.block.images
+    step = max(len(images) * _LINES * _SAMPLES // _MOST_PLACES, 1)
+    asked = [
+        (image.name, image.lines * (row + 0.5) / _LINES, image.samples * (column + 0.5) / _SAMPLES)
+        for image in images for row in range(_LINES) for column in range(_SAMPLES)
+    ]  # fmt: skip
+    found = list[Array]()
+    for name, line, sample in asked[::step]:
+        try:
+            ground, others = linked.under(name, line, sample)
+        except InputError:  # beside the body
+            continue
+        if others:
+            found.append(ground.point)
+    return np.array(found).reshape(-1, 3)

@@ -25,12 +25,10 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from mgsgraph.errors import InputError, MgsgraphError
-from mgsgraph.studio import routes_images, routes_map, routes_points
 from mgsgraph.studio.changes import EditLock
-from mgsgraph.studio.map_points import map_points
+from mgsgraph.studio.map_points import map_points, scene_record
 from mgsgraph.studio.opened import Opened
-from mgsgraph.studio.routes_points import BROWSER
-from mgsgraph.studio.views import Views
+from mgsgraph.studio.routes import BROWSER, Views, routes
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
@@ -67,14 +65,11 @@ def application(opened: Opened, token: str, port: int) -> Starlette:
     def memory(_: Request, found: Exception) -> Response:
         return JSONResponse({"error": "out of memory; close other programs, or show a part of the block"}, 503)
 
-    views = Views(opened)
-    routes: list[Route | Mount] = [
-        Route("/", index), *routes_map.routes(opened), *routes_points.routes(opened, views, EditLock()),
-        *routes_images.routes(opened, views),
-        Mount("/page", StaticFiles(directory=PAGE)),
+    every: list[Route | Mount] = [
+        Route("/", index), *routes(opened, Views(opened), EditLock()), Mount("/page", StaticFiles(directory=PAGE)),
     ]  # fmt: skip
     return Starlette(
-        routes=routes,
+        routes=every,
         middleware=[Middleware(_Guard, token=token, port=port), Middleware(GZipMiddleware, minimum_size=2000)],
         exception_handlers={MgsgraphError: error, MemoryError: memory},
     )
@@ -159,7 +154,7 @@ def serve(opened: Opened, port: int | None, ready: Callable[[str], Any]) -> None
 
 def _prepare(opened: Opened) -> None:
     with suppress(MgsgraphError):  # whoever asks for it hears of it
-        routes_map.scene_record(opened)
+        scene_record(opened)
         map_points(opened).value("sigma")
         opened.footprints()
         opened.warm()

@@ -5,13 +5,12 @@ are made once, in one pass, and kept; of a large picture fine ones are read from
 """
 
 import os
-import threading
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,33 +25,23 @@ _KEPT = 1 << 24
 """Pixels of the finest level that is kept in memory."""
 _MOST_KEPT = 1 << 29
 """bytes of levels of all pictures that are kept."""
-_MOST_ENCODED = 1 << 26
-"""bytes of finished tiles that are kept."""
 _QUANTILES = (0.005, 0.995)
 """Grey values below and above are black and white at first: dead pixels and cosmic rays don't set the contrast."""
 _SAMPLED = 1 << 18
 """Pixels of which these are taken."""
-_BARS = 64
-"""Of the histogram."""
 
 Grey = NDArray[Any]
 """(lines, samples) of a picture: unsigned bytes, or float32 with NaN where there is no pixel."""
 
 
-class Stamp(NamedTuple):
-    """State of a file, by which one sees that it was replaced."""
+def stamp_of(path: Path) -> tuple[int, int]:
+    """Size in bytes and time in ns of the last change of a file, by which one sees that it was replaced.
 
-    size: int
-    """bytes."""
-    modified: int
-    """ns, of its last change."""
-
-    @classmethod
-    def of(cls, path: Path) -> "Stamp":
-        """That of a file now; InputError where there is none, or none that may be read."""
-        with opened(path, ANY_SIZE) as file:
-            found = os.fstat(file.fileno())
-        return cls(found.st_size, found.st_mtime_ns)
+    InputError where there is none, or none that may be read.
+    """
+    with opened(path, ANY_SIZE) as file:
+        found = os.fstat(file.fileno())
+    return found.st_size, found.st_mtime_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +50,8 @@ class Pyramid:
 
     path: Path
     """File of the pixels."""
-    stamp: Stamp
-    """Its state when it was read."""
+    stamp: tuple[int, int]
+    """Its state when it was read (`stamp_of`)."""
     lines: int
     """Of the picture."""
     samples: int
@@ -75,10 +64,10 @@ class Pyramid:
     """Grey value that is black at first."""
     high: float
     """Grey value that is white at first, above `low`."""
-    edges: tuple[float, float]
-    """Ends of the histogram: least and largest grey value."""
-    counts: NDArray[np.int64]
-    """(64,) pixels in each of its equal bars; of some pixels, evenly spread."""
+    least: float
+    """Smallest grey value of some pixels, evenly spread."""
+    most: float
+    """The largest one, above `least`."""
 
     @property
     def levels(self) -> int:
@@ -107,10 +96,7 @@ class Pyramid:
         if not (0 <= top < lines and 0 <= left < samples):
             found = f"tile {row}, {column} of level {level}"
             raise InputError(str(self.path), found, f"one of {self.levels} levels from {self.lines} x {self.samples}")
-        if level >= self.first:
-            return self.kept[level - self.first][top : top + SIDE, left : left + SIDE]
-        step = 1 << level
-        return _reduced(self.path, (self.lines, self.samples), (top * step, left * step), SIDE * step, level)
+        return self._pixels(level, slice(top, min(top + SIDE, lines)), slice(left, min(left + SIDE, samples)))
 
     def window(
         self, level: int, lines: tuple[float, float], samples: tuple[float, float]
@@ -121,20 +107,20 @@ class Pyramid:
         step, (down, across) = 1 << level, self.shape(level)
         top, bottom = max(0, int(lines[0] // step)), min(down, -int(-lines[1] // step))
         left, right = max(0, int(samples[0] // step)), min(across, -int(-samples[1] // step))
-        if level >= self.first:
-            grey = self.kept[level - self.first][top:bottom, left:right]
-        else:
-            side = (bottom - top) * step, (right - left) * step
-            grey = _reduced(self.path, (self.lines, self.samples), (top * step, left * step), side, level)
+        grey = self._pixels(level, slice(top, bottom), slice(left, right))
         return grey, (left * step, min(right * step, self.samples), min(bottom * step, self.lines), top * step)
+
+    def _pixels(self, level: int, lines: slice, samples: slice) -> Grey:
+        """Of a level, between lines and samples of it."""
+        if level >= self.first:
+            return self.kept[level - self.first][lines, samples]
+        return _reduced(self.path, (self.lines, self.samples), level, lines, samples)
 
     def require_unchanged(self) -> None:
         """Raise InputError where the file is gone or has been replaced."""
-        if Stamp.of(self.path) != self.stamp:
-            raise InputError(
-                str(self.path), "it has changed since its picture was opened", "the same file",
-                "open the image again, or reload the page",
-            )
+        if stamp_of(self.path) != self.stamp:
+            remedy = "open the image again, or reload the page"
+            raise InputError(str(self.path), "it has changed since its picture was opened", "the same file", remedy)
 
 
 def open_picture(path: Path, lines: int, samples: int) -> Pyramid:
@@ -152,7 +138,7 @@ def open_picture(path: Path, lines: int, samples: int) -> Pyramid:
     InputError
         A picture that is missing or can't be read, or of another size than the image.
     """
-    stamp = Stamp.of(path)
+    stamp = stamp_of(path)
     found = picture_size(path)
     if found != (lines, samples):
         remedy = "name the image's own, uncropped file in the case"
@@ -163,8 +149,7 @@ def open_picture(path: Path, lines: int, samples: int) -> Pyramid:
     levels = [_float(read_picture(path)) if first == 0 else _overview(path, lines, samples, first)]
     while max(levels[-1].shape) > SIDE:
         levels.append(halved(levels[-1]))
-    low, high, edges, counts = _contrast(levels[0])
-    return Pyramid(path, stamp, lines, samples, first, tuple(levels), low, high, edges, counts)
+    return Pyramid(path, stamp, lines, samples, first, tuple(levels), *_contrast(levels[0]))
 
 
 def halved(grey: Grey) -> Grey:
@@ -187,19 +172,17 @@ def halved(grey: Grey) -> Grey:
 
 def _overview(path: Path, lines: int, samples: int, level: int) -> Grey:
     """A whole level of a large picture, strip by strip."""
-    step = SIDE << level
-    strips = [_reduced(path, (lines, samples), (top, 0), (step, samples), level) for top in range(0, lines, step)]
-    return np.concatenate(strips)
+    strips = range(0, -(-lines >> level), SIDE)
+    return np.concatenate([
+        _reduced(path, (lines, samples), level, slice(top, top + SIDE), slice(0, samples)) for top in strips
+    ])
 
 
-def _reduced(
-    path: Path, size: tuple[int, int], start: tuple[int, int], side: int | tuple[int, int], level: int
-) -> Grey:
-    """Pixels of a file from line and sample `start` on, halved `level` times."""
-    down, across = (side, side) if isinstance(side, int) else side
-    lines = slice(start[0], min(start[0] + down, size[0]))
-    samples = slice(start[1], min(start[1] + across, size[1]))
-    grey = _float(read_picture_part(path, lines, samples))
+def _reduced(path: Path, size: tuple[int, int], level: int, lines: slice, samples: slice) -> Grey:
+    """Lines and samples of a level, read from a file of this size and halved `level` times."""
+    down = slice(lines.start << level, min(lines.stop << level, size[0]))
+    across = slice(samples.start << level, min(samples.stop << level, size[1]))
+    grey = _float(read_picture_part(path, down, across))
     for _ in range(level):
         grey = halved(grey)
     return grey
@@ -210,20 +193,16 @@ def _float(pixels: Grey) -> Grey:
     return pixels if pixels.dtype == np.uint8 else pixels.astype(np.float32)
 
 
-def _contrast(grey: Grey) -> tuple[float, float, tuple[float, float], NDArray[np.int64]]:
-    """Black, white, ends and bars of the histogram of some pixels."""
+def _contrast(grey: Grey) -> tuple[float, float, float, float]:
+    """Black and white, least and largest grey value, by some pixels."""
     step = max(1, int(np.sqrt(grey.size / _SAMPLED)))
     some = grey[::step, ::step]
     some = some[np.isfinite(some)]
     if not some.size:
-        return 0.0, 1.0, (0.0, 1.0), np.zeros(_BARS, dtype=np.int64)
-    low, high = np.quantile(some, _QUANTILES).tolist()
-    least, most = float(some.min()), float(some.max())
-    if not high > low:
-        low, high = least, max(most, least + 1.0)
-    if not most > least:
-        most = least + 1.0
-    return low, high, (least, most), np.histogram(some, _BARS, (least, most))[0].astype(np.int64)
+        return 0.0, 1.0, 0.0, 1.0
+    low, high, least, most = np.quantile(some, (*_QUANTILES, 0.0, 1.0)).tolist()
+    most = most if most > least else least + 1.0
+    return (low, high, least, most) if high > low else (least, most, least, most)
 
 
 def encoded_tile(grey: Grey, low: float, high: float) -> bytes:
@@ -259,20 +238,11 @@ class Tiles:
     """
 
     def __init__(self, pictures: Mapping[str, tuple[Path | None, int, int]]) -> None:
-        self._pictures = dict(pictures)
-        self._pyramids: OrderedDict[str, Pyramid] = OrderedDict()
-        self._encoded: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
-        self._size = 0
-        self._lock = threading.Lock()
-        self._of_image = {name: threading.RLock() for name in self._pictures}
-
-    def knows(self, image: str) -> bool:
-        """Whether it is one of the images."""
-        return image in self._pictures
+        self.pictures, self._open, self._lock = pictures, dict[str, Pyramid](), Lock()
 
     def has(self, image: str) -> bool:
         """Whether a file is known of an image's pixels."""
-        return self._pictures.get(image, (None, 0, 0))[0] is not None
+        return self.pictures.get(image, (None, 0, 0))[0] is not None
 
     def picture(self, image: str) -> Pyramid:
         """The picture of an image, read anew where its file has changed.
@@ -282,21 +252,19 @@ class Tiles:
         InputError
             No file of it is known; what `open_picture` refuses.
         """
-        path, lines, samples = self._pictures.get(image, (None, 0, 0))
+        path, lines, samples = self.pictures.get(image, (None, 0, 0))
         if path is None:
             raise InputError(
                 f"image {image}", "no file of its pixels is known, so that its geometry is drawn alone",
                 remedy='for its picture add pixels = "FILE" to its table in the case',
             )
-        with self._of_image[image]:  # each picture is opened once, others meanwhile
-            kept = self._pyramids.get(image)
-            if kept is None or Stamp.of(path) != kept.stamp:
-                kept = open_picture(path, lines, samples)
         with self._lock:
-            self._pyramids[image] = kept
-            self._pyramids.move_to_end(image)
-            while len(self._pyramids) > 1 and sum(one.size for one in self._pyramids.values()) > _MOST_KEPT:
-                self._pyramids.popitem(last=False)
+            kept = self._open.pop(image, None)
+            if kept is None or stamp_of(path) != kept.stamp:
+                kept = open_picture(path, lines, samples)
+            self._open[image] = kept
+            while len(self._open) > 1 and sum(one.size for one in self._open.values()) > _MOST_KEPT:
+                del self._open[next(iter(self._open))]
         return kept
 
     def tile(
@@ -309,31 +277,15 @@ class Tiles:
         InputError
             As `picture`; no such tile; a contrast without a span; a file that has changed since it was opened.
         """
-        known = self._pyramids.get(image)
-        if known is not None:
-            known.require_unchanged()
-        pyramid = known or self.picture(image)
-        black = pyramid.low if low is None else low
-        white = pyramid.high if high is None else high
-        key = (image, pyramid.stamp, level, row, column, black, white)
-        with self._lock:
-            if key in self._encoded:
-                self._encoded.move_to_end(key)
-                return self._encoded[key]
-        made = encoded_tile(pyramid.part(level, row, column), black, white)
-        with self._lock:
-            if key not in self._encoded:
-                self._encoded[key] = made
-                self._size += len(made)
-            while self._size > _MOST_ENCODED:
-                self._size -= len(self._encoded.popitem(last=False)[1])
-        return made
+        pyramid = self._open.get(image) or self.picture(image)
+        pyramid.require_unchanged()
+        black, white = pyramid.low if low is None else low, pyramid.high if high is None else high
+        return encoded_tile(pyramid.part(level, row, column), black, white)
 
     def record(self, image: str) -> dict[str, Any]:
         """What the page needs to know of a picture, as JSON."""
         found = self.picture(image)
         return {
-            "levels": found.levels, "side": SIDE, "low": found.low, "high": found.high,
-            "least": found.edges[0], "most": found.edges[1], "histogram": found.counts.tolist(),
-            "version": f"{found.stamp.size:x}-{found.stamp.modified:x}", "file": found.path.name,
+            "levels": found.levels, "side": SIDE, "low": found.low, "high": found.high, "least": found.least,
+            "most": found.most, "version": "{:x}-{:x}".format(*found.stamp),
         }  # fmt: skip

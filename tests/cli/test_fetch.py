@@ -10,14 +10,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
 import flaky_archive
 import pytest
 from commands import run
 from flaky_archive import Flaky, stall
 
 from mgsgraph.cli import group
-from mgsgraph.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -38,7 +36,7 @@ def command(*arguments: str | Path) -> list[str]:
     return [sys.executable, "-m", "mgsgraph", *map(str, arguments)]
 
 
-def test_fetch_and_verify(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fetch(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "a folder"
     assert call("fetch", "M04/02852", "m0402856", "--mirror", archive.address, "--out", out) == 0
     said = capsys.readouterr().out.splitlines()
@@ -52,23 +50,6 @@ def test_fetch_and_verify(archive: Flaky, tmp_path: Path, capsys: pytest.Capture
         f"  mgsgraph solve '{out}/project'",
         f"  mgsgraph dem '{out}/project' --out '{out}/dem'",
     ]
-    assert call("fetch", "--verify", out) == 0
-    assert re.search(r"\d+ files, 0\.\d MB, all as locked", capsys.readouterr().out)
-    (out / "kernels" / "de405.bsp").unlink()
-    with pytest.raises(InputError, match="missing"):
-        call("fetch", "--verify", out)
-    with pytest.raises(InputError, match=r"nowhere: no fetch\.lock"):
-        call("fetch", "--verify", tmp_path / "nowhere")
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [["--verify", "x", "M04/02852"], ["--verify", "x", "--out", "y"],
-     ["--verify", "x", "--update"]],
-)  # fmt: skip
-def test_options_that_would_do_nothing(arguments: list[str]) -> None:
-    with pytest.raises(click.UsageError):
-        call("fetch", *arguments)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +61,8 @@ def test_options_that_would_do_nothing(arguments: list[str]) -> None:
         (["M04/02852", "--volume", "1030"], "volume '1030': not the name of a volume; expected one such as mgsc_1068"),
         (["nonsense"], "not the id of an image of MOC, CTX, LROC NAC or HRSC; expected one such as E02/00665"),
         ([], "at least one id"),
-        (["M04/02852", "--mirrors", "nowhere.toml"], "nowhere.toml: no such file"),
+        (["M04/02852", "--mirror", "nowhere.toml"], "nowhere.toml: no such file"),
+        (["M04/02852", "--verify"], "No such option '--verify'; the same fetch again holds the folder"),
         (["M04/02852", "--mirror", "ftp://x.org"], "an address such as https://"),
     ],
 )
@@ -132,5 +114,5 @@ def test_an_interruption_does_not_wait_for_a_silent_server(archive: Flaky, tmp_p
 def test_help_names_the_options() -> None:
     done = run("fetch", "--help")
     assert done.returncode == 0
-    for option in ("--out", "--terrain", "--volume", "--mirror", "--mirrors", "--update", "--verify"):
+    for option in ("--out", "--terrain", "--volume", "--mirror"):
         assert option in done.stdout

@@ -66,15 +66,6 @@ def test_matches_are_written_and_replaced(site: Path, out: Path) -> None:
     assert [path.name for path in out.parent.iterdir()] == ["matches"]
 
 
-def test_a_regular_grid(site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    grid = tmp_path / "grid"
-    assert call("match", site, "--out", grid, *FEW, "--method", "grid", "--spacing", "90", "--per-cell", "1") == 0
-    record = json.loads((grid / "match.json").read_text(encoding="utf-8"))
-    assert (record["settings"]["method"], record["settings"]["spacing"]) == ("grid", 90.0)
-    assert 30 < record["points"] <= 60
-    assert "tie points with 2 to 2 measures" in capsys.readouterr().out
-
-
 @pytest.mark.slow
 def test_matches_are_adjusted(
     site: Path, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -131,7 +122,7 @@ def test_nodes_take_ties_too(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_an_interrupted_run_goes_on(
     site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("mgsgraph.matching.tiles._SIZE", 200)
+    monkeypatch.setattr("mgsgraph.matching.patches._SIZE", 200)
     on_tile, done = matching._on_tile, list[int]()
 
     def interrupted(*arguments: object) -> object:
@@ -199,7 +190,7 @@ def test_bad_input_writes_nothing(site: Path, tmp_path: Path, case_file: Path) -
 def test_errors_are_one_line_on_standard_error(site: Path, tmp_path: Path) -> None:
     for arguments, said in (
         (("match", tmp_path / "none.toml", "--out", tmp_path / "out"), "no such file"),
-        (("match", site, "--out", tmp_path / "out", "--method", "orb"), "sift"),
+        (("match", site, "--out", tmp_path / "out", "--method", "grid"), "--method grid is gone"),
         (("match", site), "--out"),
     ):
         done = run(*arguments)
@@ -212,5 +203,5 @@ def test_errors_are_one_line_on_standard_error(site: Path, tmp_path: Path) -> No
 def test_help_says_how_to_go_on() -> None:
     done = run("match", "--help")
     assert done.returncode == 0
-    for said in ("--method", "--search", "--height-sigma", "--per-cell", "--ties OUT/network.pvl", "goes on"):
+    for said in ("--search", "--height-sigma", "--per-cell", "--ties OUT/network.pvl", "goes on"):
         assert said in done.stdout

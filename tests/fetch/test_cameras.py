@@ -11,12 +11,11 @@ from flaky_archive import Flaky
 
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.camera_search import dates_in
 from mgsgraph.fetch.download import RetryPolicy
 from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots
-from mgsgraph.fetch.lock import Lock, verify
-from mgsgraph.fetch.needs import CTX, HRSC, LROC_NAC, CameraProduct
+from mgsgraph.fetch.needs import CTX, HRSC, LROC_NAC, Archives, CameraProduct
+from mgsgraph.fetch.store import Lock
 from mgsgraph.files.spice.kernels import members
 
 QUICK = RetryPolicy(tries=2, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
@@ -161,7 +160,9 @@ def test_an_image_and_the_kernels_of_its_time(
     assert [path.name for path in loaded] == [Path(one).name for one in (*needs.kernels, needs.addendum) if one]
     assert bool(needs.addendum) == (image != H5270)
     assert any("hrscAddendum004.ti is not" in note for note in needs.notes) == (image == H5270)
-    assert verify(folder).images[image.upper()] == needs
+    lock = Lock.read(folder)
+    assert all(map(lock.whole, lock.files))
+    assert lock.images[image.upper()] == needs
 
     archive.asked.clear()
     assert fetch(archive, folder, image).brought == {}
@@ -238,7 +239,7 @@ def test_shots_in_a_box(archive: Flaky, tmp_path: Path) -> None:
     table = fetch_shots("lola", box, tmp_path / "d", archives=archives, retry=QUICK)
     first = table.read_bytes()
     assert first.endswith(b"LOLA")
-    assert verify(tmp_path / "d").files
+    assert Lock.read(tmp_path / "d").files
 
     archive.files[asked] = answer.format(SHOTS.format("AGAIN")).encode()
     archive.asked.clear()

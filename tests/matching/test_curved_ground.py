@@ -20,7 +20,7 @@ from textures import (
 )
 
 from mgsgraph.errors import InputError
-from mgsgraph.matching.least_squares import LeastSquaresSettings, MatchStatus
+from mgsgraph.matching.least_squares import EMPHASIS, MatchStatus
 from mgsgraph.matching.window import out_of_shape
 
 
@@ -61,8 +61,7 @@ def planted_bias(curvature: Array) -> float:
     Even textures have no part in it, nor has the product of lines and samples.
     """
     down, across = np.meshgrid(np.arange(-HALF[0], HALF[0] + 1), np.arange(-HALF[1], HALF[1] + 1), indexing="ij")
-    emphasis = LeastSquaresSettings().emphasis
-    weights = np.exp(-0.5 * ((down / HALF[0]) ** 2 + (across / HALF[1]) ** 2) / emphasis**2)
+    weights = np.exp(-0.5 * ((down / HALF[0]) ** 2 + (across / HALF[1]) ** 2) / EMPHASIS**2)
     return float(np.average(curvature[0] * down**2 + curvature[2] * across**2, weights=weights))
 
 

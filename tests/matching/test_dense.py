@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.matching.dense import DenseMatches, DenseSettings, dense_matches
+from mgsgraph.matching.dense import DenseMatches, dense_matches
 from mgsgraph.matching.patches import Patch, disparities
 from mgsgraph.matching.scene import Picture, Scene
 
@@ -25,7 +25,7 @@ def scene() -> Scene:
 
 @cache
 def found() -> DenseMatches:
-    (one,) = dense_matches(scene(), DenseSettings(spacing=SPACING))
+    (one,) = dense_matches(scene(), SPACING)
     return one
 
 
@@ -67,9 +67,8 @@ def test_covariances_are_those_of_the_errors() -> None:
 
 def test_threads_don_t_matter_and_progress_is_told() -> None:
     told = []
-    settings = DenseSettings(spacing=4.0 * SPACING)
     several, one = (
-        dense_matches(scene(), settings, workers, lambda *what: told.append(what))[0] for workers in (None, 1)
+        dense_matches(scene(), 4.0 * SPACING, workers, lambda *what: told.append(what))[0] for workers in (None, 1)
     )
     np.testing.assert_array_equal(several.pixels, one.pixels)
     assert told[0] == ("dense matching", 0, told[0][2])
@@ -78,7 +77,7 @@ def test_threads_don_t_matter_and_progress_is_told() -> None:
 
 def test_pictures_may_come_in_any_order() -> None:
     turned = Scene(scene().pictures[::-1], scene().ground)
-    (there,) = dense_matches(turned, DenseSettings(spacing=2.0 * SPACING))
+    (there,) = dense_matches(turned, 2.0 * SPACING)
     names = [turned.pictures[j].image.name for j in (there.first, there.second)]
     away = there.pixels - matched.true_places(names[0], there.anchors, names[1])
     assert np.all(np.sqrt(np.mean(away**2, axis=0)) < 0.2)
@@ -88,7 +87,7 @@ def test_pictures_may_come_in_any_order() -> None:
 def test_orientations_that_contradict_each_other_give_hardly_a_match() -> None:
     """228 m between the nominal orientations: nothing is alike along the parallax, and chance is not delivered."""
     with pytest.raises(InputError, match=r"none of \d+ posts matches; expected .* adjusted orientations"):
-        dense_matches(matched.scene(), DenseSettings(spacing=2.0 * SPACING))
+        dense_matches(matched.scene(), 2.0 * SPACING)
 
 
 def test_one_side_is_no_stereo_pair() -> None:
@@ -117,13 +116,10 @@ def test_a_picture_without_texture() -> None:
         dense_matches(Scene((one, blank), scene().ground))
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"spacing": 0.0}, {"spacing": np.nan}, {"half_window": 3}, {"least_correlation": 1.0},
-              {"largest_sigma": -1.0}]
-)  # fmt: skip
-def test_settings_that_make_no_sense(wrong: dict[str, float]) -> None:
-    with pytest.raises(InputError, match=f"dense matching, {next(iter(wrong))}"):
-        DenseSettings(**wrong)  # type: ignore[arg-type]
+@pytest.mark.parametrize("spacing", [0.0, np.nan])
+def test_a_spacing_that_makes_no_sense(spacing: float) -> None:
+    with pytest.raises(InputError, match="dense matching, spacing"):
+        dense_matches(scene(), spacing)
 
 
 @pytest.mark.parametrize("shift", [-7, 0, 11])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mgsgraph.matching.patches import Patch, Tile
-from mgsgraph.matching.tiles import Features, Window, detect, pair_up
+from mgsgraph.matching.patches import Features, Patch, Tile, Window, detect, pair_up
 
 TILE = Tile(0, 1000.0, -500.0, 4.0, 300, 340, 0)
 ANYWHERE = Window(np.array([0.0, 1.0]), 1e6, 1e6)
@@ -135,6 +134,6 @@ def test_blocks_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     one, other = detect(patch(), TILE, 500), detect(patch(shift=(5, -3)), TILE, 500)
     window = Window(np.array([0.6, 0.8]), 60.0, 30.0)
     whole = pair_up(one, other, window, TILE.step, 0.85)
-    monkeypatch.setattr("mgsgraph.matching.tiles._BLOCK", 7)
+    monkeypatch.setattr("mgsgraph.matching.patches._BLOCK", 7)
     for mine, theirs in zip(pair_up(one, other, window, TILE.step, 0.85), whole, strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-6)

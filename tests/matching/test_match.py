@@ -1,4 +1,4 @@
-"""Matching from end to end on a small simulated pair: against truth, by both methods, of two and three images."""
+"""Matching from end to end on a small simulated pair: against truth, of two and three images."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,19 +9,17 @@ import pytest
 
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.matching.match import digest, match_scene
-from mgsgraph.matching.matches import Matches, matches_of
+from mgsgraph.matching.match import Matches, digest, match_scene, matches_of
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 
-CASES = [(2, "sift"), (2, "grid"), (3, "sift")]
 FEW = replace(matched.SETTINGS, cells=20, features=400)
 
 
-@pytest.mark.parametrize(("count", "method"), CASES)
-def test_matches_are_where_the_ground_is(count: int, method: str) -> None:
-    found = matched.matches(count, method)
+@pytest.mark.parametrize("count", [2, 3])
+def test_matches_are_where_the_ground_is(count: int) -> None:
+    found = matched.matches(count)
     off = matched.errors(found)
     assert np.all(np.sqrt(np.mean(off**2, axis=0)) < 0.3)
     assert np.linalg.norm(off, axis=1).max() < 1.5
@@ -31,10 +29,10 @@ def test_matches_are_where_the_ground_is(count: int, method: str) -> None:
     assert len(off) >= 100
 
 
-@pytest.mark.parametrize(("count", "method"), CASES)
-def test_tie_points_are_in_order(count: int, method: str) -> None:
+@pytest.mark.parametrize("count", [2, 3])
+def test_tie_points_are_in_order(count: int) -> None:
     """Free points; the reference first, a pixel's centre; every sigma positive and finite."""
-    found = matched.matches(count, method)
+    found = matched.matches(count)
     ties = found.ties
     assert len(set(ties.ids)) == len(ties.ids) == ties.measure_point.max() + 1
     assert np.all(ties.kinds == PointKind.FREE)
@@ -151,7 +149,7 @@ class Kept:
 
 @pytest.fixture
 def many_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mgsgraph.matching.tiles._SIZE", 400)
+    monkeypatch.setattr("mgsgraph.matching.patches._SIZE", 400)
 
 
 def assert_equal(one: Matches, other: Matches) -> None:

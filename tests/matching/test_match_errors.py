@@ -13,10 +13,9 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.matching.coarse import corrected_scene
 from mgsgraph.matching.match import match_scene
-from mgsgraph.matching.pairs import Pair, pairs_of
-from mgsgraph.matching.scene import Picture, Pixels, Scene
-from mgsgraph.matching.settings import MatchSettings, method_of
-from mgsgraph.matching.tiles import Links
+from mgsgraph.matching.patches import Links
+from mgsgraph.matching.scene import Pair, Picture, Pixels, Scene, pairs_of
+from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.simulation.ground import make_terrain
 from mgsgraph.simulation.imagery import render
 
@@ -88,13 +87,11 @@ def test_one_picture_that_fits_no_other_leaves_the_rest() -> None:
     assert all(second.image.name in reason and "agree on one orientation" in reason for reason in found.refused)
 
 
-@pytest.mark.parametrize("method", ["sift", "grid"])
-def test_pictures_of_different_ground(method: str) -> None:
+def test_pictures_of_different_ground() -> None:
     """Two terrains that have nothing to do with each other, under the same Sun: not a single match."""
     image = matched.site().images[1]
     other = render(image.true, make_terrain("gusev", 7), None, image.sun, np.random.default_rng(1))
-    settings = replace(SETTINGS, method=method)
-    refused(with_second(other), "of ", "agree on one orientation", "widen the search", settings=settings)
+    refused(with_second(other), "of ", "agree on one orientation", "widen the search", settings=SETTINGS)
 
 
 @pytest.mark.parametrize(("height_sigma", "radius"), [(100.0, 160.0), (100.0, 900.0), (1000.0, 160.0), (1000.0, 900.0)])
@@ -156,11 +153,9 @@ def test_pairs_have_their_areas() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("method", "orb", "'orb'; expected sift or grid"),
         ("step", 0.0, "matching, step: 0.0; expected a positive number"),
         ("step", float("nan"), "matching, step"),
         ("search", -1.0, "matching, search"),
-        ("spacing", float("inf"), "matching, spacing"),
         ("cells", 0, "matching, cells: 0; expected at least 1"),
         ("per_cell", 0, "matching, per_cell"),
         ("half_window", 3, "matching, half_window: 3; expected at least 4"),
@@ -175,7 +170,6 @@ def test_choices_are_checked(key: str, value: object, said: str) -> None:
     with pytest.raises(InputError) as caught:
         MatchSettings(**{key: value})  # type: ignore[arg-type]
     assert said in str(caught.value)
-    assert method_of("grid") == "grid"
 
 
 @pytest.mark.parametrize(
@@ -194,7 +188,7 @@ class Absent:
             raise {raised}
 sys.meta_path.insert(0, Absent())
 import mgsgraph.matching.match
-from mgsgraph.matching.tiles import detect
+from mgsgraph.matching.patches import detect
 from mgsgraph.matching.measuring import sharpened
 from mgsgraph.matching.patches import ortho_patch
 for use in (lambda: detect(None, None, 1), lambda: sharpened(None), lambda: ortho_patch(None, None, None)):

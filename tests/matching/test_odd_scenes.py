@@ -14,10 +14,8 @@ from mgsgraph.matching.checks import checked_measures
 from mgsgraph.matching.coarse import search_radius
 from mgsgraph.matching.match import finest_first, ground_cells, match_scene, one_per_window
 from mgsgraph.matching.measuring import Measured
-from mgsgraph.matching.pairs import pairs_of
-from mgsgraph.matching.patches import Tile, blur_sigmas, ortho_patch
-from mgsgraph.matching.scene import Scene
-from mgsgraph.matching.tiles import Links
+from mgsgraph.matching.patches import Links, Tile, blur_sigmas, ortho_patch
+from mgsgraph.matching.scene import Scene, pairs_of
 from mgsgraph.results.matching import KeptTiles, match_statements
 
 STEP = 4.0
@@ -163,5 +161,5 @@ def test_a_correction_beyond_what_was_stated_is_said() -> None:
 
 
 def test_points_of_two_runs_have_different_names() -> None:
-    one, other = matched.matches().ties.ids, matched.matches(method="grid").ties.ids
+    one, other = matched.matches(2).ties.ids, matched.matches(3).ties.ids
     assert not set(one) & set(other)

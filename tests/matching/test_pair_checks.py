@@ -14,10 +14,8 @@ from mgsgraph.matching import match as module
 from mgsgraph.matching.checks import PairSigns, _from_neighbours, pair_signs
 from mgsgraph.matching.coarse import NoAgreement, chance_agreements, corrected_scene
 from mgsgraph.matching.match import match_scene
-from mgsgraph.matching.pairs import Pair
-from mgsgraph.matching.patches import opencv
-from mgsgraph.matching.scene import STEEP, STEPPED, Pixels, Scene, block_steps, require_unblocked
-from mgsgraph.matching.tiles import Links
+from mgsgraph.matching.patches import Links, opencv
+from mgsgraph.matching.scene import STEEP, STEPPED, Pair, Pixels, Scene, block_steps, require_unblocked
 from mgsgraph.results.matching import match_statements
 
 NAN = math.nan

@@ -18,7 +18,7 @@ from mgsgraph.matching.coarse import (
 )
 from mgsgraph.matching.match import checked_matches, ground_cells
 from mgsgraph.matching.measuring import Measured
-from mgsgraph.matching.pairs import Pair, first_picture, next_pair, pairs_of
+from mgsgraph.matching.scene import Pair, first_picture, next_pair, pairs_of
 
 PLANTED = OrientationCorrection(np.array([[40.0, 90.0, -30.0, 3e-4, -2e-4, 3e-4], [5.0, -8.0, 3.0, 3e-5, 4e-5, 0.0]]))
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mgsgraph.matching import tiles as module
+from mgsgraph.matching import patches as module
 from mgsgraph.matching.checks import cell_numbers, spread
-from mgsgraph.matching.tiles import Links, owned, tiling, together
+from mgsgraph.matching.patches import Links, Tile, owned, tiling, together
 
 SIDES = st.floats(1.0, 9000.0)
 
@@ -96,3 +96,20 @@ def test_cells_are_squares_of_the_chart() -> None:
     same = np.floor(plane / 7e4)
     numbers = cell_numbers(plane, 7e4)
     assert np.array_equal(numbers[:, None] == numbers, np.all(same[:, None] == same, axis=2))
+
+
+def test_nodes_are_the_same_on_all_tiles() -> None:
+    """Those of neighbours coincide where they share ground."""
+    spacing, found = 37.0, []
+    for tile in (Tile(0, -100.0, -60.0, 4.0, 80, 90, 8), Tile(1, 196.0, -60.0, 4.0, 80, 90, 8)):
+        rows, columns = (axis.ravel() for axis in np.meshgrid(*tile.nodes(spacing), indexing="ij"))
+        plane = tile.plane(columns.astype(float), rows.astype(float))
+        assert np.abs(plane - np.rint(plane / spacing) * spacing).max() <= 2.0 + 1e-9
+        assert rows.min() >= 0
+        assert rows.max() < 80
+        assert columns.max() < 90
+        found.append({tuple(place) for place in plane.tolist()})
+    shared = {place for place in found[0] | found[1] if 196.0 <= place[0] <= 256.0}
+    assert len(shared) > 3
+    assert all(place in found[0] for place in shared)
+    assert all(place in found[1] for place in shared)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mgsgraph.matching.pairs import joined, star
+from mgsgraph.matching.scene import joined, star
 
 
 def tracks_of(links: list[tuple[int, int]], likeness: list[float], pictures: list[int]) -> set[tuple[int, ...]]:

@@ -181,10 +181,10 @@ def test_sql_and_numpy_alone_read_it(folder: Path, tmp_path: Path) -> None:
         rays = sum(project.store.bundle(m).network.rays.point.size for m in project.store.members())
         assert list(contents(project.store))
     plain = sqlite3.connect(tmp_path / "plain" / "project.sqlite")
-    cells = plain.execute("SELECT size, sigma FROM ray_columns").fetchall()
+    cells = plain.execute("SELECT size, cell FROM packed WHERE kind = 'rays' AND name = 'sigma'").fetchall()
     assert sum(size for size, _ in cells) == rays
     assert all(np.all(np.frombuffer(cell, "<f8") > 0.0) for _, cell in cells)
-    assert "m, body-fixed" in plain.execute("SELECT sql FROM sqlite_master WHERE name = 'point_columns'").fetchone()[0]
+    assert "m, body-fixed" in plain.execute("SELECT sql FROM sqlite_master WHERE name = 'packed'").fetchone()[0]
     plain.close()
 
 

@@ -14,8 +14,7 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.network_file import read_control_network
 from mgsgraph.files.networks.table import read_tie_points
-from mgsgraph.matching.match import digest
-from mgsgraph.matching.matches import Matches
+from mgsgraph.matching.match import Matches, digest
 from mgsgraph.results import matching as module
 from mgsgraph.results.figures.matches import matches_sheet
 from mgsgraph.results.matching import KeptTiles, match_into, match_statements, write_matches
@@ -227,7 +226,7 @@ def test_nothing_is_kept_of_work_that_fails(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_tiles_of_an_interrupted_run_wait_for_the_same_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mgsgraph.matching.tiles._SIZE", 400)
+    monkeypatch.setattr("mgsgraph.matching.patches._SIZE", 400)
     scene, settings = matched.scene(), replace(matched.SETTINGS, cells=20, features=300)
     keep, kept = KeptTiles.keep, list[str]()
 

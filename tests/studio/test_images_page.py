@@ -17,7 +17,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
-from mgsgraph.studio.block import Block
+from mgsgraph.studio.opened import Block
 
 TRAP = '<img src=x onerror="window.trapped=1">'
 
@@ -35,7 +35,7 @@ def scene(folder: Path) -> Scene:
     pictures: dict[str, Path | None] = {
         one.name: textured(folder / f"{k}.tif", one.lines, one.samples, k) for k, one in enumerate(found.network.images)
     }
-    return Scene(Block.of_solution(found), pictures, None, found)
+    return Scene(Block.of_solution(found), pictures)
 
 
 @pytest.fixture(scope="module")

@@ -16,10 +16,9 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
-from mgsgraph.studio.block import Block
-from mgsgraph.studio.ground import GroundModel
-from mgsgraph.studio.linked import Ellipse, LinkedImages, ground_record
+from mgsgraph.studio.linked import Ellipse, GroundModel, LinkedImages, ground_record
 from mgsgraph.studio.marks import laser_profiles, shots_of, ties_of
+from mgsgraph.studio.opened import Block
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Refinement of clicked places on rendered images whose truth is known: near the truth, and honest about how near."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import matched
@@ -12,9 +13,9 @@ pytest.importorskip("cv2")
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.network.parts import KnownImage, alone, with_images
-from mgsgraph.studio.block import Block
 from mgsgraph.studio.linked import LinkedImages
-from mgsgraph.studio.refinement import refine
+from mgsgraph.studio.opened import Block
+from mgsgraph.studio.point_sheet import refine
 
 Clicked = tuple[str, float, float]
 
@@ -30,7 +31,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[LinkedImages, dict[s
         pixels = np.asarray(one.pixels)
         files[one.image.name] = folder / f"{number}.tif"
         Image.fromarray(np.asarray(pixels)).save(folder / f"{number}.tif")
-    return LinkedImages(Block.of_network(network, SolverSettings(), matched.true_terrain())), files
+    return LinkedImages(replace(Block.of_network(network, SolverSettings()), terrain=matched.true_terrain())), files
 
 
 def test_a_click_goes_to_the_ground_of_the_reference(

@@ -148,20 +148,24 @@ def test_selections(browser_: Browser) -> None:
 def test_the_window_of_the_map_is_a_figure(kind: str, browser_: Browser) -> None:
     x0, y0, x1, y1 = browser_.json("/api/scene")["map"]["bounds_m"]
     asked = f"x0={x0}&y0={y0}&x1={x1}&y1={y1}&w=800&h=600&value=moved_up&layers=footprints,points,ellipses,moved,relief"
-    status, heads, data = browser_.ask(f"/api/map/figure.{kind}?{asked}&factor=3")
+    status, heads, data = browser_.ask(f"/api/figure/map.{kind}?{asked}&factor=3")
     assert status == 200, data[:300]
     assert f"map.{kind}" in heads["content-disposition"]
-    assert data == browser_.ask(f"/api/map/figure.{kind}?{asked}&factor=3")[2]
+    assert data == browser_.ask(f"/api/figure/map.{kind}?{asked}&factor=3")[2]
+    for said in {"svg": (b"dc:title", b"dc:description"), "pdf": (b"/Subject",)}.get(kind, ()):
+        assert said in data
     assert data.lstrip()[:5] in (b"<?xml", b"%PDF-") or data.startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("path", [
-    "/api/map/figure.gif?x0=0&y0=0&x1=1&y1=1", "/api/map/figure.svg?x0=0&y0=0&x1=1&y1=1&layers=nothing",
-    "/api/map/figure.svg?x0=0&y0=0&x1=1&y1=1&factor=-1",
+    "/api/figure/map.gif?x0=0&y0=0&x1=1&y1=1", "/api/figure/map.svg?x0=0&y0=0&x1=1&y1=1&layers=nothing",
+    "/api/figure/map.svg?x0=0&y0=0&x1=1&y1=1&factor=-1",
     "/api/map/points?x0=0&y0=0&x1=0&y1=1", "/api/map/points?x0=a&y0=0&x1=1&y1=1", "/api/select?least=x",
     "/api/map/points?x0=0&y0=0&x1=1&y1=1&value=nothing", "/api/map/points?x0=0&y0=0&x1=1&y1=1&classes=nothing",
     "/api/map/residuals?image=nowhere", "/api/points/nobody", "/api/points/nobody/tests", "/api/images/nowhere",
-    "/api/chip.png?image=nowhere&line=1&sample=1", "/api/compare?other=/nowhere", "/api/figure/nothing.svg",
+    "/api/chip.png?image=nowhere&line=1&sample=1", "/api/figure/nothing.svg", "/api/figure/images.svg?line0=5&line1=5",
+    "/api/figure/images.svg?image=none", "/api/figure/images.svg?line0=nan", "/api/images/none/ground?line=1&sample=1",
+    "/api/images/none/tiles/0/0/0.png?low=0&high=1",
 ])  # fmt: skip
 def test_bad_requests_are_one_line(path: str, browser_: Browser) -> None:
     browser_.refused(path)
@@ -345,14 +349,6 @@ def test_results_and_cases_are_read_alone(solved: Path) -> None:
             if path == case:
                 browser_.refused("/api/plan")
                 browser_.refused("/api/questions", {"points": ["x"]})
-
-
-def test_two_solutions_are_compared(solved: Path, tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(solved, tmp_path / "project"))
-    with studio(folder / "solutions" / "0001") as running:
-        found = running.browser().json(f"/api/compare?other={folder / 'solutions' / '0001'}")
-    assert np.abs(found["moved"]).max() == 0.0
-    assert {table["name"] for table in found["tables"]} >= {"merit_compared", "sigmas_compared"}
 
 
 def test_chips_are_pictures(tmp_path: Path) -> None:

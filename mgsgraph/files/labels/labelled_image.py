@@ -36,8 +36,8 @@ from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import MocWideAngleDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.sandbox import read_apart
 from mgsgraph.text import listed
+from mgsgraph.workers import read_apart
 
 _CLOCK_SLACK = 1.0
 """s by which the label's UTC and its clock count may differ; true labels agree within 0.01 s."""

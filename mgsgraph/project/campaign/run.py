@@ -32,8 +32,8 @@ from mgsgraph.files.output.folders import require_replaceable
 from mgsgraph.project.campaign.record import AS_WRITTEN, CampaignEntry, Overrides, Record, open_record
 from mgsgraph.results.results import write_results
 from mgsgraph.results.soundness import soundness_section
-from mgsgraph.sandbox import read_apart
 from mgsgraph.text import many
+from mgsgraph.workers import read_apart
 
 Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.record import Record
 from mgsgraph.registration.dem.map import MapGrid
 from mgsgraph.registration.dem.points import DensePoints
+from mgsgraph.workers import Progress, no_progress
 
 _REACH = 1.5
 """Distances between points up to which they count for a post."""

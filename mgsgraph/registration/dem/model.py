@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.errors import InputError, require
+from mgsgraph.errors import InputError, library, require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
-from mgsgraph.libraries import library
 from mgsgraph.matching.scene import Scene
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.record import Record
 from mgsgraph.registration.dem.checking import CheckProfile, HeightChecks, checked
 from mgsgraph.registration.dem.gridding import HeightGrid, gridded
@@ -22,6 +20,7 @@ from mgsgraph.registration.dem.map import MapGrid
 from mgsgraph.registration.dem.points import intersected
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM
+from mgsgraph.workers import Progress, no_progress
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture
-from mgsgraph.progress import Progress, no_progress
 from mgsgraph.registration.dem.gridding import HeightGrid
 from mgsgraph.registration.dem.map import MapGrid, bilinear
+from mgsgraph.workers import Progress, no_progress
 
 _SIDE = 1024
 """pixels of a tile."""

@@ -11,8 +11,8 @@ from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.matching.scene import Scene
-from mgsgraph.progress import Progress
 from mgsgraph.text import some
+from mgsgraph.workers import Progress
 
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches
@@ -37,13 +37,9 @@ def densely_matched(
     scene: Scene, spacing: float | None, workers: int | None, progress: Progress
 ) -> tuple[tuple["DenseMatches", ...], float]:
     """Dense matches, and the width of the windows in m."""
-    from mgsgraph.matching.dense import (
-        DenseSettings,
-        dense_matches,  # OpenCV and numba take their time to load
-    )
+    from mgsgraph.matching.dense import HALF_WINDOW, dense_matches  # OpenCV and numba take their time to load
 
-    choices = DenseSettings(spacing=spacing)
-    return dense_matches(scene, choices, workers, progress), (2 * choices.half_window + 1) * scene.step
+    return dense_matches(scene, spacing, workers, progress), (2 * HALF_WINDOW + 1) * scene.step
 
 
 def adjusted_names(

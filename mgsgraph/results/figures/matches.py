@@ -10,9 +10,8 @@ from matplotlib.lines import Line2D
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.coarse import apart
-from mgsgraph.matching.matches import Matches
-from mgsgraph.matching.pairs import by_pair, footprints
-from mgsgraph.matching.scene import Scene
+from mgsgraph.matching.match import Matches
+from mgsgraph.matching.scene import Scene, by_pair, footprints
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style
 from mgsgraph.units import KM
 

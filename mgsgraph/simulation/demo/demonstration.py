@@ -14,7 +14,6 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import fresh_folder
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.patches import has_opencv
-from mgsgraph.progress import Stages
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.relief import register_by_relief
 from mgsgraph.registration.relief_records import ReliefRegistration
@@ -38,6 +37,7 @@ from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
 from mgsgraph.simulation.three_sites import simulate_three_sites
 from mgsgraph.simulation.world import EFFECTS, STRIP_EFFECTS, World
+from mgsgraph.workers import Stages
 
 PAIR = "pair"
 """The small pair of synthetic images, beside the study sites."""

@@ -19,7 +19,6 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import Misregistration
-from mgsgraph.progress import Stages
 from mgsgraph.registration.relief_records import ReliefRegistration
 from mgsgraph.results.registration import discrepancy_json, write_registration_into
 from mgsgraph.results.relief import write_coregistration_into
@@ -50,6 +49,7 @@ from mgsgraph.simulation.mgs_files import grid_file
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions
 from mgsgraph.text import many, root_mean_square
 from mgsgraph.units import ARCMIN, ARCSEC
+from mgsgraph.workers import Stages
 
 SUMMARY = "summary.json"
 """File of the demo's figures."""

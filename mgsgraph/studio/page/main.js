@@ -9,11 +9,9 @@ const PANELS = [
   ['images', 'Images', '2', './images.js'],
   ['point', 'Point', '3', './sheet.js'],
   ['questions', 'Questions', '4', './questions.js'],
-  ['registration', 'Registration', '5', './registration.js'],
-  ['comparison', 'Comparison', '6', './comparison.js'],
 ];
 const KEYS = [
-  ['1 … 6', 'the six views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
+  ['1 … 4', 'the four views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
   ['map: arrows, + −, 0', 'move, zoom, whole block'], ['map: c', 'select the point nearest to the middle'],
   ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'],
   ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'to the next tool, then the next image'],

@@ -87,7 +87,7 @@ export class MapPanel {
       const asked = this.asked(), layers = LAYERS.map(([key]) => key).filter(key => this.shown[key]);
       asked.set('layers', layers.join(','));
       asked.set('factor', this.factor.value || 0);
-      download(`/api/map/figure.${kind}?${asked}`, `map.${kind}`);
+      download(`/api/figure/map.${kind}?${asked}`, `map.${kind}`);
     });
     return menu;
   }

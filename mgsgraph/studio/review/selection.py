@@ -25,9 +25,9 @@ from mgsgraph.matching.chips import (
     stretched,
 )
 from mgsgraph.matching.scene import Pixels
-from mgsgraph.progress import Count, no_progress
 from mgsgraph.studio.review.verdicts import Verdicts, network_digest, require_verdicts_of
 from mgsgraph.text import listed, many, some
+from mgsgraph.workers import Count, no_progress
 
 WORST = 300
 """Points that are shown unless another number is asked for."""

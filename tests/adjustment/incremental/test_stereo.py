@@ -54,7 +54,7 @@ def test_ties_that_come_later_move_the_surface_as_batch_does(tmp_path: Path) -> 
         assert not closing.adopted
         assert solution.stereo_used.sum() == 24
         adjustment.remove(first.images[1].name)
-        for table in ("stereo_surface", "height_columns", "bundle_surface"):
+        for table in ("grid WHERE first IS NOT NULL", "packed WHERE kind = 'heights'"):
             assert project._connection.execute(f"SELECT count(*) FROM {table}").fetchone() == (0,)
         assert project._connection.execute("PRAGMA foreign_key_check").fetchall() == []
 

@@ -1,0 +1,322 @@
+"""Addresses of the page: what is open, the map, images, points, changes, questions and figures."""
+
+from collections.abc import Awaitable, Callable, Mapping
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from mgsgraph.analysis.posterior import Pixel
+from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.files.opening import json_object
+from mgsgraph.files.output.csv_json import plain
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.results.answers import Questions, answered
+from mgsgraph.studio.changes import EditLock, change
+from mgsgraph.studio.figures import drawn, images_figure, map_figure
+from mgsgraph.studio.linked import LinkedImages, NoGround, ground_record
+from mgsgraph.studio.map_points import (
+    CLASSES,
+    longitude_latitude,
+    map_points,
+    outlines_record,
+    relief_png,
+    residual_vectors,
+    scene_record,
+    selected,
+    sigma_cells,
+)
+from mgsgraph.studio.marks import shots_of, ties_of
+from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.point_sheet import chip, correlations, next_measures, point_sheet, refine, tests_of
+from mgsgraph.studio.tiles import Tiles
+from mgsgraph.units import DEG
+
+if TYPE_CHECKING:
+    from mgsgraph.results.figures.sheet import Sheet
+
+_LONGEST = 200_000
+"""bytes of a request's body."""
+BROWSER = "x-browser"
+"""Header by which the page says which browser asks."""
+
+
+class Views:
+    """Linked images and tiles of what is open, as it is now.
+
+    Parameters
+    ----------
+    opened : Opened
+    """
+
+    def __init__(self, opened: Opened) -> None:
+        self.opened, self.tiles = opened, Tiles({})
+        self._linked: tuple[int, LinkedImages] | None = None
+        self._lock = Lock()
+
+    @property
+    def linked(self) -> LinkedImages:
+        """Images linked by geometry, as the block is now."""
+        with self._lock:
+            if self._linked is None or self._linked[0] != self.opened.revision:
+                self._linked = self.opened.revision, LinkedImages(self.opened.block())
+                pictures, images = self.opened.pictures, self._linked[1].block.images
+                self.tiles.pictures = {one.name: (pictures.get(one.name), one.lines, one.samples) for one in images}
+            return self._linked[1]
+
+    def image_record(self, name: str) -> dict[str, Any]:
+        """Size, picture, ties and shots of an image; in place of a picture that can't be read, the sentence why."""
+        block = self.linked.block
+        number = block.network.image_number(name)
+        picture, sentence, image = None, "", block.images[number]
+        try:
+            picture = self.tiles.record(name)
+        except InputError as error:
+            sentence = str(error)
+        return {
+            "name": name, "lines": image.lines, "samples": image.samples, "picture": picture, "sentence": sentence,
+            "revision": self.opened.revision, "adjusted": block.adjusted,
+            "ties": ties_of(block, number), "shots": shots_of(block, number),
+        }  # fmt: skip
+
+
+# --- what is asked
+
+
+def number_of(asked: Mapping[str, str], key: str, default: float | None = None) -> float:
+    """A finite number among what an address asks; InputError where it is none or missing."""
+    text = asked.get(key)
+    if text is None and default is not None:
+        return default
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"request, {key}", repr(text)[:60], "a finite number")
+    return value
+
+
+def _box(asked: Mapping[str, str]) -> Array:
+    """(4,) m on the map, x and y, low and high; InputError where they are none."""
+    box = np.array([number_of(asked, key) for key in ("x0", "y0", "x1", "y1")])
+    if not np.all(box[2:] > box[:2]):
+        raise InputError("request, box", f"{box.tolist()}", "x0 < x1 and y0 < y1")
+    return box
+
+
+def _size(asked: Mapping[str, str]) -> tuple[float, float]:
+    width, height = (float(np.clip(number_of(asked, key, 800.0), 16.0, 8000.0)) for key in ("w", "h"))
+    return width, height
+
+
+def _kinds(asked: Mapping[str, str]) -> Mask:
+    """(classes,) which are asked for; all by default."""
+    names = [name for name in asked.get("classes", ",".join(CLASSES)).split(",") if name]
+    unknown = [name for name in names if name not in CLASSES]
+    if unknown:
+        raise InputError("request, classes", repr(unknown[0])[:60], f"some of {', '.join(CLASSES)}")
+    return np.array([name in names for name in CLASSES])
+
+
+def _browser(request: Request) -> str:
+    """Which browser asks; empty where it does not say."""
+    return request.headers.get(BROWSER, "")[:80]
+
+
+def questions_of(asked: dict[str, Any]) -> Questions:
+    """Questions as a browser puts them; InputError where one is none, or there are none."""
+    expected = "points, pairs, poses, projections or pixels"
+    try:
+        pixels = tuple(
+            Pixel(str(one["image"]), float(one["line"]), float(one["sample"]), float(one.get("sigma_px", 1.0)))
+            for one in asked.get("pixels", ())
+        )
+        found = Questions(
+            tuple(map(str, asked.get("points", ()))), tuple((str(a), str(b)) for a, b in asked.get("pairs", ())),
+            tuple((str(image), float(line)) for image, line in asked.get("poses", ())), (),
+            tuple((str(point), str(image)) for point, image in asked.get("projections", ())), pixels,
+            bool(asked.get("correlations", False)),
+        )  # fmt: skip
+    except (TypeError, ValueError, KeyError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("questions", repr(asked)[:80], expected) from None
+    if not found:
+        raise InputError("questions", "none", expected)
+    return found
+
+
+# --- what is answered
+
+
+def state_record(opened: Opened, lock: EditLock, browser: str) -> dict[str, Any]:
+    """Whether it may be changed, and why not, as JSON; what another process has changed is noticed."""
+    opened.notice()
+    words = lock.words(browser)
+    return {
+        "revision": opened.revision, "writable": opened.kind == "project" and not words, "lock": words,
+        "warning": opened.warning,
+    }  # fmt: skip
+
+
+def _png(data: bytes, seconds: int) -> Response:
+    return Response(data, media_type="image/png", headers={"Cache-Control": f"private, max-age={seconds}"})
+
+
+def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
+    """All addresses but those of the page's own files, for the server's list."""
+
+    def points(request: Request) -> Any:
+        asked = request.query_params
+        return map_points(opened).window(_box(asked), _size(asked), asked.get("value", "sigma"), _kinds(asked))
+
+    def relief(request: Request) -> Any:
+        return _png(relief_png(opened, _box(request.query_params), _size(request.query_params)), 0)
+
+    def select(request: Request) -> Any:
+        asked = request.query_params
+        least = number_of(asked, "least") if "least" in asked else None
+        box = _box(asked) if "x0" in asked else None
+        return selected(opened, asked.get("value", "sigma"), least, box, _kinds(asked))
+
+    def where(request: Request) -> Any:
+        place = np.array([[number_of(request.query_params, "x"), number_of(request.query_params, "y")]])
+        longitude, latitude = longitude_latitude(opened, place)[0] / DEG
+        return {"longitude_deg": longitude % 360.0, "latitude_deg": latitude}
+
+    def tile(request: Request) -> Any:
+        at, asked = request.path_params, request.query_params
+        contrast = number_of(asked, "low"), number_of(asked, "high")
+        if at["name"] not in views.tiles.pictures:
+            _ = views.linked  # which finds the pictures
+        return _png(views.tiles.tile(at["name"], at["level"], at["row"], at["column"], *contrast), 86400)
+
+    def ground(request: Request) -> Any:
+        asked, linked = request.query_params, views.linked
+        wanted = [name for name in asked.getlist("with") if name]
+        at = number_of(asked, "line"), number_of(asked, "sample")
+        try:
+            found, others = linked.under(request.path_params["name"], *at, wanted=wanted)
+        except NoGround as error:  # no mistake of anybody's: limbs are looked at, too
+            return {"sentence": str(error), "others": {}}
+        map_m = np.asarray(opened.map_places(found.point[None]))[0].tolist()
+        return ground_record(found, others, linked.block) | {"map_m": map_m}
+
+    def picture(request: Request) -> Any:
+        asked = request.query_params
+        image = asked.get("image", "")
+        path = opened.pictures.get(image)
+        if path is None:
+            raise InputError(f"image {image}", "no file of its pixels is known")
+        return _png(chip(path, number_of(asked, "line"), number_of(asked, "sample")), 3600)
+
+    def figure_of_map(request: Request) -> "Sheet":
+        asked = request.query_params
+        layers, value = asked.get("layers", "footprints,points").split(","), asked.get("value", "sigma")
+        box, size, kinds, factor = _box(asked), _size(asked), _kinds(asked), number_of(asked, "factor", 0.0)
+        return map_figure(opened, box, size, value, kinds, layers, factor)
+
+    def figure_of_images(request: Request) -> "Sheet":
+        asked, linked = request.query_params, views.linked
+        name = asked.get("image") or linked.block.images[0].name
+        image = linked.block.images[linked.block.network.image_number(name)]
+        window = (
+            number_of(asked, "line0", 0.0), number_of(asked, "line1", float(image.lines)),
+            number_of(asked, "sample0", 0.0), number_of(asked, "sample1", float(image.samples)),
+        )  # fmt: skip
+        others, factor = asked.getlist("with"), number_of(asked, "factor", 20.0)
+        return images_figure(linked, views.tiles, name, window, others, factor)
+
+    def figure(request: Request) -> Any:
+        view, drawing = request.path_params["view"], {"images": figure_of_images, "map": figure_of_map}
+        if view not in drawing:
+            raise InputError("figure", repr(view)[:60], f"one of {', '.join(drawing)}")
+        return drawn(view, request.path_params["kind"], lambda: drawing[view](request))
+
+    def changed(asked: Any, browser: str) -> Any:
+        if asked.get("kind") == "take over":
+            lock.take(browser)
+            words = ["This browser changes the project now."]
+            return state_record(opened, lock, browser) | {"sentences": words, "moved": []}
+        held = lock.require(browser)
+        try:
+            return change(opened, asked) | {"writable": True, "lock": ""}
+        except MgsgraphError:
+            if not held:  # what was refused keeps nobody out
+                lock.release(browser)
+            raise
+
+    def refined(asked: Any, _: str) -> Any:
+        try:
+            reference = asked["reference"]
+            first = str(reference["image"]), float(reference["line"]), float(reference["sample"])
+            second = str(asked["image"]), float(asked["line"]), float(asked["sample"])
+        except (TypeError, KeyError, ValueError):
+            expected = "reference {image, line, sample}, image, line, sample"
+            raise InputError("refine", repr(asked)[:80], expected) from None
+        found = refine(views.linked, opened.pictures, first, second)
+        line, sample = found.place.tolist()
+        words = (f"Refined against {first[0]}: line {line:.2f}, sample {sample:.2f}, sigma {found.sigma:.2g} px, "
+                 f"correlation {found.correlation:.2f}.")  # fmt: skip
+        return {"line": line, "sample": sample, "sigma_px": found.sigma, "correlation": found.correlation,
+                "sentence": words}  # fmt: skip
+
+    def asked_of(asked: Any, _: str) -> Any:
+        found = answered(opened.posterior(), questions_of(asked))
+        return [{"text": "\n".join(one.sentences), "record": plain(one.numbers)} for one in found]
+
+    getting: dict[str, Callable[[Request], Any]] = {
+        "/api/state": lambda request: state_record(opened, lock, _browser(request)),
+        "/api/scene": lambda _: scene_record(opened),
+        "/api/map/outlines": lambda _: outlines_record(opened),
+        "/api/map/points": points,
+        "/api/map/relief.png": relief,
+        "/api/map/sigmas": lambda _: opened.once("sigma cells", lambda: sigma_cells(opened)),
+        "/api/map/residuals": lambda request: residual_vectors(opened, request.query_params.get("image", "")),
+        "/api/map/where": where,
+        "/api/select": select,
+        "/api/images/{name:path}/tiles/{level:int}/{row:int}/{column:int}.png": tile,
+        "/api/images/{name:path}/ground": ground,
+        "/api/images/{name:path}": lambda request: views.image_record(request.path_params["name"]),
+        "/api/points/{name:path}/tests": lambda request: tests_of(opened, request.path_params["name"]),
+        "/api/points/{name:path}/correlations": lambda request: correlations(opened, request.path_params["name"]),
+        "/api/points/{name:path}": lambda request: point_sheet(opened, request.path_params["name"]),
+        "/api/chip.png": picture,
+        "/api/plan": lambda _: opened.once("next measures", lambda: next_measures(opened, views.linked)),
+        "/api/figure/{view:str}.{kind:str}": figure,
+    }
+    posting: dict[str, Callable[[Any, str], Any]] = {
+        "/api/changes": changed,
+        "/api/refine": refined,
+        "/api/questions": asked_of,
+    }
+    return [
+        *(Route(path, _got(answer)) for path, answer in getting.items()),
+        *(Route(path, _posted(answer), methods=["POST"]) for path, answer in posting.items()),
+    ]
+
+
+def _got(answer: Callable[[Request], Any]) -> Callable[[Request], Response]:
+    def endpoint(request: Request) -> Response:
+        found = answer(request)
+        return found if isinstance(found, Response) else JSONResponse(found)
+
+    return endpoint
+
+
+def _posted(answer: Callable[[Any, str], Any]) -> Callable[[Request], Awaitable[Response]]:
+    async def endpoint(request: Request) -> Response:
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > _LONGEST:
+                raise InputError("request", f"more than {_LONGEST} bytes", "a shorter one")
+        asked = json_object(body, "request")
+        return JSONResponse(await run_in_threadpool(answer, asked, _browser(request)))
+
+    return endpoint
