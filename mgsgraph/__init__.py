@@ -25,8 +25,7 @@ Cases and their adjustment
     Case                    what was read: a network, settings
     adjust                  adjusts a case
     adjust_network          adjusts a network, on a cluster, too
-    Adjustment              the same as a class: Adjustment.batch(network)
-    SolverSettings          form, loss, rejection of blunders, tolerances
+    SolverSettings          line, loss, rejection of blunders, tolerances
 
 The solution and its covariance
     Solution                orientation, points, residuals, covariances
@@ -80,7 +79,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from mgsgraph.adjustment.adjust import Adjustment as Adjustment
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
     from mgsgraph.adjustment.incremental.impact import Impact as Impact
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
@@ -122,7 +120,6 @@ if TYPE_CHECKING:
 _HOME = {
     "adjust": "mgsgraph.case.reading",
     "adjust_network": "mgsgraph.adjustment.adjust",
-    "Adjustment": "mgsgraph.adjustment.adjust",
     "Archives": "mgsgraph.fetch.needs",
     "Case": "mgsgraph.case.reading",
     "convert": "mgsgraph.export.exchange",

@@ -22,7 +22,7 @@ from study import DOCS, Z99, at_least, command, made_with, show, table, write_pa
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import UNCONTROLLED, critical_value, judged, swept
-from mgsgraph.adjustment.graph.bundle import BETWEEN, SHARE
+from mgsgraph.adjustment.graph.forms import BETWEEN, SHARE
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution

@@ -5,10 +5,11 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.graph.bundle import point_key, shared_vector
-from mgsgraph.adjustment.graph.explicit import explicit_covariances, explicit_graph
+from mgsgraph.adjustment.covariances import considered_information
+from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph.forms import explicit_graph, point_key, shared_vector, variable_key
 from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shift_values
+from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance
 from mgsgraph.adjustment.rounds import exactly
 from mgsgraph.adjustment.solution import Solution
 
@@ -46,3 +47,36 @@ def by_gtsam(solution: Solution) -> Solution:
         shifts=shifts, lift=lift, shared=shared_values(network, variables, x), nodes=nodes, trends=trends,
         places=layout.network_order(points), covariances=layout.network_order(covariances), joint_covariance=joint,
     )  # fmt: skip
+
+
+def explicit_covariances(
+    layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[JointCovariance, np.ndarray]:
+    """Joint covariance of the shared unknowns and covariances (n, 3, 3) of points: inverted as one
+    matrix.
+    """
+    order, n = gtsam.Ordering(), layout.rows.kind.size
+    points = [i for i in range(n) if values.exists(point_key(i))]
+    for key in (*(variable_key(layout, v) for v in layout.variables.adjusted()), *map(point_key, points)):
+        order.push_back(key)
+    information = graph.linearize(values).hessian(order)[0]
+    scales = np.concatenate([layout.scales, np.full(3 * len(points), 100.0)])
+
+    def inverted() -> tuple[JointCovariance, np.ndarray]:
+        units = np.outer(scales, scales)
+        every, shared = np.linalg.inv(information * units) * units, slice(layout.columns)
+        return dense_covariance(layout.variables.first, layout.variables.width, every[shared, shared]), every
+
+    joint, every = inverted()
+    if layout.prior.considered:
+        for (v, w), block in considered_information(layout, joint):
+            rows, columns = layout.columns_of(v), layout.columns_of(w)
+            information[rows, columns] += block
+            if v != w:
+                information[columns, rows] += block.T
+        joint, every = inverted()
+    found, first = np.zeros((n, 3, 3)), layout.columns
+    for k, i in enumerate(points):
+        mine = slice(first + 3 * k, first + 3 * k + 3)
+        found[i] = every[mine, mine]
+    return joint, found

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.explicit import observation_factor, observation_noise
+from mgsgraph.adjustment.graph.forms import observation_factor, observation_noise
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables, make_groups, pair_blocks
 from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_observation
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, point_covariances, reduce

@@ -182,8 +182,8 @@ def _adjusted(memory: float = float("inf"), **chosen: Any) -> dict[str, float]:
     """Whole adjustments, on a device with so much memory beside its reduced equations."""
     from networks import network, pair
 
+    from mgsgraph.adjustment import gpu as choice
     from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.adjustment.gpu import choice
     from mgsgraph.adjustment.gpu.sweeper import dense_bytes
     from mgsgraph.adjustment.graph import lay_out
     from mgsgraph.adjustment.settings import SolverSettings

@@ -7,14 +7,14 @@ true orientation differs from the nominal one by what the prior says; everything
 stated.
 """
 
-from mgsgraph import Adjustment, KnownImage
+from mgsgraph import KnownImage, adjust_network
 from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
 pair = simulate_pair(seed=1)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
 network = observed(images, [pair.ties, pair.laser], shot_sigma=pair.settings.noise.shot_image)
-solution = Adjustment.batch(network)
+solution = adjust_network(network)
 print(solution)
 
 # %%

@@ -5,14 +5,14 @@ Questions to the covariance
 The covariance of all unknowns is kept, so that anything may be asked afterwards: :doc:`/analysis`.
 """
 
-from mgsgraph import Adjustment, KnownImage, Pixel, Posterior
+from mgsgraph import KnownImage, Pixel, Posterior, adjust_network
 from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
 pair = simulate_pair(seed=1)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
 network = observed(images, [pair.ties, pair.laser], shot_sigma=pair.settings.noise.shot_image)
-solution = Adjustment.batch(network)
+solution = adjust_network(network)
 posterior = Posterior.of(solution)
 
 # %%

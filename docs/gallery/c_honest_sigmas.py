@@ -7,7 +7,7 @@ The tie points of this pair scatter by one pixel, but we state two. Do the resid
 
 from dataclasses import replace
 
-from mgsgraph import Adjustment, KnownImage
+from mgsgraph import KnownImage, adjust_network
 from mgsgraph.analysis.components import components_of
 from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
@@ -16,7 +16,7 @@ pair = simulate_pair(seed=3)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
 stated = replace(pair.ties, measure_sigmas=2.0 * pair.ties.measure_sigmas)
 network = observed(images, [stated, pair.laser], shot_sigma=pair.settings.noise.shot_image)
-solution = Adjustment.batch(network)
+solution = adjust_network(network)
 print(components_of(solution))
 
 # %%

@@ -8,7 +8,7 @@ what may be a blunder, what is weak. One measure of this pair is off by eight pi
 
 from dataclasses import replace
 
-from mgsgraph import Adjustment, KnownImage, Posterior
+from mgsgraph import KnownImage, Posterior, adjust_network
 from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
@@ -17,7 +17,7 @@ measures = pair.ties.measures.copy()
 measures[40, 0] += 8.0
 ties = replace(pair.ties, measures=measures)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
-solution = Adjustment.batch(observed(images, [ties, pair.laser], shot_sigma=pair.settings.noise.shot_image))
+solution = adjust_network(observed(images, [ties, pair.laser], shot_sigma=pair.settings.noise.shot_image))
 linearised = Posterior.of(solution).linearised
 print(solution)
 

@@ -25,9 +25,9 @@ from mgsgraph.adjustment.covariances import (
 from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.drivers import Drivers, driver_sentences, drivers_of
 from mgsgraph.adjustment.fit import Fit, Residuals, fit, residuals, strained_orientations
-from mgsgraph.adjustment.gpu.choice import remarks_of, require_usable, sweeper_of
+from mgsgraph.adjustment.gpu import require_usable, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shift_values
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import best_of_starts, starts_wanted
@@ -93,11 +93,7 @@ def nominal_reduction(
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
-
-    def again(anew: Layout) -> Reduction:
-        return BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
-
-    layout, before = settled(layout, before, again, own=True, sweeper=sweeper)
+    layout, before = settled(layout, selection, before, own=True, sweeper=sweeper)
     return layout, replace(selection, stereo=wanted.stereo), before
 
 
@@ -239,7 +235,7 @@ def _misfit(
     judged, drivers = fit(layout, solved.rows, orientation, solved.points, found), None
     strained = strained_orientations(layout.network, unknowns["coefficients"], unknowns["nodes"])
     if not solved.outcome.converged or judged.absurd or any(one.impossible for one in strained):
-        drivers = _drivers(solved, found, sweeper)
+        drivers = drivers_of(BundleGraph(layout, solved.rows, sweeper), solved.reduction, found)
         clock.stop("drivers")
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
@@ -249,13 +245,6 @@ def _misfit(
     if drivers is not None:
         _require_covariance(solved, drivers)
     return found, judged, drivers
-
-
-def _drivers(solved: Solved, found: Residuals, sweeper: Sweeper) -> Drivers:
-    """Which images and points drive an adjustment; `found` are the residuals at its end."""
-    graph = BundleGraph(solved.layout, solved.rows, sweeper)
-    damping = solved.outcome.history[-1].damping if solved.outcome.history else 0.0
-    return drivers_of(graph, solved.reduction, damping, found)
 
 
 def _require_covariance(solved: Solved, drivers: Drivers) -> None:
@@ -338,7 +327,7 @@ def versions() -> dict[str, str]:
 
 def adjust_network(
     network: Network,
-    settings: SolverSettings,
+    settings: SolverSettings | None = None,
     name: str = "adjustment",
     progress: Progress = lambda _: None,
     cluster: Connection | None = None,
@@ -350,7 +339,8 @@ def adjust_network(
     Parameters
     ----------
     network : Network
-    settings : SolverSettings
+    settings : SolverSettings, optional
+        The defaults when absent.
     name : str
         What to call it in reports.
     progress : callable
@@ -388,7 +378,7 @@ def adjust_network(
     >>> robust.converged, round(robust.sigma0, 2)
     (True, 1.1)
     """
-    clock = Clock()
+    clock, settings = Clock(), settings or SolverSettings()
     if cluster is not None and settings.device == "cuda":
         raise InputError(cluster.where, "solver, device 'cuda'", "'cpu' on a cluster", "take one of both")
     require_usable(settings)
@@ -414,28 +404,7 @@ def adjust_network(
         _require_ties(name, solved)
         del before, layout  # the posterior needs the memory
         found = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
-        return replace(found, minima=minima, message=" ".join([found.message, *remarks_of(sweeper)]))
-
-
-class Adjustment:
-    """Networks adjusted in one go; `IncrementalAdjustment` takes images as they come.
-
-    Examples
-    --------
-    >>> solution = mgsgraph.Adjustment.batch(network)
-    >>> solution.converged, solution.fit.degrees_of_freedom
-    (True, 60)
-    """
-
-    @staticmethod
-    def batch(
-        network: Network,
-        settings: SolverSettings | None = None,
-        name: str = "adjustment",
-        progress: Progress = lambda _: None,
-    ) -> Solution:
-        """Adjust a network with the default settings, or others; see `adjust_network`."""
-        return adjust_network(network, settings or SolverSettings(), name, progress)
+        return replace(found, minima=minima, message=" ".join(filter(None, [found.message, sweeper.remark])))
 
 
 def _require_ties(name: str, solved: Solved) -> None:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.bundle import BundleGraph, Solving
+from mgsgraph.adjustment.graph.forms import BundleGraph, Solving
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import Unsolvable

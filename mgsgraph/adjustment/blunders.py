@@ -21,7 +21,7 @@ import numpy as np
 
 from mgsgraph.adjustment.covariances import Linearised, PointRows
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.bundle import BETWEEN, IN_PROCESS, MISFIT, SHARE, Sweeper, numbers
+from mgsgraph.adjustment.graph.forms import BETWEEN, IN_PROCESS, MISFIT, SHARE, Sweeper, numbers
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import OUT, Small
 from mgsgraph.network import PointClass
@@ -37,7 +37,7 @@ INSEPARABLE = 0.99
 
 
 def swept(at: Linearised, ground: Index) -> tuple[Array, Array]:
-    """The kernel's numbers (t, 8), and all of them (g, 3, 7) for some observations (`graph.bundle.numbers`)."""
+    """The kernel's numbers (t, 8), and all of them (g, 3, 7) for some observations (`graph.forms.numbers`)."""
     layout = at.layout
     constants = layout.groups, layout.blocks.target, layout.model, at.orientation
     return numbers(at.rows, *constants, at.pair_blocks(layout), at.points, ground)

@@ -21,7 +21,7 @@ import numpy as np
 from mgsgraph.adjustment.datum import POORLY, defects, scaled_normal
 from mgsgraph.adjustment.fit import Fit, fit, residuals
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import (
+from mgsgraph.adjustment.graph.forms import (
     IN_PROCESS,
     Sweeper,
     factor_of_blocks,

@@ -3,8 +3,7 @@
 These quantities are divided among images and among points, at the state that the adjustment has reached:
 
 * the cost: each measure's part of it belongs to its image and to its point, an a-priori orientation's to its image;
-* the points that have no place: behind a camera, on rays that part, or not determined by their rays. They are sought at
-  the state itself and after the next step, whose cost they make infinite.
+* the points that have no place there: behind a camera, on rays that part, or not determined by their rays.
 
 An image or a point *stands out* where its mean square per measure is many times the median of all others', by more than
 chance gives. Wrong measures of few points make residuals of many images larger, and one wrong image those of its
@@ -24,10 +23,9 @@ import numpy as np
 from mgsgraph.adjustment.fit import Residuals, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.rows import nearly_parallel
-from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, TUKEY, WEAK
-from mgsgraph.kernel.sweep import COSTS, Reduction
+from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
 from mgsgraph.record import Record
 from mgsgraph.text import many
@@ -43,8 +41,6 @@ class Quantity(StrEnum):
     """The cost at the state that was reached."""
     LOST = "lost points"
     """Points without a place at that state."""
-    BLOCKING = "blocking points"
-    """Points without a place after the next step, so that it can't be taken."""
 
 
 class Kind(StrEnum):
@@ -87,16 +83,12 @@ class Drivers(Record):
     """Of each quantity that isn't zero: of images and of points, the more concentrated first."""
     cost: float
     """At the state that was reached, of all measures with a place."""
-    cost_after: float
-    """The same after the next step; infinite where some points then have no place, NaN without a step."""
-    step: float
-    """Length of that step in posterior sigmas; NaN without one."""
     behind: int
-    """Points behind a camera, at that state or after the step."""
+    """Points behind a camera."""
     parting: int
     """Of these, those whose rays are nearly parallel and part."""
     weak: int
-    """Points that their rays don't determine, at that state or after the step."""
+    """Points that their rays don't determine."""
 
     @property
     def outstanding(self) -> tuple[Contributions, ...]:
@@ -132,11 +124,10 @@ def _sentence(one: Contributions, network: Network) -> str:
     share, plural = _percent(one.share), count != 1
     if one.quantity == Quantity.COST:
         return f"{who} {'carry' if plural else 'carries'} {share} of the cost: {names}."
-    when = "where it stopped" if one.quantity == Quantity.LOST else "after the next step, which can't be taken"
-    what = "no place (behind a camera, on rays that part, or not determined by them)"
+    what = "no place where it stopped (behind a camera, on rays that part, or not determined by them)"
     if one.kind == Kind.POINT:
-        return f"{who} {'have' if plural else 'has'} {what} {when}: {names}."
-    return f"{who} {'see' if plural else 'sees'} most of the points that have {what} {when}: {names}."
+        return f"{who} {'have' if plural else 'has'} {what}: {names}."
+    return f"{who} {'see' if plural else 'sees'} most of the points that have {what}: {names}."
 
 
 def _names(one: Contributions, network: Network, most: int = 3) -> str:
@@ -191,8 +182,6 @@ def contributions(
     parts = []
     for mine in (outstanding, ~outstanding & (values > 0.0)):
         index = np.flatnonzero(mine)
-        if then is None and index.size > LISTED:
-            index = index[np.argpartition(-values[index], LISTED)[:LISTED]]
         keys = (-values[index],) if then is None else (-then[index], -values[index])
         parts.append(index[np.lexsort(keys)][:LISTED])
     members = np.concatenate(parts)[:LISTED]
@@ -229,10 +218,6 @@ _PULLED = 0.1
 """Share of the largest mean square of an image up to which others owe theirs to that image."""
 _MOST = 0.1
 """Share of all points beyond which those that stand out, or have no place, are rather the images' doing."""
-_DAMPED, _MOST_DAMPING = 100.0, 1e8
-"""Damping goes up by this factor, to that, where the equations can't be solved."""
-_LEAST_DAMPING = 1e-12
-"""With which the next step is taken where the last one had none."""
 
 
 class _Costs(NamedTuple):
@@ -270,7 +255,7 @@ class _Costs(NamedTuple):
 
 
 def drivers_of(
-    graph: BundleGraph, reduction: Reduction, damping: float | None, found: Residuals | None = None
+    graph: BundleGraph, reduction: Reduction, found: Residuals | None = None
 ) -> Drivers:
     """Images and points that drive an adjustment.
 
@@ -279,16 +264,9 @@ def drivers_of(
     graph : BundleGraph
         With the rows that take part.
     reduction : Reduction
-        Of these rows, at the state that was reached; with the normal matrix, if there is to be a step.
-    damping : float, optional
-        Of the last step, in inverse squared scales; None says nothing of a next step, and costs no sweep for it.
+        Of these rows, at the state that was reached.
     found : Residuals, optional
         At that state; they cost a sweep when absent.
-
-    Returns
-    -------
-    Drivers
-        What the step would do costs one sweep.
     """
     layout, network = graph.layout, graph.layout.network
     taking, states = layout.network_order(graph.rows.kind) != OUT, layout.network_order(reduction.states)
@@ -297,42 +275,15 @@ def drivers_of(
     here = _costs(graph, reduction, known, lost)
     redescending = layout.model.loss == TUKEY
     factor = 0.0 if redescending else _IMAGES if np.any(reduction.orientation) else _UNADJUSTED
-    every, after, length, blocking = _of_cost(network, here, factor), math.nan, math.nan, np.zeros_like(lost)
-    step = None if damping is None else _next_step(graph, reduction, damping)
-    if step is not None:
-        length = math.sqrt(max(-float(graph.gradient(reduction) @ step), 0.0))
-        trial = graph.reduction(reduction.orientation + step, COSTS, reduction)
-        later = layout.network_order(trial.states)
-        blocking, states = taking & ~lost & (later != GOOD), np.where(lost, states, later)
-        after = math.inf if np.any(lost | blocking) else graph.cost(trial)
-    for quantity, points in ((Quantity.LOST, lost), (Quantity.BLOCKING, blocking)):
-        every += _of_lost(network, quantity, points, here, redescending)
+    every = _of_cost(network, here, factor) + _of_lost(network, lost, here, redescending)
     behind = np.flatnonzero(taking & (states == BEHIND))
-    order = list(Quantity)
     return Drivers(
-        contributions=tuple(sorted(every, key=lambda one: order.index(one.quantity))),
+        contributions=tuple(every),
         cost=float(here.values.sum() + here.own.sum()),
-        cost_after=after,
-        step=length,
         behind=behind.size,
         parting=int(np.count_nonzero(nearly_parallel(network, behind))),
         weak=int(np.count_nonzero(taking & (states == WEAK))),
     )
-
-
-def _next_step(graph: BundleGraph, reduction: Reduction, damping: float) -> Array | None:
-    """Step (columns,) that would be next; None where no damping makes the equations solvable."""
-    if reduction.blocks is None or not graph.layout.columns:
-        return None
-    damping = max(damping, _LEAST_DAMPING)
-    while damping <= _MOST_DAMPING:
-        try:
-            step = graph.factor(reduction, damping).solve(-graph.gradient(reduction))
-        except NotDefinite:
-            damping *= _DAMPED
-            continue
-        return step if np.all(np.isfinite(step)) else None
-    return None
 
 
 def _costs(graph: BundleGraph, reduction: Reduction, found: Residuals, lost: Mask) -> _Costs:
@@ -389,9 +340,7 @@ def _of_cost(network: Network, costs: _Costs, factor: float) -> list[Contributio
     return [one for one in (found[::-1] if points_first else found) if one.members.size]
 
 
-def _of_lost(
-    network: Network, quantity: Quantity, lost: Mask, costs: _Costs, redescending: bool
-) -> list[Contributions]:
+def _of_lost(network: Network, lost: Mask, costs: _Costs, redescending: bool) -> list[Contributions]:
     """Of points (n,) without a place: all of them stand out where they are few; images by how many of them they saw."""
     count = int(np.count_nonzero(lost))
     if not count:
@@ -403,7 +352,7 @@ def _of_lost(
     far = (number >= 0.5 * count) & (number / count >= _IMAGES * whole) & (count >= FEWEST) & few
     level = level / np.maximum(measures, 1.0)
     found = [
-        contributions(quantity, Kind.POINT, lost.astype(np.float64), lost & few),
-        contributions(quantity, Kind.IMAGE, number, far, level, count),
+        contributions(Quantity.LOST, Kind.POINT, lost.astype(np.float64), lost & few),
+        contributions(Quantity.LOST, Kind.IMAGE, number, far, level, count),
     ]
     return found[::-1] if np.any(far) else found

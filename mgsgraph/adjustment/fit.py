@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.variables import footprint_shifts, shared_values
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.geometry.body import east_north
@@ -64,10 +64,18 @@ class Squares(NamedTuple):
 
     def costs(self, model: Model) -> Array:
         """(m,) what each adds to the cost."""
+        return np.asarray(self._loss(model)[0])
+
+    def weighted(self, model: Model) -> Array:
+        """(m,) the squares with the loss's weights."""
+        return np.asarray(self.values * self._loss(model)[1])
+
+    def _loss(self, model: Model) -> tuple[Any, Any]:
+        """Costs and weights."""
         if not self.robust or model.loss == NO_LOSS:
-            return 0.5 * self.values
-        cost, _ = _LOSSES[model.loss](self.values, model.width)
-        return np.asarray(cost)
+            return 0.5 * self.values, 1.0
+        found: tuple[Any, Any] = _LOSSES[model.loss](self.values, model.width)
+        return found
 
 
 def squares_of(
@@ -189,25 +197,12 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
     kind = layout.network_order(rows.kind)
     every = squares_of(layout, rows, orientation, points, found).values()
     corrections = layout.prior.residuals(orientation)
-    parts = [_weighted(one.values, layout.model) if one.robust else float(one.values.sum()) for one in every]
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
-        squares=float(sum(parts) + corrections @ corrections),
+        squares=float(sum(one.weighted(layout.model).sum() for one in every) + corrections @ corrections),
         observations=sum(one.rows * one.values.size for one in every) + layout.prior.rows,
         unknowns=layout.columns + 3 * free,
     )
-
-
-def _weighted(squares: Array, model: Model) -> float:
-    """Sum of squares with the loss's weights (see `tile.robust` of the factors)."""
-    if model.loss == NO_LOSS:
-        return float(squares.sum())
-    if model.loss == HUBER:
-        return float((squares * np.minimum(1.0, model.width / np.sqrt(np.maximum(squares, 1e-300)))).sum())
-    ratio = squares / model.width**2
-    if model.loss == CAUCHY:
-        return float((squares / (1.0 + ratio)).sum())
-    return float((squares * np.maximum(1.0 - ratio, 0.0) ** 2).sum())
 
 
 STRAINED = 5.0

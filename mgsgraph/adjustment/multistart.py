@@ -23,13 +23,13 @@ import numpy as np
 
 from mgsgraph.adjustment.batch import BundleProblem, HeldProblem, levenberg_marquardt
 from mgsgraph.adjustment.covariances import MOST_POINTS, MOST_UNKNOWNS, orientation_covariance
+from mgsgraph.adjustment.fit import fit, residuals
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import Sweeper
+from mgsgraph.adjustment.graph.forms import Sweeper
 from mgsgraph.adjustment.marginals import JointCovariance, in_cliques, joint_covariance
 from mgsgraph.adjustment.rounds import Solved, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import MgsgraphError
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, OUT
 from mgsgraph.kernel.sweep import SYSTEM, Reduction
@@ -263,19 +263,13 @@ def _end(solved: Solved, sweeper: Sweeper) -> _End:
     free = (rows.kind != FIXED) & (rows.kind != OUT)
     scaled = covariance / layout.scales / layout.scales[:, None]
     logarithm = np.linalg.slogdet(scaled)[1] + np.sum(np.linalg.slogdet(own[free])[1])
-    return _End(solved, covariance, 0.5 * float(logarithm) - solved.outcome.cost_final, _unit(solved))
+    return _End(solved, covariance, 0.5 * float(logarithm) - solved.outcome.cost_final, _unit(solved, sweeper))
 
 
-def _unit(solved: Solved) -> float:
-    """Squared sigma of the fit, 1 or more: where blunders are in, minima are as much wider. Priors count as many rows
-    as unknowns; what they leave are rays, ranges and heights less what free points take of them.
-    """
-    network, left = solved.layout.network, solved.selection
-    surface = network.surface
-    heights = 0 if surface is None else np.count_nonzero(np.isfinite(surface.sigmas) & ~left.out)
-    free = np.count_nonzero((network.points.kinds == PointKind.FREE) & ~left.out)
-    rows = 2 * np.count_nonzero(left.rays & ~left.out[network.rays.point]) + np.count_nonzero(left.ranges) + heights
-    return max(1.0, 2.0 * solved.outcome.cost_final / max(int(rows) - 3 * int(free), 1))
+def _unit(solved: Solved, sweeper: Sweeper) -> float:
+    """Squared sigma of the fit, 1 or more: where blunders are in, minima are as much wider."""
+    found = residuals(solved.layout, solved.orientation, solved.points, sweeper)
+    return max(1.0, fit(solved.layout, solved.rows, solved.orientation, solved.points, found).sigma0 ** 2)
 
 
 def _weighted(ends: Sequence[_End], best: _End) -> list[tuple[_End, float]]:

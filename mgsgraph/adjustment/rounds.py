@@ -19,7 +19,7 @@ from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.covariances import Linearised, orientation_covariance
 from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.rays import followed
 from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
@@ -28,7 +28,7 @@ from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, PREDICTED, WEAK, Rows, Small
-from mgsgraph.kernel.sweep import COSTS, Reduction
+from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction
 from mgsgraph.network import Network
 
 NEAR = 1e-5
@@ -85,29 +85,12 @@ def _about_followed_lines(
     return now
 
 
-def settled(
-    layout: Layout, reduction: Reduction, again: Callable[[Layout], Reduction], own: bool = False,
-    sweeper: Sweeper = IN_PROCESS,
-) -> tuple[Layout, Reduction]:  # fmt: skip
-    """Layout and reduction of points that follow their lines, and lines their points, the shared unknowns held.
-
-    `again` solves the points of another layout for the same unknowns; `own` as of `about_predicted_lines`.
-    """
-    for _ in range(_MOST):
-        anew = about_predicted_lines(layout, reduction.orientation, reduction.points, own=own, sweeper=sweeper)
-        if anew is layout:
-            break
-        layout, reduction, own = anew, again(anew), True
-    return layout, reduction
-
-
 def exactly(
     layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS
 ) -> tuple[Layout, Array]:
     """The same, and the points in its order: for a network that is linearised where it was adjusted."""
     anew = about_predicted_lines(layout, orientation, points, sweeper=sweeper)
     return anew, points if anew is layout else layout.network_order(points)[anew.point_order]
-
 
 
 Progress = Callable[[Iteration], None]
@@ -154,6 +137,22 @@ class Selection:
         left = np.bincount(network.rays.point, self.rays, len(network.points))
         out = self.out | ((network.points.kinds == PointKind.FREE) & (left < 2))
         return layout.active(self.rays, self.ranges, out, self.stereo)
+
+
+def settled(
+    layout: Layout, selection: Selection, reduction: Reduction, task: int = SYSTEM, own: bool = False,
+    sweeper: Sweeper = IN_PROCESS,
+) -> tuple[Layout, Reduction]:  # fmt: skip
+    """Layout and reduction of selected points that follow their lines, and lines their points, the shared unknowns
+    held; `own` as of `about_predicted_lines`.
+    """
+    for _ in range(_MOST):
+        anew = about_predicted_lines(layout, reduction.orientation, reduction.points, own=own, sweeper=sweeper)
+        if anew is layout:
+            break
+        layout, own = anew, True
+        reduction = BundleGraph(anew, selection.rows(anew), sweeper).reduction(reduction.orientation, task)
+    return layout, reduction
 
 
 def everything(network: Network) -> Selection:
@@ -331,7 +330,7 @@ def _solve(
     except Unsolvable as error:
         reached = error.state if isinstance(error.state, np.ndarray) else orientation
         at = known if known is not None and known.serves(reached, COSTS) else graph.reduction(reached, COSTS)
-        words = " ".join(driver_sentences(drivers_of(graph, at, None), graph.layout.network))
+        words = " ".join(driver_sentences(drivers_of(graph, at), graph.layout.network))
         raise SolverError(f"{error}. {words}") from None
     return Solved(
         graph.layout, outcome, outcome.history, outcome.cost_initial, outcome.state, reduction.points, graph.rows,

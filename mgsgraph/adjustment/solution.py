@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import Design, adjusted_image, correction_parts, design, whole_correction
 from mgsgraph.record import Record, card
-
-if TYPE_CHECKING:
-    pass
 
 _TOGETHER = 1024
 """Images whose orientation is put together at a time: 31 lines of each take some 60 MB."""
@@ -232,13 +228,6 @@ class Solution(Record):
     def members(self, point_class: PointClass) -> Index:
         """Determined points of one class."""
         return np.flatnonzero((self.network.points.classes == point_class) & self.determined)
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """AttributeError, which names the function where a method of version 0.2 is asked for."""
-            remedy = f"; use mgsgraph.{name}(solution)" if name in ("to_pandas", "to_geopandas", "to_xarray") else ""
-            raise AttributeError(f"'Solution' object has no attribute {name!r}{remedy}")
 
     def _repr_html_(self) -> str:
         """For notebooks."""

@@ -19,14 +19,14 @@ from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
 from mgsgraph.adjustment.cluster.connection import Connection
 from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.rounds import Progress, Selection, determined_points, everything, settled
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.kernel.sweep import COSTS, Reduction
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import TERRAIN, Network
 
 
@@ -73,11 +73,8 @@ class RaysAlone:
 
     def _placed(self, orientation: Array) -> tuple[Layout, Array]:
         """Points (n, 3) where the unknowns put them, and the layout in whose order they are."""
-
-        def again(layout: Layout) -> Reduction:
-            return BundleGraph(layout, self._selection.rows(layout)).reduction(orientation, COSTS)
-
-        layout, found = settled(self._layout, again(self._layout), again)
+        begin = BundleGraph(self._layout, self._selection.rows(self._layout)).reduction(orientation, COSTS)
+        layout, found = settled(self._layout, self._selection, begin, COSTS)
         return layout, found.points
 
     def _whole(self, layout: Layout, values: Array) -> Array:

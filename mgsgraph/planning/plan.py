@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.state import ground_motion
 from mgsgraph.errors import InputError, WeakNetwork
 from mgsgraph.files.tie_points import PointKind

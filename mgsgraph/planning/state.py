@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER
 from mgsgraph.adjustment.incremental.state import shared_of
 from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expected

@@ -239,9 +239,13 @@ def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Ar
     return array
 
 
+_FORMER = {"kind", "form", "method", "cost_after", "step"}
+"""A record's kind, and fields of earlier versions that nothing reads now: choices of the solver, a step of drivers."""
+
+
 def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any:
     hints = _field_types(kind)
-    for name in sorted(set(value) - set(hints) - {"kind", "form", "method"})[:1]:  # the solver had choices once
+    for name in sorted(set(value) - set(hints) - _FORMER)[:1]:
         raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
     # a field that the writer didn't know yet takes its default; one that has none fails there
     parts = {name: from_arrays(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}

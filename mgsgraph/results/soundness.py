@@ -125,8 +125,6 @@ def drivers_section(solution: Solution) -> Section:
     table = drivers_table(solution)
     return Section("drivers", sentences=[said], tables=[table], csv=[table], numbers={
         "cost": found.cost,
-        "cost_after_next_step": found.cost_after,
-        "next_step_sigmas": found.step,
         "points_behind": found.behind,
         "points_parting": found.parting,
         "points_weak": found.weak,
@@ -146,8 +144,7 @@ def drivers_table(solution: Solution) -> Table:
     rows = [(one, rank) for one in every for rank in range(one.members.size)]
     return Table("drivers", "What drives the adjustment", (
         Column("quantity", [str(one.quantity) for one, _ in rows], page="s",
-               meaning="cost; lost points: without a place where it stopped; blocking points: without one after the "
-               "next step"),
+               meaning="cost; lost points: without a place where it stopped"),
         Column("kind", [str(one.kind) for one, _ in rows], page="s", meaning="image or point"),
         Column("name", list(chain.from_iterable(_names(solution, one) for one in every)), page="s",
                meaning="of the image, or id of the point"),

@@ -5,14 +5,13 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from explicit_form import by_gtsam
+from explicit_form import by_gtsam, explicit_covariances
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.covariances import orientation_covariance, point_covariances
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.graph.bundle import point_key, variable_key
-from mgsgraph.adjustment.graph.explicit import explicit_covariances, explicit_graph
+from mgsgraph.adjustment.graph.forms import explicit_graph, point_key, variable_key
 from mgsgraph.adjustment.rounds import everything, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork

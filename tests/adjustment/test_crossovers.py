@@ -12,7 +12,7 @@ from networks import network, pair
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import prior_covariance
 from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.graph.bundle import prior_factors
+from mgsgraph.adjustment.graph.forms import prior_factors
 from mgsgraph.adjustment.graph.variables import footprint_motion
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.grouping import group_rows, scaled

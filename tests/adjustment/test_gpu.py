@@ -1,7 +1,6 @@
 """Who goes over the points, and how a GPU's memory and its reduced equations are dealt with; none is needed here."""
 
 import math
-from contextlib import nullcontext
 from itertools import pairwise
 from types import ModuleType
 from typing import cast
@@ -16,11 +15,10 @@ from sharing import with_all_kinds
 
 from mgsgraph.adjustment import gpu
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.gpu import Gpu, choice
-from mgsgraph.adjustment.gpu.choice import remarks_of, sweeper_of
-from mgsgraph.adjustment.gpu.sweeper import DenseCholesky, DenseLibraries
+from mgsgraph.adjustment.gpu import Gpu, sweeper_of
+from mgsgraph.adjustment.gpu.sweeper import DenseCholesky
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, sparse_factor
+from mgsgraph.adjustment.graph.forms import IN_PROCESS, sparse_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError
@@ -28,34 +26,34 @@ from mgsgraph.errors import InputError
 pytest.importorskip("numba_cuda", reason="numba-cuda is not installed (the extra `cuda`)")
 LAYOUT = lay_out(with_shift_and_surface(network(pair())), SolverSettings())
 SMALL = Gpu("a picture card", 4e9, 32)
-NUMPY = DenseLibraries(np, scipy.linalg, nullcontext)
+NUMPY = np, scipy.linalg
 
 
 def test_the_cpu_unless_it_is_said() -> None:
     assert sweeper_of(SolverSettings(), LAYOUT) is IN_PROCESS
-    assert list(remarks_of(IN_PROCESS)) == []
+    assert IN_PROCESS.remark == ""
 
 
 def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.MonkeyPatch) -> None:
     auto, found = SolverSettings(device="auto"), Gpu("a device", math.inf, 2)
-    monkeypatch.setattr(choice, "find_gpu", lambda: found)
+    monkeypatch.setattr(gpu, "find_gpu", lambda: found)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
-    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
-    monkeypatch.setattr(choice, "find_gpu", lambda: SMALL)
+    monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
+    monkeypatch.setattr(gpu, "find_gpu", lambda: SMALL)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
     assert SMALL.remark
     assert not found.remark
 
 
 def test_auto_goes_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
+    monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
     monkeypatch.setattr(gpu, "find_spec", lambda name: None)
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
 
 
 def test_auto_goes_without_a_gpu_of_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choice, "_WORTHWHILE", 10)
-    monkeypatch.setattr(choice, "find_gpu", lambda: Gpu("a device", 1e3, 2))
+    monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
+    monkeypatch.setattr(gpu, "find_gpu", lambda: Gpu("a device", 1e3, 2))
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
     with pytest.raises(InputError, match="GB to use"):
         sweeper_of(SolverSettings(device="cuda"), LAYOUT)
@@ -108,7 +106,7 @@ def test_the_bytes_of_pieces_are_those_of_a_partition() -> None:
 def test_the_dense_factor_solves_the_sparse_ones_equations(damping: float) -> None:
     layout = lay_out(with_all_kinds(with_shift_and_surface(network(pair()))), SolverSettings())
     reduction = BundleGraph(layout).reduction(np.zeros(layout.columns))
-    dense = DenseCholesky(layout, NUMPY).factor(reduction.blocks, damping)
+    dense = DenseCholesky(layout, *NUMPY).factor(reduction.blocks, damping)
     right = np.random.default_rng(1).standard_normal(layout.columns) / layout.scales
     expected = sparse_factor(layout, reduction, damping).solve(right)
     np.testing.assert_allclose(dense.solve(right) / layout.scales, expected / layout.scales, rtol=1e-7, atol=1e-10)
@@ -118,7 +116,7 @@ def test_a_matrix_that_is_not_definite_has_no_factor() -> None:
     reduction = BundleGraph(LAYOUT).reduction(np.zeros(LAYOUT.columns))
     assert reduction.blocks is not None
     with pytest.raises(NotDefinite):
-        DenseCholesky(LAYOUT, NUMPY).factor(-1e6 * np.abs(reduction.blocks), 0.0)
+        DenseCholesky(LAYOUT, *NUMPY).factor(-1e6 * np.abs(reduction.blocks), 0.0)
 
 
 def test_a_library_that_says_nothing_of_such_a_matrix_is_seen_through() -> None:
@@ -137,10 +135,10 @@ def test_a_library_that_says_nothing_of_such_a_matrix_is_seen_through() -> None:
 
     reduction = BundleGraph(LAYOUT).reduction(np.zeros(LAYOUT.columns))
     assert reduction.blocks is not None
-    silent = DenseLibraries(cast(ModuleType, Silent()), scipy.linalg, nullcontext)
-    DenseCholesky(LAYOUT, silent).factor(reduction.blocks, 0.3)
+    silent = cast(ModuleType, Silent()), scipy.linalg
+    DenseCholesky(LAYOUT, *silent).factor(reduction.blocks, 0.3)
     with pytest.raises(NotDefinite):
-        DenseCholesky(LAYOUT, silent).factor(-1e6 * np.abs(reduction.blocks), 0.0)
+        DenseCholesky(LAYOUT, *silent).factor(-1e6 * np.abs(reduction.blocks), 0.0)
 
 
 @pytest.mark.parametrize("whole", [False, True])

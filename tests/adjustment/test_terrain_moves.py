@@ -15,8 +15,7 @@ from redraw import redraw
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.graph.bundle import point_key, shift_key
-from mgsgraph.adjustment.graph.explicit import observation_factor
+from mgsgraph.adjustment.graph.forms import observation_factor, point_key, shift_key
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import group_rows, scaled

@@ -15,8 +15,7 @@ from odd_networks import with_fixed
 from sharing import with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.graph.bundle import point_key, variable_key
-from mgsgraph.adjustment.graph.explicit import explicit_graph
+from mgsgraph.adjustment.graph.forms import explicit_graph, point_key, variable_key
 from mgsgraph.adjustment.settings import Angles, Line, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.estimates import correlation

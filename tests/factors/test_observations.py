@@ -14,8 +14,7 @@ from networks import network, pair, with_shift_and_surface
 from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.graph import Layout, lay_out, stereo
-from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
-from mgsgraph.adjustment.graph.explicit import measurement, observation_factor
+from mgsgraph.adjustment.graph.forms import measurement, observation_factor, orientation_key, point_key, shift_key
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors import collinearity

@@ -40,8 +40,6 @@ LEAST_MEMORY = 0.4 * GIGA
 """bytes: a worker with Python, GTSAM, numba and the kernel takes 0.17 GB, drawing figures as much again."""
 _BEAT = 1.0
 """s between two looks at whether the cluster is still there."""
-_PAUSE = 0.2
-"""s between two looks at whether a worker has come."""
 _RETURN = 60.0
 """s in which workers may come back when none is left."""
 _GRACE = 2.0
@@ -191,18 +189,6 @@ class Connection:
         if self.client.status == "running":
             with suppress(OSError, ValueError, RuntimeError):
                 self.client.run(function, item, on_error="ignore")
-
-    def until_workers_return(self) -> Iterator[frozenset[str]]:
-        """Addresses of the workers that are there, at least one, as often as it is asked; SolverError in the end."""
-        until = time.monotonic() + _RETURN
-        while True:
-            present = self.addresses()
-            if present:
-                yield present
-            if time.monotonic() > until:
-                lack = "too few workers are left for the memory that the work needs" if present else "no worker is left"
-                raise SolverError(f"{self.where}: {lack}; start workers, and run this again")
-            time.sleep(_PAUSE)
 
     def addresses(self) -> frozenset[str]:
         """Addresses of the workers that are there now."""

@@ -2,17 +2,16 @@
 
 A partition goes to its worker once; after that only what changes: which rows take part, and the constants of rows that
 are laid out anew. Per sweep the orientation goes out with the places at which inner solves begin; what the kernel has
-found of the partition comes back. All rows stay here, too, so that a worker that has gone loses nothing. Sums are made
-in the order of the partitions, whoever did them, so that a cost is repeatable.
+found of the partition comes back. A worker that goes ends the adjustment, which takes minutes: it is begun again. Sums
+are made in the order of the partitions, so that a cost is repeatable.
 """
 
 import math
 import time
 import uuid
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import cycle, pairwise
 from types import TracebackType
 from typing import Any, NamedTuple
 
@@ -21,9 +20,8 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.cluster.connection import LEAST_MEMORY, Connection, Lost
 from mgsgraph.adjustment.cluster.workers import GIGA
-from mgsgraph.adjustment.graph.bundle import numbers, sparse_factor
+from mgsgraph.adjustment.graph.forms import Sweeper, numbers
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
@@ -33,8 +31,6 @@ _COPIES = 2.0
 """Memory for a partition over its own size: what it is unpacked from, or scratch and results."""
 _LARGEST = 0.5 * GIGA
 """bytes of a partition; a worker with more to hold gets several, since dask's messages end at 2 GB."""
-_MOST_DEATHS = 4
-"""Workers that one sweep over a partition may bring down; dask gives up a task as late."""
 _REMEDY = "take more workers on more machines, or give them more memory (--memory-limit)"
 
 
@@ -123,13 +119,11 @@ class _Part:
     """Its blocks by themselves."""
     size: int
     """bytes of its source."""
+    owner: str
+    """Address of the worker that holds it."""
     token: str = field(default_factory=lambda: uuid.uuid4().hex)
-    owner: str = ""
-    """Address of the worker that has it, or is to have it."""
     sent: dict[str, list[object]] | None = None
-    """`_marks` of the rows that its owner knows; None while it doesn't hold the partition."""
-    deaths: int = 0
-    """Workers that have gone since its last answer."""
+    """`_marks` of the rows that its owner knows; None before it holds the partition."""
 
     @property
     def points(self) -> slice:
@@ -145,8 +139,8 @@ class _Part:
         return f"a partition of {self.points.stop - self.points.start} points ({self.size / GIGA:.2f} GB)"
 
 
-class Partitions:
-    """Sweeps by the workers of a cluster (a `graph.bundle.Sweeper`); a context that lets the points go at its end.
+class Partitions(Sweeper):
+    """Sweeps by the workers of a cluster; a context that lets the points go at its end.
 
     Parameters
     ----------
@@ -167,11 +161,12 @@ class Partitions:
     def _divide(self, layout: Layout) -> None:
         """Make partitions of a layout's points."""
         cluster, self._layout = self._cluster, layout
-        rows, workers = layout.rows, len(cluster.workers) or 1
+        rows, owners = layout.rows, [worker.address for worker in cluster.workers] or [""]
         common = size_of(rows) - size_of((rows.kind, rows.start, rows.data, rows.weight))
-        each = max(1, math.ceil((size_of(rows) - common) / (_LARGEST * workers)))
-        edges = even_parts(rows, each * workers).tolist()
-        self._parts = [_part(layout, first, last, common) for first, last in pairwise(edges) if last > first]
+        each = max(1, math.ceil((size_of(rows) - common) / (_LARGEST * len(owners))))
+        edges = even_parts(rows, each * len(owners)).tolist()
+        ends = [(first, last) for first, last in pairwise(edges) if last > first]
+        self._parts = [_part(layout, *two, common, owner) for two, owner in zip(ends, cycle(owners), strict=False)]
         largest = max(self._parts, key=lambda part: part.size)
         what = f"{largest} times {each}" if each > 1 else str(largest)
         cluster.require_memory(LEAST_MEMORY + each * largest.need, what, _REMEDY)
@@ -224,10 +219,6 @@ class Partitions:
         )
         return np.concatenate([values for values, _ in found])
 
-    def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Factor:
-        """Factor of the full linear system at a reduction: this process's task."""
-        return sparse_factor(layout, reduction, damping)
-
     # --- who does it
 
     def _sweep(
@@ -240,17 +231,17 @@ class Partitions:
             self._divide(layout)
         self._layout = layout
         marks, answers = _marks(layout, rows), dict[int, Any]()
-        while len(answers) < len(self._parts):
-            self._settle()
-            due = {k: part for k, part in enumerate(self._parts) if k not in answers}
-            orders = {k: self._order(part, rows, marks, function, arguments(part)) for k, part in due.items()}
-            for k, answer in self._cluster.at_workers(carry_out, orders):
-                part = due[k]
-                part.deaths = part.deaths + 1 if answer is None else 0
-                self._require_sense(part, answer)
-                part.sent = marks if answer else None
-                if isinstance(answer, tuple) and answer:
-                    answers[k] = answer[0]
+        orders = {
+            k: self._order(part, rows, marks, function, arguments(part)) for k, part in enumerate(self._parts)
+        }
+        for k, answer in self._cluster.at_workers(carry_out, orders):
+            part = self._parts[k]
+            if isinstance(answer, Lost):
+                raise SolverError(f"{self._cluster.where}: {part} failed on {part.owner}: {answer.message}")
+            if not answer:
+                lost = f"{part} was lost with worker {part.owner} (killed, restarted, or out of memory)"
+                raise SolverError(f"{self._cluster.where}: {lost}; run this again, or {_REMEDY}")
+            part.sent, answers[k] = marks, answer[0]
         return [answers[k] for k in range(len(self._parts))]
 
     def _order(
@@ -268,52 +259,14 @@ class Partitions:
                     changes[name] = getattr(rows, name)[part.own[name]]
         return part.owner, Order(part.token, function, arguments, self._layout.model, source, changes)
 
-    def _require_sense(self, part: _Part, answer: Answer | Lost | None) -> None:
-        """Raise SolverError where there is no sense in asking again."""
-        if isinstance(answer, Lost):
-            raise SolverError(f"{self._cluster.where}: {part} failed on {part.owner}: {answer.message}")
-        if part.deaths >= _MOST_DEATHS:
-            limits = [worker.memory_limit for worker in self._cluster.workers if worker.memory_limit]
-            limit = f" (memory limit {min(limits) / GIGA:.2f} GB)" if limits else ""
-            raise SolverError(
-                f"{self._cluster.where}: each of the {_MOST_DEATHS} workers that tried {part} died{limit}; {_REMEDY}"
-            )
-
-    def _settle(self) -> None:
-        """See that every partition has a worker that is there and has memory for it, the load spread evenly."""
-        for present in self._cluster.until_workers_return():
-            load = Counter[str]()
-            most = math.ceil(len(self._parts) / len(present))
-            for part in self._parts:
-                if part.owner not in present or load[part.owner] == most:
-                    part.owner, part.sent = "", None
-                load[part.owner] += 1
-            homeless = [part for part in self._parts if not part.owner]
-            if not homeless or self._place(homeless, load):
-                return
-
-    def _place(self, homeless: list[_Part], load: Counter[str]) -> bool:
-        """Give partitions to the workers with the least load; whether there is memory for all of them."""
-        left = {worker.address: worker.memory_limit or math.inf for worker in self._cluster.workers}
-        for part in self._parts:
-            left[part.owner] = left.get(part.owner, 0.0) - part.need
-        for part in homeless:
-            fit = [address for address in sorted(left) if address and left[address] >= LEAST_MEMORY + part.need]
-            if not fit:
-                return False
-            part.owner = min(fit, key=lambda address: load[address])
-            load[part.owner] += 1
-            left[part.owner] -= part.need
-        return True
-
 
 def _marks(layout: Layout, rows: Rows) -> dict[str, list[object]]:
     """Fields of rows that change during an adjustment, and the objects that are others when they have changed."""
     return {"kind": [rows.kind], "weight": [rows.weight], "data": [layout.lines, layout.bent, layout.stereo]}
 
 
-def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
-    """The partition of pieces first .. last - 1; `common` bytes are the whole's tables."""
+def _part(layout: Layout, first: int, last: int, common: int, owner: str) -> _Part:
+    """The partition of pieces first .. last - 1 for a worker; `common` bytes are the whole's tables."""
     rows = layout.rows
     mine = partition(rows, first, last)
     _, point, _, number, observation = rows.piece[first].tolist()
@@ -324,7 +277,7 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
         "weight": (slice(None), slice(observation, observation + mine.weight.shape[1])),
     }
     size = size_of((mine.kind, mine.start, mine.data, mine.weight)) + common
-    return _Part(slice(first, last), own, *blocks_of_partition(layout.groups, layout.blocks.target, used), size)
+    return _Part(slice(first, last), own, *blocks_of_partition(layout.groups, layout.blocks.target, used), size, owner)
 
 
 def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tuple[Index, NormalBlocks]:

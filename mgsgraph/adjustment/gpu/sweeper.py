@@ -1,21 +1,18 @@
-"""Sweeps by a GPU (a `graph.bundle.Sweeper`): a layout's rows go there once, per iteration only the orientation.
+"""Sweeps by a GPU: a layout's rows go there once, per iteration only the orientation.
 
 What its memory doesn't hold at once is swept in partitions, which go there anew at every sweep.
 """
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from functools import partial
 from importlib.util import find_spec
 from itertools import pairwise
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.gpu import WHERE, Gpu
-from mgsgraph.adjustment.graph.bundle import Solving, of_rows, sparse_factor
+from mgsgraph.adjustment.graph.forms import Solving, Sweeper, of_rows, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError
@@ -31,29 +28,18 @@ _COPIES = 6
 """Matrix, factor, what is gathered, and where its numbers come from, go to, and their units."""
 
 
-class DenseLibraries(NamedTuple):
-    """Where a device's numbers are."""
-
-    arrays: ModuleType
-    """NumPy, or CuPy."""
-    algebra: ModuleType
-    """scipy.linalg, or cupyx.scipy.linalg."""
-    raising: Callable[[], AbstractContextManager[Any]]
-    """In which linear algebra raises LinAlgError of a matrix that is not definite: CuPy is silent by default."""
-
-
-def dense_libraries() -> DenseLibraries | None:
-    """CuPy, or NumPy and SciPy where numba's simulator stands in for the device; None where CuPy isn't installed."""
+def dense_libraries() -> tuple[ModuleType, ModuleType] | None:
+    """CuPy and its linear algebra, or NumPy's where numba's simulator stands in for the device; None without CuPy."""
     if SIMULATED:
         import scipy.linalg
 
-        return DenseLibraries(np, scipy.linalg, nullcontext)
+        return np, scipy.linalg
     if find_spec("cupy") is None:
         return None
     import cupy
     import cupyx.scipy.linalg
 
-    return DenseLibraries(cupy, cupyx.scipy.linalg, partial(cupyx.errstate, linalg="raise"))
+    return cupy, cupyx.scipy.linalg
 
 
 def dense_bytes(columns: int) -> float:
@@ -70,12 +56,12 @@ class DenseCholesky:
     Parameters
     ----------
     layout : Layout
-    libraries : DenseLibraries
+    arrays, algebra : module
+        NumPy or CuPy, and the linear algebra that goes with it.
     """
 
-    def __init__(self, layout: Layout, libraries: DenseLibraries) -> None:
-        self._arrays, self._algebra, self._raising = libraries
-        arrays, self._layout = libraries.arrays, layout
+    def __init__(self, layout: Layout, arrays: ModuleType, algebra: ModuleType) -> None:
+        self._arrays, self._algebra, self._layout = arrays, algebra, layout
         row, column, place = _places(layout)
         self._from, self._to = arrays.asarray(place), arrays.asarray(column * layout.columns + row)
         self._units = arrays.asarray(layout.scales[row] * layout.scales[column])
@@ -95,10 +81,10 @@ class DenseCholesky:
         every = arrays.arange(columns) * (columns + 1)
         matrix[every] += self._weights * self._scales**2 + damping
         try:
-            with self._raising():
-                lower = arrays.linalg.cholesky(matrix.reshape(columns, columns))
+            lower = arrays.linalg.cholesky(matrix.reshape(columns, columns))
         except np.linalg.LinAlgError as error:
             raise NotDefinite from error
+        # CuPy says nothing of a matrix that is not definite
         if not bool((arrays.isfinite(lower.diagonal()) & (lower.diagonal() > 0.0)).all()):
             raise NotDefinite
         return DenseFactor(lower, self._scales, arrays, self._algebra)
@@ -181,7 +167,7 @@ class GpuReduction(Reduction):
         return None if self.blocks_on_device is None else self._fetched("blocks", self.blocks_on_device)
 
 
-class GpuSweeper:
+class GpuSweeper(Sweeper):
     """Sweeps by a GPU.
 
     Parameters
@@ -205,7 +191,7 @@ class GpuSweeper:
         self._divide(layout)
 
     @property
-    def remark(self) -> str:
+    def remark(self) -> str:  # type: ignore[override]
         """What a user should know of how the device was used."""
         said = f"Swept by the GPU ({self._gpu.name})"
         if not self._held:
@@ -301,7 +287,7 @@ class GpuSweeper:
         if layout.columns > MOST_COLUMNS or libraries is None or not isinstance(reduction, GpuReduction):
             return sparse_factor(layout, reduction, damping)
         if self._dense is None:
-            self._dense = DenseCholesky(layout, libraries)
+            self._dense = DenseCholesky(layout, *libraries)
         return self._dense.factor(reduction.blocks_on_device, damping)
 
 

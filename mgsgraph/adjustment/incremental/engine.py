@@ -5,7 +5,7 @@ than their slack, until none has. What has to be looked at afterwards is found b
 bundle to bundle, for as long as points can move by a noticeable part of a sigma.
 """
 
-from collections import OrderedDict, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -39,35 +39,6 @@ if TYPE_CHECKING:
 
 MOST_KEPT = 150_000
 """Points that stay laid out (about 1 kB each)."""
-
-
-class KeptSweeps:
-    """Sweeps that were laid out last, up to a total of points; what was asked for longest ago goes first."""
-
-    def __init__(self, most: int) -> None:
-        self._most, self._size = most, 0
-        self._all: OrderedDict[Members, Sweep] = OrderedDict()
-
-    def get(self, members: Members) -> Sweep | None:
-        """The sweep of a bundle; None where there is none."""
-        if members not in self._all:
-            return None
-        self._all.move_to_end(members)
-        return self._all[members]
-
-    def put(self, members: Members, sweep: Sweep) -> None:
-        """Keep the sweep of a bundle."""
-        self.drop(members)
-        self._all[members] = sweep
-        self._size += len(sweep.network.points)
-        while self._size > self._most and len(self._all) > 1:
-            _, oldest = self._all.popitem(last=False)
-            self._size -= len(oldest.network.points)
-
-    def drop(self, members: Members) -> None:
-        """Remove the sweep of a bundle."""
-        if members in self._all:
-            self._size -= len(self._all.pop(members).network.points)
 
 
 _MOST_UPDATES = 12
@@ -109,7 +80,7 @@ class Engine:
         self._store = store
 
     def _lay_nothing_out(self) -> None:
-        self._sweeps = KeptSweeps(MOST_KEPT)
+        self._sweeps, self._kept = dict[Members, Sweep](), 0
         self._changing = dict[Members, Sweep]()
 
     def _plant(self) -> None:
@@ -259,7 +230,7 @@ class Engine:
 
     def _forget(self, gone: Iterable[Members]) -> None:
         for members in gone:
-            self._sweeps.drop(members)
+            self._let_sweep_go(members)
             if (system := self.systems.pop(members, None)) is not None:
                 self._let_go(members, system)
 
@@ -382,7 +353,7 @@ class Engine:
     def _settle_down(self) -> None:
         """The bundles of a change are in the store from now on."""
         for members, sweep in self._changing.items():
-            self._sweeps.put(members, sweep)
+            self._keep(members, sweep)
         self._changing = {}
 
     def _laid_out(self, members: Members) -> Sweep:
@@ -392,8 +363,20 @@ class Engine:
         if (sweep := self._sweeps.get(members)) is None:
             bundle = self._store.bundle(members)
             sweep = Sweep(bundle.network, self._settings, bundle.places)
-            self._sweeps.put(members, sweep)
+        return self._keep(members, sweep)
+
+    def _keep(self, members: Members, sweep: Sweep) -> Sweep:
+        """Keep a sweep as the last one that was asked for; the first ones go where there are too many points."""
+        self._let_sweep_go(members)
+        self._sweeps[members] = sweep
+        self._kept += len(sweep.network.points)
+        while self._kept > MOST_KEPT and len(self._sweeps) > 1:
+            self._let_sweep_go(next(iter(self._sweeps)))
         return sweep
+
+    def _let_sweep_go(self, members: Members) -> None:
+        if members in self._sweeps:
+            self._kept -= len(self._sweeps.pop(members).network.points)
 
     def _placed(self, bundles: Iterable[Members], joint: Mapping[Members, Array]) -> dict[Members, Bundle]:
         """Bundles of a change with their points where the present unknowns put them."""

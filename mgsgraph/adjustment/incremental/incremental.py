@@ -47,7 +47,6 @@ from mgsgraph.network.parts import (
     Unknown,
     alone,
     known_images,
-    pass_unknowns,
     require_separable,
     unknowns,
     with_images,
@@ -127,19 +126,6 @@ class IncrementalAdjustment(Record):
         values = [value.get(name, zero) if name != own or not one.held[0] else zero for name in unknowns(one)]
         return whole_correction(one, 0, values, self.settings.angles)
 
-    def trajectory(self, name: str) -> tuple[Array, Array, Array]:
-        """Times (k,) in s TDB past J2000 of the orientation images of a pass, their coefficients (k, 6) and the
-        covariance (k, 6, 6) of each, m and rad, straight from iSAM2.
-
-        Raises InputError for an unknown pass.
-        """
-        number_of(name, {known: k for k, known in enumerate(self._engine.known.passes)}, "pass")
-        one = self._engine.known.passes[name]
-        nodes = pass_unknowns(one)[: len(one.nodes)]
-        values = np.array([self._engine.value[node] for node in nodes])
-        covariances = np.array([self._engine.joint([node]) for node in nodes])
-        return one.nodes.times + one.nodes.epoch, values, covariances
-
     def covariance(self, *images: str | int) -> Array:
         """Joint covariance (d, d) of the coefficients of some images, m and rad, straight from iSAM2."""
         names = [self._known(image).image.name for image in images]
@@ -147,7 +133,7 @@ class IncrementalAdjustment(Record):
             if self._known(image).held:
                 raise InputError(f"image {image}", "held: it has no unknowns", "an adjusted image")
             if (one := self._engine.known.of_image(image)) is not None:
-                found, remedy = f"of pass {one.name!r}: it has no coefficients of its own", "ask for `trajectory`"
+                found, remedy = f"of pass {one.name!r}: it has no coefficients of its own", "ask for `joint`"
                 raise InputError(f"image {image}", found, "an image with an orientation of its own", remedy)
         return self._engine.joint([Unknown("image", image) for image in names])
 

@@ -18,7 +18,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.network import Network
-from mgsgraph.network.parts import without_images
+from mgsgraph.network.parts import pass_unknowns, without_images
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.nac_pair import NacSettings, simulate_nac_pair
 from mgsgraph.simulation.rig import PassErrors
@@ -65,9 +65,9 @@ def off(adjustment: IncrementalAdjustment, batch: Solution) -> tuple[float, floa
     assert network.points.ids == batch.network.points.ids
     values = adjustment.values
     places = Sweep(network, adjustment.settings, stored).places(values)
-    shares = [0.0]
+    shares, named = [0.0], adjustment.store.definitions().passes
     for k, one in enumerate(batch.network.passes):
-        _, _, mine = adjustment.trajectory(one.name)
+        mine = [adjustment.joint([node]) for node in pass_unknowns(named[one.name])]
         first = int(batch.network.first_of_passes[k])
         for node in range(len(one.nodes)):
             theirs = batch.joint_covariance.block(first + node, first + node)

@@ -1,0 +1,239 @@
+"""What planned measures do to the joint covariance: an update of low rank.
+
+With the information D that they add on the unknowns they touch (points and new unknowns eliminated), D = L L',
+
+    S' = (S^-1 + D)^-1 = S - U U',    U = S L C'^-1,    C C' = 1 + L' S L,
+
+and the determinant of S falls by that of C C': half its binary logarithm is the information gained, in bits. Points
+that are measured again count with what they add to what they said before: D is a difference then.
+
+Unknowns that are considered stay held in S. What they add to it, V V' (`adjustment.marginals.carried`), is found before
+and after; the determinant of the whole falls as that of S does, for that of the sum is |S_xx| |C| (Schur).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.graph.forms import IN_PROCESS
+from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER
+from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expected
+from mgsgraph.errors import WeakNetwork
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import Network
+from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions
+from mgsgraph.network.parts import Unknown, part
+from mgsgraph.planning.state import CurrentState, ReducedNetwork, together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AddedInformation:
+    """Information that planned measures add to a network; the same for as long as its points that they touch are."""
+
+    after: ReducedNetwork
+    """The points that the measures touch, with all their rows, old and planned."""
+    touched: tuple[Unknown, ...]
+    """Unknowns of the present network that feel them."""
+    new: tuple[Unknown, ...]
+    """New unknowns that come with the measures."""
+    root: Array
+    """(d, d) L on the touched unknowns, per m and rad."""
+    conditional: Array
+    """(w, w) covariance of the new unknowns, were the touched ones known."""
+    regression: Array
+    """(w, d) regression of the new unknowns on the touched ones."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Update:
+    """Planned measures added to the present network."""
+
+    present: CurrentState
+    """The present network."""
+    added: AddedInformation
+    """Information that the measures add."""
+    change: Array
+    """(columns, d) M of S' = S + M diag(signs) M', on all present unknowns."""
+    signs: Array
+    """(d,) -1, and 1 for what considered unknowns add afterwards."""
+    bits: float
+    """Information gained on all present unknowns."""
+
+    def bits_on(self, others: Sequence[Unknown]) -> float:
+        """Information gained on the present unknowns but for some others, which may be known as badly as they like."""
+        if not others:
+            return self.bits
+        # det S of a part is det(information of the others) / det(information of all)
+        before = self.present.information(others, priors=True)
+        after, position = before.copy(), _positions(self.present, others, self.added.touched)
+        mine = np.flatnonzero(position >= 0)
+        added = self.added.root @ self.added.root.T
+        after[np.ix_(position[mine], position[mine])] += added[np.ix_(mine, mine)]
+        scale = 1.0 / np.sqrt(np.diagonal(before))
+        logs = [np.linalg.slogdet(one * scale[:, None] * scale)[1] for one in (before, after)]
+        return self.bits - float(0.5 * (logs[1] - logs[0]) / np.log(2.0))
+
+    def pairs(self) -> Array:
+        """The joint covariance after, in the blocks of the present layout, flat."""
+        blocks, layout = self.present.layout.blocks, self.present.layout
+        flat, signed = blocks.filled(self.present.joint), self.change * self.signs
+        for v, w, block in blocks.each(flat, layout.variables.width):
+            block += signed[layout.columns_of(v)] @ self.change[layout.columns_of(w)].T
+        return flat
+
+    def covariance(self, unknown: Unknown) -> Array:
+        """(d, d) m and rad, of one present unknown."""
+        v = self.present.names.index(unknown)
+        change = self.change[self.present.layout.columns_of(v)]
+        return self.present.joint.block(v, v) + (change * self.signs) @ change.T
+
+    def joint_of(self, names: Sequence[Unknown]) -> Array:
+        """(d, d) m and rad, joint covariance of some present unknowns."""
+        present, columns = self.present, self.present.columns(names)
+        number, change = [present.names.index(name) for name in names], self.change[columns]
+        before = present.joint.of(number) if number else np.zeros((0, 0))
+        return before + (change * self.signs) @ change.T
+
+    def point_covariances(self) -> tuple[Array, Mask]:
+        """(n, 3, 3) m^2 of the points touched, network order, and (n,) which of them have a place."""
+        added, after = self.added, self.added.after
+        layout, known = after.layout, self.joint_of(added.touched)
+        across = added.regression @ known
+        joint = np.block([[known, across.T], [across, added.conditional + across @ added.regression.T]])
+        order = np.argsort(after.columns([*added.touched, *added.new]))
+        joint, flat = joint[np.ix_(order, order)], np.zeros(layout.blocks.target.size)
+        for v, w, block in layout.blocks.each(flat, layout.variables.width):
+            block[:] = joint[layout.columns_of(v), layout.columns_of(w)]
+        found = IN_PROCESS.covariances(layout, after.rows, after.values, flat, after.reduction.points)
+        return layout.network_order(found), after.determined
+
+
+def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformation:
+    """What planned measures add to what is known.
+
+    Parameters
+    ----------
+    present : CurrentState
+        The network before the measures.
+    additions : sequence of Network
+        Measures of new points, with their planned places, and of points known already, by their ids; on images known
+        already and new ones. At least one.
+
+    Raises
+    ------
+    WeakNetwork
+        When nothing determines a new unknown.
+    PointBehindCamera
+        At the present values of the unknowns.
+    """
+    state, index = present.state, present.index_of
+    ids = dict.fromkeys(name for one in additions for name in one.points.ids)
+    again = np.array([index[name] for name in ids if name in index], dtype=np.int64)
+    known = latest([definitions(one) for one in (state.network, *additions)])
+    again = np.union1d(again, turned_points(state.network, known))
+    before = part(state.network, again) if again.size else None
+    network = together([*([before] if before else []), *additions])
+    network = with_definitions(network, known)
+    values = with_expected(state.values, known)
+    places = network.points.places.copy()
+    places[: again.size] = state.places[again]
+    after = ReducedNetwork(network, state.settings, values, places)
+    there = set(present.adjusted)
+    touched = tuple(name for name in after.adjusted if name in there)
+    new = tuple(name for name in after.adjusted if name not in there)
+    whole = after.information([*touched, *new]) + _of_priors(after, present, [*touched, *new])
+    if before is not None:
+        old = ReducedNetwork(before, state.settings, state.values, state.places[again])
+        before_too = [name for name in touched if name in set(old.adjusted)]
+        columns = _positions(after, touched, before_too)
+        whole[np.ix_(columns, columns)] -= old.information(before_too)
+    gained, own, regression = _on_touched(whole, after, touched, new)
+    root = _root(gained, present.layout.scales[present.columns(touched)])
+    return AddedInformation(after, touched, new, root, own, regression)
+
+
+def updated(present: CurrentState, adds: AddedInformation) -> Update:
+    """What added information does to the joint covariance of the present network."""
+    touched, root = adds.touched, adds.root
+    spread = present.held_with(touched) @ root if touched else np.zeros((present.layout.columns, 0))
+    inner = np.eye(root.shape[1]) + root.T @ spread[present.columns(touched)]
+    factor = np.linalg.cholesky(0.5 * (inner + inner.T))
+    downdate = np.linalg.solve(factor, spread.T).T
+    change, signs = downdate, -np.ones(downdate.shape[1])
+    if present.considered:
+        held = present.held_with(present.considered)
+        before = present.carried(held)
+        after = present.carried(held - downdate @ downdate[present.columns(present.considered)].T)
+        change = np.hstack([downdate, before, after])
+        signs = np.concatenate([signs, -np.ones(before.shape[1]), np.ones(after.shape[1])])
+    return Update(present, adds, change, signs, float(np.sum(np.log2(np.diagonal(factor)))))
+
+
+def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
+    """(d,) positions of the columns of some unknowns among the columns of others; -1 for none."""
+    number = {column: k for k, column in enumerate(network.columns(among).tolist())}
+    return np.array([number.get(column, -1) for column in network.columns(some).tolist()], dtype=np.int64)
+
+
+def turned_points(network: Network, known: Definitions) -> Index:
+    """Points that depend on other orientation images once passes are as known: those seen at their ends."""
+    found = [np.zeros(0, dtype=np.int64)]
+    for one in network.passes:
+        nodes = known.passes[one.name].nodes
+        for j in one.images.tolist() if nodes.times.size != one.nodes.times.size else ():
+            image, rays = network.images[j], np.flatnonzero(network.rays.image == j)
+            ranges = np.flatnonzero(network.ranges.image == j)
+            times = np.concatenate([
+                image.timing.at(network.rays.places[rays, 0])[0] + image.trajectory.epoch, network.ranges.times[ranges]
+            ])  # fmt: skip
+            points = np.concatenate([network.rays.point[rays], network.ranges.point[ranges]])
+            first = [each.times[each.first_of_four(times, 0.0)] for each in (one.nodes, nodes)]
+            found.append(points[first[0] != first[1]])
+    return np.unique(np.concatenate(found))
+
+
+def _of_priors(after: ReducedNetwork, present: CurrentState, names: Sequence[Unknown]) -> Array:
+    """(d, d) what is known beforehand of some unknowns and was not: of new ones, and of passes that are continued."""
+    columns, there = after.columns(names), set(present.adjusted)
+    place = dict(zip(columns.tolist(), range(columns.size), strict=True))
+    alone = [name for name in names if name not in there and name.kind not in TOGETHER]
+    found, mine = np.zeros((columns.size, columns.size)), after.columns(alone)
+    own = [place[column] for column in mine.tolist()]
+    found[own, own] = 1.0 / after.layout.sigmas[mine] ** 2
+    rows = [set(prior_rows(definitions(one.network))) for one in (after, present)]
+    touched = {name for name in names if name.kind in TOGETHER}
+    for more, fewer, sign in ((rows[0], rows[1], 1.0), (rows[1], rows[0], -1.0)):
+        for one in (each for each in more - fewer if touched.issuperset(each.unknowns)):
+            into = [place[column] for column in after.columns(one.unknowns).tolist()]
+            block = np.hstack(one.whitened)
+            found[np.ix_(into, into)] += sign * block.T @ block
+    return found
+
+
+def _on_touched(
+    whole: Array, after: ReducedNetwork, touched: Sequence[Unknown], new: Sequence[Unknown]
+) -> tuple[Array, Array, Array]:
+    """Information (d, d) on the touched unknowns with the new ones eliminated, the covariance (w, w) of these were the
+    touched ones known, and how they follow them (w, d); `whole` is that on all of them.
+    """
+    d = after.columns(touched).size
+    columns = after.columns(new)
+    own = whole[d:, d:]
+    scales = after.layout.scales[columns]
+    try:
+        factor = np.linalg.cholesky(own * scales[:, None] * scales)
+    except np.linalg.LinAlgError:
+        raise WeakNetwork([f"the orientation of {name}" for name in new[:2]], len(new)) from None
+    half = np.linalg.solve(factor, np.diag(scales))
+    covariance = half.T @ half
+    regression = -covariance @ whole[d:, :d]
+    across = half @ whole[d:, :d]
+    return whole[:d, :d] - across.T @ across, covariance, regression
+
+
+def _root(information: Array, scales: Array) -> Array:
+    """L with L L' = the information (d, d), which rounding may have left slightly indefinite; per m and rad."""
+    scaled = information * scales[:, None] * scales
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / scales[:, None])
