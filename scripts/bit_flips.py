@@ -41,8 +41,7 @@ from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import comparison_with_truth
 from mgsgraph.project.status import status
-from mgsgraph.results.archive import ARCHIVE, read_solution
-from mgsgraph.results.archive_arrays import pack
+from mgsgraph.results.archive import ARCHIVE, pack, read_solution
 from mgsgraph.results.matching import KeptTiles
 from mgsgraph.results.results import RECORD, case_of
 from mgsgraph.simulation.files import write_pair

@@ -24,7 +24,7 @@ print(solution)
 # %%
 # What may be a blunder: w-tests and minimal detectable errors of every measure, the most suspicious first.
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.results.reliability import reliability_section
+from mgsgraph.results.analysis import reliability_section
 
 found = reliability(linearised)
 print(reliability_section(found, 3).text())

@@ -16,7 +16,7 @@ from mgsgraph.errors import MgsgraphError, printable
 if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Device, Form, Loss
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.results.large_tables import TableForm
+    from mgsgraph.results.tables import TableForm
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
@@ -95,7 +95,7 @@ def print_sentences(sentences: Iterable[str]) -> None:
 
 def print_solution(solution: "Solution") -> None:
     """Print what an adjustment has found: the table and the sentences."""
-    from mgsgraph.results.summary import sentences_of, solution_sections, summary_table
+    from mgsgraph.results.results import sentences_of, solution_sections, summary_table
 
     sections = solution_sections(solution)
     click.echo(summary_table(solution, sections))

@@ -18,7 +18,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
 from mgsgraph.network.control import StereoControl
-from mgsgraph.results.archive_arrays import pack, unpack
+from mgsgraph.results.archive import pack, unpack
 
 _Columns = dict[str, tuple[str, tuple[int, ...]]]
 

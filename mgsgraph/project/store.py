@@ -34,7 +34,7 @@ from mgsgraph.project.columns import (
     rays_of,
 )
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
-from mgsgraph.results.archive_arrays import pack, unpack
+from mgsgraph.results.archive import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
 """Columns of a reduced system; NULL in a bundle that has none."""

@@ -26,7 +26,7 @@ from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.progress import Progress, no_progress
-from mgsgraph.results.archive_arrays import read_members
+from mgsgraph.results.archive import read_members
 from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET

@@ -21,9 +21,9 @@ from mgsgraph.network import PointClass
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
+from mgsgraph.results.results import figure, figures_of_merit, sentences_of, solution_sections
 from mgsgraph.results.section import Section
 from mgsgraph.results.soundness import state_of
-from mgsgraph.results.summary import figure, figures_of_merit, sentences_of, solution_sections
 from mgsgraph.results.tables import points_table, residuals_table
 from mgsgraph.workers import called_in_workers
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.results.figures.image_views import known
 from mgsgraph.results.figures.map import MapWindow, window_sheet
-from mgsgraph.results.figures.registration_views import known
 from mgsgraph.results.figures.sheet import Sheet
 from mgsgraph.studio.map_layers import shaded_relief
 from mgsgraph.studio.map_points import map_points

@@ -102,7 +102,7 @@ class Figures:
     # --- registration
 
     def _footprints(self, request: Request) -> "Sheet":
-        from mgsgraph.results.figures.registration_views import footprints_sheet
+        from mgsgraph.results.figures.image_views import footprints_sheet
 
         images = footprints_record(self._views.linked.block)["images"]
         return footprints_sheet(_chosen(images, "image", request.query_params.get("image"), "a shot in an image"))
@@ -111,8 +111,7 @@ class Figures:
 
     def _of_solution(self, view: str) -> "Sheet":
         from mgsgraph.results.figures.connectivity import links_sheet
-        from mgsgraph.results.figures.map import map_sheets
-        from mgsgraph.results.figures.minima import minima_sheets
+        from mgsgraph.results.figures.map import map_sheets, minima_sheets
         from mgsgraph.results.figures.orientation import orientation_sheets
         from mgsgraph.results.figures.residuals import residual_sheets
 

@@ -12,10 +12,9 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.rasters.coordinate_systems import geographic_crs
-from mgsgraph.results import large_tables
-from mgsgraph.results.large_tables import form_of, write_large_tables
+from mgsgraph.results import tables as large_tables
 from mgsgraph.results.results import write_results
-from mgsgraph.results.tables import points_table, residuals_table
+from mgsgraph.results.tables import form_of, points_table, residuals_table, write_large_tables
 
 
 @pytest.fixture(scope="module")

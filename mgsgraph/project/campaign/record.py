@@ -19,7 +19,7 @@ import msgspec
 from mgsgraph.adjustment.settings import Device, Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.files.writing import claim
-from mgsgraph.results.large_tables import TableForm
+from mgsgraph.results.tables import TableForm
 
 Status = Literal["done", "no result", "not converged", "failed"]
 RECORD = "campaign.jsonl"

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.map_plane import centre_of, east_north
@@ -18,7 +17,7 @@ from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.registration.search import CostSurface
-from mgsgraph.results.figures.map import frame, map_axes
+from mgsgraph.results.figures.map import draw_ellipse, frame, map_axes
 from mgsgraph.results.figures.sheet import (
     AFTER,
     BEFORE,
@@ -27,6 +26,7 @@ from mgsgraph.results.figures.sheet import (
     CLASS_NAME,
     INK,
     MOST_MARKS,
+    MOST_SHEETS,
     SOFT,
     Sheet,
     new_sheet,
@@ -39,8 +39,6 @@ from mgsgraph.results.figures.sheet import (
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
-_LARGE, _MOST = 4, 52
-"""Profiles that are drawn one by one, and those that have a row on the sheet of all."""
 _NAMED_MINIMA = 1e-3
 """Weight from which on a minimum is marked, besides the best two."""
 _NEAR = 0.3
@@ -52,22 +50,17 @@ _MISFIT = "root of the misfit above the best (sigmas)"
 
 
 def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
-    """Cost surfaces, profiles and the map; those profiles large that most need a look, the others together."""
-    order = _worst_first(registration.profiles)
-    large, small = sorted(order[:_LARGE]), order[_LARGE:]
-    yield _costs(registration, large)
-    sheets = len(large) + bool(small)
-    for k, p in enumerate(large):
-        yield _profile(registration, registration.profiles[p], sheet_name("profiles", k + 1, sheets))
-    if small:
-        yield _heights_of_all(registration, sheet_name("profiles", sheets, sheets))
-    yield _map(registration)
-
-
-def _worst_first(profiles: Sequence[ReliefProfile]) -> list[int]:
-    """Numbers of profiles: those without a clear minimum first, then by how far they were off."""
+    """Cost surfaces and heights of the profiles that most need a look, those without a clear minimum first, then by
+    how far they were off; and the map of all.
+    """
+    profiles = registration.profiles
     off = [float(np.nan_to_num(np.linalg.norm(one.before.misplacement))) for one in profiles]
-    return sorted(range(len(profiles)), key=lambda p: (profiles[p].after.cost.clear, -off[p]))
+    order = sorted(range(len(profiles)), key=lambda p: (profiles[p].after.cost.clear, -off[p]))
+    shown = sorted(order[:MOST_SHEETS])
+    yield _costs(registration, shown)
+    for k, p in enumerate(shown):
+        yield _profile(registration, profiles[p], sheet_name("profiles", k + 1, len(shown)))
+    yield _map(registration)
 
 
 # --- cost surfaces
@@ -147,16 +140,6 @@ def _draw_cost(panel: Axes, cost: CostSurface, top: float, share: float) -> Axes
         elif k == 1 or one.weight >= _NAMED_MINIMA:
             panel.plot(*one.shift, "o", ms=6, mfc="none", mec="#CC79A7", mew=1.4, zorder=5)
     return shown
-
-
-def draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str, colour: str = BEFORE) -> None:
-    """One standard deviation about a position, in the units of the panel."""
-    values, ways = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0))
-    angle = float(np.degrees(np.arctan2(ways[1, 0], ways[0, 0])))
-    panel.add_patch(
-        Ellipse((middle[0], middle[1]), width, height, angle=angle, fill=False, ls=stroke, lw=1.1, ec=colour, zorder=7)
-    )
 
 
 def _costs_caption(registration: ReliefRegistration, shown: int) -> str:
@@ -263,41 +246,6 @@ def _profile_caption(one: ReliefProfile) -> str:
     )
 
 
-@plain_style()
-def _heights_of_all(registration: ReliefRegistration, name: str) -> Sheet:
-    """Rms of shot minus surface and misplacement of every profile, before and after."""
-    profiles = registration.profiles
-    shown = [profiles[p] for p in thinned(len(profiles), _MOST).tolist()]
-    rms = np.array([[one.rms_before, one.rms_after] for one in shown])
-    off = np.array([[np.linalg.norm(state.misplacement) for state in (one.before, one.after)] for one in shown])
-    omitted = f"; {len(shown)} of {len(profiles)} are drawn, profiles.csv has all" if shown[len(profiles) :] else ""
-    middle = np.nanmedian(np.hstack([off, rms]), axis=0) if np.any(np.isfinite(rms)) else np.full(4, np.nan)
-    caption = (
-        f"All profiles: misplacement {number(middle[0])} m before and {number(middle[1])} m after, rms of shot minus "
-        f"surface {number(middle[2])} and {number(middle[3])} m (medians); no mark where relief does not tie a profile"
-        f"{omitted}."
-    )
-    title = "All profiles and terrain models, and the stereo surface"
-    sheet = new_sheet(name, 8.4, 0.16 * len(shown) + 0.9, title, caption)
-    grid = sheet.panels(1, 2, sharey=True)[0]
-    rows = np.arange(len(shown))
-    kinds = ("misplacement (m)", off), ("rms of shot minus surface (m)", rms)
-    for panel, (what, values) in zip(grid, kinds, strict=True):
-        for k, (colour, marker) in enumerate(((BEFORE, "o"), (AFTER, "s"))):
-            panel.plot(np.maximum(values[:, k], 1e-3), rows, marker, ms=4.0, color=colour, zorder=3)
-        panel.set_xscale("log")
-        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter(NullFormatter())
-        panel.set_xlabel(what)
-    grid[0].set_yticks(rows, [short(one.name, 18) for one in shown], size=7.0)
-    grid[0].set_ylim(len(shown) - 0.5, -0.5)
-    sheet.legend([
-        Line2D([], [], ls="", marker="o", color=BEFORE, label="before"),
-        Line2D([], [], ls="", marker="s", color=AFTER, label="after"),
-    ])  # fmt: skip
-    return sheet
-
 
 # --- the map
 
@@ -359,7 +307,7 @@ def _draw_arrows(panel: Axes, profiles: Sequence[ReliefProfile], tracks: Sequenc
         if one.after.cost.tied:
             covariance = one.after.misplacement_covariance / metres_per_km**2
             draw_ellipse(panel, start + one.after.misplacement / metres_per_km, covariance, "-", AFTER)
-        if len(profiles) <= _LARGE:
+        if len(profiles) <= MOST_SHEETS:
             panel.annotate(short(one.name, 16), start, (8.0, 4.0), textcoords="offset points", size=7.5, zorder=8)
 
 

@@ -15,8 +15,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import medians, used_rays
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
-from mgsgraph.results.figures.aggregate import Rows, limit, means
-from mgsgraph.results.figures.sheet import AFTER, CLASS_NAME, Sheet, new_sheet, number, plain_style
+from mgsgraph.results.figures.sheet import AFTER, CLASS_NAME, Rows, Sheet, limit, means, new_sheet, number, plain_style
 from mgsgraph.text import many
 
 _PER_BIN = 25
@@ -68,7 +67,7 @@ def residual_sheet(solution: Solution) -> Sheet:
     widths = [1.25] * (2 * len(found)) + [1.0]
     sheet = new_sheet(
         "residuals", max(7.2, 1.6 + 1.9 * len(widths)), min(2.0 + 0.35 * rows.number, 7.0), "Image residuals",
-        _residual_caption(solution, found, spreads), vector=False,
+        _residual_caption(solution, found, spreads),
     )  # fmt: skip
     panels = sheet.panels(1, len(widths), widths=widths, sharey="all")[0]
     for n, one in enumerate(found):
