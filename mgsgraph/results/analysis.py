@@ -390,7 +390,7 @@ def unexplained_section(posterior: Posterior, name: str) -> Section:
     table, said = unexplained_table(found), found.sentences
     record = {"level": found.level, "tests": found.tests, "words": said, "effects": table.records()}
     return Section("unexplained", sentences=said, numbers=record, csv=[table],
-                   sheets=drawn("mgsgraph.results.figures.unexplained.unexplained_sheet", found, name))  # fmt: skip
+                   sheets=drawn("mgsgraph.results.figures.unexplained.unexplained_sheets", found, name))  # fmt: skip
 
 
 def unexplained_table(found: Unexplained) -> Table:

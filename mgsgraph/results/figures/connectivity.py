@@ -42,7 +42,8 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
         np.ma.masked_invalid(values), cmap="viridis", norm=LogNorm(low, max(high, 1.1 * low)), interpolation="nearest",
         extent=(-0.5, count - 0.5, count - 0.5, -0.5), aspect="auto",
     )  # fmt: skip
-    sheet.colour_bar(drawn, panel, "points that two images share (logarithmic)", LogLocator(subs=(1.0, 2.0, 5.0)))
+    if high > low:
+        sheet.colour_bar(drawn, panel, "points that two images share (logarithmic)", LogLocator(subs=(1.0, 2.0, 5.0)))
     if count > _NAMED:
         panel.set(ylabel="image")
     else:

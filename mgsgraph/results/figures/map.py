@@ -102,11 +102,7 @@ def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Ite
 def block_window(solution: Solution, connected: Connectivity | None = None) -> MapWindow:
     """The whole block: 3-D sigmas of its points, or of cells, and their corrections."""
     centre = centre_of(solution.places)
-    footprints = (connected or solution_connectivity(solution)).footprints
-    outlines = {
-        image.name: east_north(one.outline, centre)
-        for image, one in zip(solution.network.images, footprints, strict=True)
-    }
+    outlines = outlines_of(solution, centre, connected)
     known = np.flatnonzero(solution.determined)
     places, covariances = east_north(solution.places[known], centre), solution.covariances[known]
     axes = east_north_up(solution.places[known])
@@ -115,25 +111,35 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     flat = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
     corners = np.concatenate([places, *outlines.values()])
     about = (solution.name, centre, corners, outlines)
-    return _window(about, places, sigmas, ("3-D sigma", "m"), solution.network.points.classes[known], flat, moved)
+    return points_window(about, places, sigmas, ("3-D sigma", "m"), solution.network.points.classes[known], flat, moved)
 
 
-def _window(
+def points_window(
     about: tuple[str, Array, Array, dict[str, Array]], places: Array, values: Array, quantity: tuple[str, str],
-    classes: Index, covariances: Array | None, moved: Array,
+    classes: Index, covariances: Array | None = None, moved: Array | None = None,
+    scale: tuple[float, float] | None = None,
 ) -> MapWindow:  # fmt: skip
     """Points (n, 2), or cells of many, with a quantity (n,) and movements (n, 2); `about`: name, centre, places (k, 2)
     that the map holds, and outlines.
     """
     name, centre, corners, outlines = about
-    box, scale = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)]), span(values)
+    box, scale = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)]), scale or span(values)
     if len(places) <= MOST_MARKS:
         return MapWindow(name, centre, box, outlines, places, values, quantity, scale, len(places), classes,
                          covariances, moved, None, 0.0)  # fmt: skip
-    middles, (cells, east, north) = cell_medians(box, places, values, *moved.T)
-    arrows = np.column_stack([east.ravel(), north.ravel()])
+    middles, (cells, *ways) = cell_medians(box, places, values, *(() if moved is None else moved.T))
+    arrows = np.column_stack([one.ravel() for one in ways]) if ways else None
     return MapWindow(name, centre, box, outlines, middles, cells, quantity, scale, len(places), None, None, arrows,
                      None, 0.0)  # fmt: skip
+
+
+def outlines_of(solution: Solution, centre: Array, connected: Connectivity | None = None) -> dict[str, Array]:
+    """(k, 2) m of each image."""
+    footprints = (connected or solution_connectivity(solution)).footprints
+    return {
+        image.name: east_north(one.outline, centre)
+        for image, one in zip(solution.network.images, footprints, strict=True)
+    }
 
 
 def comparison_sheet(points: CommonPoints, labels: tuple[str, str]) -> Sheet | None:
@@ -144,7 +150,7 @@ def comparison_sheet(points: CommonPoints, labels: tuple[str, str]) -> Sheet | N
     places, (here, _) = east_north(points.places, centre), points.rows
     about = (f"{labels[1]} minus {labels[0]}", centre, places, dict[str, Array]())
     classes, size = points.solution.network.points.classes[here], np.linalg.norm(points.moved, axis=1)
-    shown = _window(about, places, size, ("3-D movement", "m"), classes, None, points.moved[:, :2])
+    shown = points_window(about, places, size, ("3-D movement", "m"), classes, moved=points.moved[:, :2])
     return replace(window_sheet(shown), name="comparison")
 
 

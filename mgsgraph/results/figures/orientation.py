@@ -57,7 +57,7 @@ def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
         nodes = sum(one.node_shares.size for one in curves)
         head = (
             f"{count} {'pass' if count == 1 else 'passes'} of {many(pictures, 'image')}, "
-            f"{many(nodes, 'orientation image')} over {number(seconds, 4)} s; shared unknowns are not in these curves"
+            f"{many(nodes, 'orientation image')} over {number(seconds, 4)} s, without unknowns that images share"
         )
         yield _sheet("passes", curves, _PASSES, head, "passes, each from its first orientation image to its last")
     own = np.flatnonzero(network.pass_of < 0).tolist()

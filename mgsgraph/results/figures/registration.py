@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from mgsgraph.files.labels.image_label import cube_of, read_label
@@ -203,7 +204,7 @@ def _marks(
                 for shot in shown[(shown + 1) % step == 0].tolist():
                     panel.annotate(f"{shot + 1}", places[shot], (0.0, 3.5 if after else -3.5), color=color, size=6.0,
                                    textcoords="offset points", ha="center", va="bottom" if after else "top",
-                                   zorder=6)  # fmt: skip
+                                   zorder=6, path_effects=[withStroke(linewidth=1.4, foreground="black")])  # fmt: skip
 
 
 def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int], drawn: bool) -> str:

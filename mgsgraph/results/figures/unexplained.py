@@ -1,6 +1,6 @@
-"""What an adjustment cannot explain: the clearest test of each place, and the residuals of what is named as they go."""
+"""What an adjustment cannot explain: residuals of the effects that tests name."""
 
-import math
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,62 +10,35 @@ from matplotlib.patches import Patch
 from mgsgraph.analysis.systematic import EffectKind
 from mgsgraph.analysis.unexplained import Pattern, Unexplained
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
+from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 
-_MOST_PANELS = 3
+_MOST_PANELS = 4
 """Named effects that are drawn."""
 _BINS = 24
 _FEWEST_IN_BIN = 5
-_LEAST = 1e-30
-"""p-value at which the scale ends."""
 _WIDTH = 3.1
 """inch, of a panel with its labels."""
 
 
+def unexplained_sheets(found: Unexplained, name: str) -> Iterator[Sheet]:
+    """Up to four panels of what is named; no sheet where nothing is."""
+    if found.patterns:
+        yield _sheet(found, name)
+
+
 @plain_style()
-def unexplained_sheet(found: Unexplained, name: str) -> Sheet:
-    """All tests, and up to three panels of what is named."""
+def _sheet(found: Unexplained, name: str) -> Sheet:
     drawn = found.patterns[:_MOST_PANELS]
     title = f"What the adjustment cannot explain: {short(name)}"
-    sheet = new_sheet("unexplained", 1.2 + _WIDTH * (1 + max(len(drawn), 1)), 3.4, title, _caption(found, len(drawn)))
-    overview, *panels = sheet.panels(1, 1 + len(drawn), widths=[1.35, *[1.0] * len(drawn)])[0].tolist()
-    _draw_tests(overview, found)
-    for panel, one in zip(panels, drawn, strict=True):
+    sheet = new_sheet("unexplained", 1.0 + _WIDTH * max(len(drawn), 2), 3.4, title, _caption(found, len(drawn)))
+    for panel, one in zip(sheet.panels(1, len(drawn))[0], drawn, strict=True):
         _draw_pattern(panel, one)
-    tests = [
-        Line2D([], [], ls="", marker="o", ms=5.5, mew=0.0, color=BEFORE, label="named"),
-        Line2D([], [], ls="", marker="o", ms=4, mew=0.0, color=SOFT, label="not named"),
-        Line2D([], [], ls="--", lw=1.0, color=INK, label="level of the run"),
-    ]
-    residuals = [
+    sheet.legend([
         Line2D([], [], ls="", marker="o", ms=4, mew=0.0, color=AFTER, label="residuals, medians"),
         Patch(color=AFTER, alpha=0.2, lw=0.0, label="middle half of them"),
         Line2D([], [], color=INK, lw=1.2, label="as the effect has it"),
-    ]
-    sheet.legend([*tests, *(residuals if drawn else ())])
+    ])  # fmt: skip
     return sheet
-
-
-def _draw_tests(panel: Axes, found: Unexplained) -> None:
-    """p-values of all places, a row for each kind of effect."""
-    every = [(one, True) for one in found.effects] + [(one, False) for one in found.others]
-    kinds = [kind for kind in EffectKind if any(one.kind is kind for one, _ in every)]
-    for named in (False, True):
-        mine = [one for one, is_named in every if is_named is named]
-        panel.plot(
-            [_power(one.p_value) for one in mine], [kinds.index(one.kind) for one in mine], ls="", marker="o",
-            ms=5.5 if named else 4.0, mew=0.0, color=BEFORE if named else SOFT, alpha=0.9 if named else 0.6,
-        )  # fmt: skip
-    panel.axvline(_power(found.level), color=INK, lw=1.0, ls="--")
-    most = max((_power(one.p_value) for one, _ in every), default=0.0)
-    panel.set(xlim=(-0.3, max(1.1 * most, 1.5 * _power(found.level))), ylim=(len(kinds) - 0.5, -0.5))
-    panel.set_yticks(range(len(kinds)), [str(kind) for kind in kinds])
-    panel.set_xlabel("p of the whole run, ten to the minus")
-    panel.set_title("Clearest test of each place")
-
-
-def _power(p_value: float) -> float:
-    return -math.log10(max(p_value, _LEAST))
 
 
 def _draw_pattern(panel: Axes, one: Pattern) -> None:
@@ -100,12 +73,6 @@ def binned(one: Pattern) -> tuple[Array, Array, Array]:
 
 def _caption(found: Unexplained, drawn: int) -> str:
     """What one sees, with figures."""
-    if not found.effects:
-        least = min((one.p_value for one in found.others), default=1.0)
-        return (
-            f"None of {found.tests} tests of the residuals is clearer than a run on good data has it once in "
-            f"{number(1.0 / found.level)}: the least p-value for the whole run is {number(least, 2)}."
-        )
     first = found.effects[0]
     text = f"{len(found.effects)} effects are named by {found.tests} tests; clearest: {first.sentence}"
     more = len(found.effects) - drawn
