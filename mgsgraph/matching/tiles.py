@@ -1,5 +1,4 @@
 """The ground grid in tiles, and the work on one of them: features of every picture, and the links between them.
-Work that is done is kept, so that an interrupted run goes on.
 
 Features of ortho patches (SIFT; Lowe 2004), and which of two pictures' features belong together.
 
@@ -12,8 +11,8 @@ For ground without distinct features, and where an even density matters more tha
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,29 +149,6 @@ def owned(links: Links, tile: Tile) -> Links:
     kept = links.links[mine]
     used, numbered = np.unique(kept, return_inverse=True)
     return Links(links.plane[used], links.picture[used], numbered.reshape(-1, 2), links.likeness[mine])
-
-
-class TileStore(Protocol):
-    """Arrays by name, kept from one run to the next with the same inputs and choices."""
-
-    def load(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """Arrays that were kept under a name; None where there are none."""
-        ...
-
-    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keep arrays under a name."""
-        ...
-
-
-def kept_links(store: TileStore | None, name: str, find: Callable[[], Links]) -> Links:
-    """Links that an earlier run kept under a name; else those that are found now, and kept."""
-    kept = store.load(name) if store else None
-    if kept is not None and kept.keys() == set(Links._fields):
-        return Links(**kept)
-    links = find()
-    if store:
-        store.keep(name, links._asdict())
-    return links
 
 
 # --- features

@@ -265,7 +265,7 @@ def test_results_with_figures_can_be_replaced(tmp_path: Path) -> None:
 def test_the_maps_show_before_and_after_on_one_scale(which: str) -> None:
     found = merit(which)
     for sheet, heights in zip(height_map_sheets(found), found.heights[[0, -1]], strict=True):
-        (marks,) = [one for one in sheet.figure.axes[0].collections if np.size(one.get_array())]
+        (marks,) = [one for one in sheet.figure.axes[0].collections if one.get_array() is not None]
         np.testing.assert_array_equal(marks.get_array(), heights[found.used])
         low, high = marks.get_clim()
         assert -low == high == pytest.approx(np.quantile(np.abs(found.heights[:, found.used]), 0.98))
