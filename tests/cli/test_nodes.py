@@ -55,7 +55,6 @@ def test_table_sentences_and_files(case: Path, capsys: pytest.CaptureFixture[str
         (("--spacings", "4,-1"), "positive numbers"),
         (("--spacings", "3"), "two or more that differ"),
         (("--hold-out", "2"), "share of 2.0"),
-        (("--no-figures",), "--out FOLDER"),
     ],
 )
 def test_bad_options_are_one_line(case: Path, options: tuple[str, ...], words: str) -> None:
