@@ -160,7 +160,8 @@ def height_map_sheets(statistics: TwoStepStatistics) -> Iterator[Sheet]:
     solution, mine = statistics.steps.fitted, statistics.points[statistics.used]
     heights, centre = statistics.heights[:, statistics.used], centre_of(solution.places[mine])
     places, most = east_north(solution.places[mine], centre), limit(heights)
-    about = solution.name, centre, places, outlines_of(solution, centre)
+    outlines = outlines_of(solution, centre)
+    about = solution.name, centre, np.concatenate([places, *outlines.values()]), outlines
     for k, (values, when) in enumerate(((heights[0], "before"), (heights[-1], "after step 2")), 1):
         quantity, classes = (f"height above the terrain {when}", "m"), solution.network.points.classes[mine]
         shown = points_window(about, places, values, quantity, classes, scale=(-most, most))

@@ -221,7 +221,7 @@ def window_sheet(shown: MapWindow) -> Sheet:
         handles.append(Line2D([], [], ls="", marker="o", ms=8, mfc="none", mec=INK, label=label))
     if shown.moved is not None:
         _arrows(panel, shown, factors[1])
-        handles.append(Line2D([], [], color=INK, label=f"corrections × {factors[1]:g}"))
+        handles.append(Line2D([], [], color=INK, label=f"movements × {factors[1]:g}"))
     place = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
     bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=place, extend="both", ticks=MaxNLocator(5))
     bar.set_label(f"{title} ({unit})")
@@ -328,7 +328,7 @@ def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
     if shown.moved is not None:
         what = "cell" if shown.classes is None else "point"
         of = many(_some(shown.moved).size, what)
-        words.append(f"Corrections of {of}, east and north, {factors[1]:g} times enlarged.")
+        words.append(f"Movements of {of}, east and north, {factors[1]:g} times enlarged.")
     if shown.relief is not None:
         words.append("Shaded relief of the terrain model, light from the north-west.")
     return " ".join(words)
