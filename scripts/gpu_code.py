@@ -46,7 +46,7 @@ def signatures() -> dict[str, tuple[Any, Any]]:
     """Each kernel and the types of its arguments, as `kernel.cuda.partition` launches it."""
     from numba import types
 
-    from mgsgraph.kernel.cuda import coupling, covariance, solving, summing
+    from mgsgraph.kernel.cuda import coupling, covariance, solving
     from mgsgraph.kernel.cuda.tables import Tables
     from mgsgraph.kernel.rows import Model
 
@@ -62,11 +62,11 @@ def signatures() -> dict[str, tuple[Any, Any]]:
         "solve": (solving.solve, (tables, model, f1, f2, b1, f1, f2, f2, yes, f2, b1, f1, f2)),
         "sum_costs": (solving.sum_costs, (tables, f1, f1)),
         "couple": (coupling.couple, (tables, model, f1, f2, b1, f1, b1, f2, f1)),
-        "add_up": (summing.add_up, (tables, s2, i1, f1, f1, f1)),
+        "add_up": (coupling.add_up, (tables, s2, i1, f1, f1, f1)),
         "cover": (covariance.cover, (tables, b1, b1, f2, f1, f1, f2, f3)),
         "judge": (covariance.judge, (tables, model, f1, f2, b1, f1, b1, f2, f1, f1, f2, f3)),
         "residuals": (coupling.residuals, (tables, model, f1, f2, b1, f1, f2, f2)),
-        "clear": (summing.clear, (f1,)),
+        "clear": (coupling.clear, (f1,)),
     }
 
 

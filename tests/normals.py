@@ -15,9 +15,8 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.graph.explicit import observation_factor, observation_noise
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables, make_groups, pair_blocks
-from mgsgraph.kernel.reduction import Reduction, point_covariances, reduce
 from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_observation
-from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, point_covariances, reduce
 
 Column = tuple[int, int]
 """Variable, and column within it."""

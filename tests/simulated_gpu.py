@@ -43,8 +43,8 @@ def _share(found: np.ndarray, expected: np.ndarray) -> float:
 
 def _point_by_point(system: Any, x: np.ndarray) -> Any:
     """The CPU's reduction of each point by itself, added up: in a tile all take as many steps as the slowest."""
-    from mgsgraph.kernel.reduction import Reduction, reduce
     from mgsgraph.kernel.rows import of_points
+    from mgsgraph.kernel.sweep import Reduction, reduce
 
     owns = system.groups, system.blocks.target, system.model
     pieces = [
@@ -61,8 +61,7 @@ def _point_by_point(system: Any, x: np.ndarray) -> Any:
 def compare(system: Any, size: float = 1.0, x: np.ndarray | None = None) -> dict[str, float]:
     """All that sweeps give, of rows with unknowns `size` sigmas off; by atomic sums, and by sums in order."""
     from mgsgraph.kernel.cuda import partition
-    from mgsgraph.kernel.reduction import all_residuals, point_covariances, reliability
-    from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
+    from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, all_residuals, point_covariances, reliability
 
     owns = system.rows, system.groups, system.blocks.target, system.model
     rng = np.random.default_rng(3)

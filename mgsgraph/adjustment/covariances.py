@@ -21,8 +21,8 @@ from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance, joi
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import SquareRoot, begins, in_cliques
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows
+from mgsgraph.kernel.sweep import Reduction
 
 
 def orientation_covariance(graph: BundleGraph, reduction: Reduction, consider: bool = True) -> JointCovariance:

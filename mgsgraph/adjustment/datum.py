@@ -20,7 +20,7 @@ from mgsgraph.geometry.orientation import Moments, OrientationCorrection, polyno
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network.joining import nominal_poses
 from mgsgraph.text import listed, some
 

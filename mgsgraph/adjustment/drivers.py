@@ -26,9 +26,8 @@ from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.residuals import Residuals, residuals, squares_of
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, TUKEY, WEAK
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, Reduction
 from mgsgraph.network import Network
 from mgsgraph.record import Record
 from mgsgraph.text import many

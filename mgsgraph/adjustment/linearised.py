@@ -14,9 +14,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.measurements import row_count
-from mgsgraph.kernel.reduction import design
 from mgsgraph.kernel.rows import OUT, Rows, of_points
-from mgsgraph.kernel.sweep import ROW_NUMBERS
+from mgsgraph.kernel.sweep import ROW_NUMBERS, design
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 

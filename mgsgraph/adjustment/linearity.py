@@ -18,8 +18,7 @@ import numpy as np
 from mgsgraph.adjustment.graph import BundleGraph
 from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, Reduction
 from mgsgraph.record import Record
 
 DRAWS = 32

@@ -34,9 +34,8 @@ from mgsgraph.adjustment.square_root import in_cliques
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, OUT
-from mgsgraph.kernel.sweep import SYSTEM
+from mgsgraph.kernel.sweep import SYSTEM, Reduction
 from mgsgraph.network import TERRAIN, Network
 from mgsgraph.record import Record
 

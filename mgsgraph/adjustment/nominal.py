@@ -14,8 +14,8 @@ from mgsgraph.adjustment.rounds import Selection, determined_points, everything,
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import PRIOR
+from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
 
 

@@ -15,8 +15,8 @@ from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.loops import followed
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import OUT, PREDICTED
+from mgsgraph.kernel.sweep import Reduction
 
 NEAR = 1e-5
 """Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much

@@ -15,8 +15,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, Reduction
 
 _POINT_SCALE = np.full(3, 100.0)
 """m, unit of a point's step in the damping of the explicit form."""

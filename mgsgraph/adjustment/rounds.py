@@ -23,9 +23,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, WEAK, Rows, Small
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, Reduction
 from mgsgraph.network import Network
 
 Progress = Callable[[Iteration], None]

@@ -27,8 +27,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, Reduction
 from mgsgraph.network import TERRAIN, Network
 
 

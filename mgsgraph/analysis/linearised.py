@@ -15,9 +15,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.reduction import reduce
 from mgsgraph.kernel.rows import OUT
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, reduce
 from mgsgraph.network import Network, PolynomialPrior
 
 

@@ -37,9 +37,8 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.reduction import point_covariances, reduce
 from mgsgraph.kernel.rows import FIXED, GOOD, OUT
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, point_covariances, reduce
 from mgsgraph.network import ImageRays, Network
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
 from mgsgraph.network.parts import Unknown, part, unknowns

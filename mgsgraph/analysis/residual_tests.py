@@ -33,7 +33,7 @@ from mgsgraph.analysis.grouping import BACK_PROJECTED, Grouping, group_rows
 from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.reduction import reliability
+from mgsgraph.kernel.sweep import reliability
 from mgsgraph.record import Record
 from mgsgraph.text import root_mean_square
 

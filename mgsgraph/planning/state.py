@@ -19,8 +19,8 @@ from mgsgraph.analysis.linearised import require_covariance
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows
+from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions

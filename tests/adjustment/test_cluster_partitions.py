@@ -28,7 +28,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError, SolverError
-from mgsgraph.kernel import reduction
+from mgsgraph.kernel import sweep
 from mgsgraph.kernel.sweep import DESIGN
 from mgsgraph.network import Network
 
@@ -92,7 +92,7 @@ def assert_the_same(one: Solution, other: Solution) -> None:
         np.testing.assert_allclose(other.sigmas_without_laser, one.sigmas_without_laser, rtol=1e-9)
 
 
-_sweep_all = reduction.sweep_all
+_sweep_all = sweep.sweep_all
 
 
 def nobody(*given: Any, **named: Any) -> Any:
@@ -107,7 +107,7 @@ def nobody(*given: Any, **named: Any) -> Any:
 )
 def test_the_same_answer(two: Connection, how: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     alone = adjust_network(many(), SolverSettings(**how))
-    monkeypatch.setattr(reduction, "sweep_all", nobody)
+    monkeypatch.setattr(sweep, "sweep_all", nobody)
     spread = adjust_network(many(), SolverSettings(**how), cluster=two)
     assert_the_same(alone, spread)
     if how.get("reject"):
@@ -264,7 +264,7 @@ def test_rows_go_out_once_and_constants_when_they_are_laid_out_anew() -> None:
     assert len(sent) == 2  # each partition once
     assert {name for order in village.orders for name in order.changes} == {"kind", "weight", "data"}
     for order in village.orders[inside[1] : inside[2]]:  # between two iterations
-        assert order.function is reduction.reduce
+        assert order.function is sweep.reduce
         assert not order.changes
 
 

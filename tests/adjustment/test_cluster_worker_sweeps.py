@@ -14,9 +14,8 @@ from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel import sweep
-from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import partition
-from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, all_residuals, point_covariances, reduce
 
 TIES = 2100
 """Two pieces of ties; the laser's is a third."""

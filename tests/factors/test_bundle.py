@@ -13,9 +13,8 @@ from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.settings import Line, SolverSettings
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.kernel.lanes import LANES
-from mgsgraph.kernel.reduction import dense, reduce
 from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GOOD, GROUND, IMAGE, OUT, RANGE, SURFACE, WEAK
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, dense, reduce
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_UNITS = {

@@ -44,7 +44,7 @@ from networks import network, pair, with_shift_and_surface
 from normals import assert_bundle_is_explicit, of_layout
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.reduction import reduce
+from mgsgraph.kernel.sweep import reduce
 from mgsgraph.kernel.rows import partition
 from mgsgraph.kernel.sweep import SYSTEM
 warnings.simplefilter("ignore")

@@ -27,9 +27,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.reduction import Reduction, all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
-from mgsgraph.kernel.sweep import even_parts, writable
+from mgsgraph.kernel.sweep import Reduction, all_residuals, even_parts, point_covariances, reduce, writable
 
 _COPIES = 2.0
 """Memory for a partition over its own size: what it is unpacked from, or scratch and results."""

@@ -22,9 +22,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.cuda.device import SIMULATED
 from mgsgraph.kernel.cuda.partition import Partition, Workspace, bytes_of_pieces, room, to_device, to_host, zeros
-from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows, partition
-from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction
 
 MOST_COLUMNS = 8000
 """A matrix of 0.5 GB."""

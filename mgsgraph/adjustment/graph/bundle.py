@@ -14,11 +14,10 @@ from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.compiled import in_threads
 from mgsgraph.factors.priors import linear_prior, zero_prior
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel import reduction
-from mgsgraph.kernel.reduction import Reduction, all_residuals, point_covariances, reduce
-from mgsgraph.kernel.reliability import NUMBERS
+from mgsgraph.kernel import sweep
+from mgsgraph.kernel.covariance import NUMBERS
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
-from mgsgraph.kernel.sweep import SYSTEM
+from mgsgraph.kernel.sweep import SYSTEM, Reduction, all_residuals, point_covariances, reduce
 
 MISFIT, SHARE, EFFECT, BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
 """Columns of the kernel's numbers of the first two rows of observations (t, 8), side by side, lest each look-up cost
@@ -46,7 +45,7 @@ def numbers(
     ground: Index | None = None,
 ) -> tuple[Array, Array]:
     """What observations say of themselves (t, 8), and all that some of them (g,) do (g, 3, 7); other parameters as of
-    `kernel.reduction.reliability`.
+    `kernel.sweep.reliability`.
     """
     ground = np.zeros(0, dtype=np.int64) if ground is None else ground
     begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
@@ -57,7 +56,7 @@ def numbers(
         first, last = ends
         mine, point = partition(rows, first, last), int(rows.piece[first, 1])
         places = points[point : point + mine.kind.size]
-        values = reduction.reliability(mine, groups, target, model, orientation, joint, places)
+        values = sweep.reliability(mine, groups, target, model, orientation, joint, places)
         of_rows(values, found[begins[first] : begins[last]])
         own = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
         chosen[own] = values[ground[own] - begins[first]]
@@ -142,15 +141,15 @@ class Sweeper(Protocol):
     def reduction(
         self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
     ) -> Reduction:
-        """All points solved (and eliminated), see `kernel.reduction.reduce`; `points` as in `BundleGraph.reduction`."""
+        """All points solved (and eliminated), see `kernel.sweep.reduce`; `points` as in `BundleGraph.reduction`."""
         ...
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
-        """(n, 3, 3) m^2, see `kernel.reduction.point_covariances`."""
+        """(n, 3, 3) m^2, see `kernel.sweep.point_covariances`."""
         ...
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
-        """(t, 2), see `kernel.reduction.all_residuals`."""
+        """(t, 2), see `kernel.sweep.all_residuals`."""
         ...
 
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:

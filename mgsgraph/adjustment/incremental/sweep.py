@@ -19,8 +19,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.reduction import Reduction, dense, point_covariances, reduce, sparse
-from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.names import Names
 from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.network.parts import Members, Unknown, unknowns

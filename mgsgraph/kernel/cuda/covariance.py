@@ -1,6 +1,6 @@
 """Covariances of the points by back-substitution, and the reliability of observations, from what `coupling` leaves.
 
-As `kernel.covariance` and `kernel.reliability` say; S_ij, the covariance between two observations' columns, is worked
+As `kernel.covariance` and `kernel.covariance` say; S_ij, the covariance between two observations' columns, is worked
 out by each thread part by part.
 """
 
@@ -8,13 +8,23 @@ import math
 
 import numpy as np
 
-from mgsgraph.kernel.cuda.coupling import scaled_rows, whose
+from mgsgraph.kernel.covariance import NUMBERS
+from mgsgraph.kernel.cuda.coupling import basis_of, scaled_rows, whose
 from mgsgraph.kernel.cuda.device import cuda, kernel, on_device
-from mgsgraph.kernel.cuda.loading import block_of, left_at, part, parts_of, row_count, rows_at
 from mgsgraph.kernel.cuda.solving import back, left_of
-from mgsgraph.kernel.cuda.summing import basis_of
-from mgsgraph.kernel.cuda.tables import BEGIN, END, FIRST, KIND, PATTERN
-from mgsgraph.kernel.reliability import NUMBERS
+from mgsgraph.kernel.cuda.tables import (
+    BEGIN,
+    END,
+    FIRST,
+    KIND,
+    PATTERN,
+    block_of,
+    left_at,
+    part,
+    parts_of,
+    row_count,
+    rows_at,
+)
 from mgsgraph.kernel.rows import OUT, WEAK
 
 

@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.kernel.cuda.coupling import couple, residuals
+from mgsgraph.kernel.covariance import NUMBERS as OF_ROW
+from mgsgraph.kernel.cuda.coupling import add_up, clear, couple, residuals
 from mgsgraph.kernel.cuda.covariance import cover, judge
 from mgsgraph.kernel.cuda.device import SIMULATED, THREADS, cuda
 from mgsgraph.kernel.cuda.solving import NUMBERS, solve, sum_costs
-from mgsgraph.kernel.cuda.summing import add_up, clear
 from mgsgraph.kernel.cuda.tables import Jobs, Tables, make_jobs, make_tables, numbers_left, parts
-from mgsgraph.kernel.reliability import NUMBERS as OF_ROW
 from mgsgraph.kernel.rows import NO_LOSS, Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
 
@@ -164,14 +163,14 @@ class Partition:
         return to_host(of_pieces)
 
     def covariances(self, work: Workspace, x: Any, joint: Any, points: Any) -> Array:
-        """(n, 3, 3) m^2 of points (n, 3), see `kernel.reduction.point_covariances`."""
+        """(n, 3, 3) m^2 of points (n, 3), see `kernel.sweep.point_covariances`."""
         work.begin()
         values = work.take(self.points, 3, 3)
         self._cover(work, x, joint, points, values)
         return to_host(values)
 
     def residuals(self, work: Workspace, x: Any, points: Any) -> Array:
-        """(t, 2), see `kernel.reduction.all_residuals`."""
+        """(t, 2), see `kernel.sweep.all_residuals`."""
         work.begin()
         held, values = self.hold(), work.take(self.observations, 2)
         model = self.model._replace(loss=NO_LOSS)
@@ -181,7 +180,7 @@ class Partition:
         return to_host(values)
 
     def reliability(self, work: Workspace, x: Any, joint: Any, points: Any) -> Array:
-        """(t, 3, 7), see `kernel.reduction.reliability`."""
+        """(t, 3, 7), see `kernel.sweep.reliability`."""
         work.begin()
         held, values = self.hold(), work.take(self.observations, 3, OF_ROW)
         middle, states, left, result = self._cover(work, x, joint, points, room((0, 3, 3)))
