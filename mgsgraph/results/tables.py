@@ -5,9 +5,8 @@ latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights
 """
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,7 +36,7 @@ _REMARKS = ("bridge", "overlap without common points", "common points without ov
 
 def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table:
     """One row per ground point: adjusted place, sigmas, covariance, rays and correction; unknown where undetermined.
-    Some of the `rows` alone where the table is made in pieces, or has a choice of the points.
+    Some of the `rows` alone where the table has a choice of the points.
     """
     network, places, covariances = solution.network, solution.places[rows], solution.covariances[rows]
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
@@ -106,30 +105,24 @@ def orientation_table(solution: Solution) -> Table:
     ))  # fmt: skip
 
 
-def residuals_table(solution: Solution, rows: slice = slice(None)) -> Table:
+def residuals_table(solution: Solution) -> Table:
     """One row per ray, per range and per height above a stereo surface: residuals (measured minus predicted) before and
-    after; some of the `rows` alone where the table is made in pieces.
+    after.
 
     A normalised residual is the residual over its a-priori sigma. A range has the line at which its shot was taken. A
     height, of which zero is measured, belongs to no image alone, and to no nominal orientation.
     """
     network, rays, ranges = solution.network, solution.network.rays, solution.network.ranges
     on, heights, height_sigmas = _stereo_heights(solution)
-    sizes = rays.point.size, ranges.point.size, on.size
-    of_rays, of_ranges, of_heights = parts = _parts(rows, sizes)
-    on, heights, height_sigmas = on[of_heights], heights[of_heights], height_sigmas[of_heights]
-    k, r, h = (part.stop - part.start for part in parts)
-    point = np.concatenate([rays.point[of_rays], ranges.point[of_ranges], on])
-    image = np.concatenate([rays.image[of_rays], ranges.image[of_ranges], np.full(on.size, -1)])
-    used = np.concatenate([solution.rays_used[of_rays], solution.ranges_used[of_ranges], solution.stereo_used[on]])
-    before, after, places = (one[of_rays] for one in (solution.residuals_before, solution.residuals, rays.places))
-    range_residuals, range_sigmas = solution.range_residuals[of_ranges], ranges.sigmas[of_ranges]
-    sigmas, shots, tested, dimensions = rays.sigmas[of_rays], _shot_lines(solution)[of_ranges], list[Column](), None
+    k, r, h = rays.point.size, ranges.point.size, on.size
+    point = np.concatenate([rays.point, ranges.point, on])
+    image = np.concatenate([rays.image, ranges.image, np.full(h, -1)])
+    used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
+    before, after, sigmas, tested = solution.residuals_before, solution.residuals, rays.sigmas, list[Column]()
     if solution.test_dimensions is not None:
-        first, second, third = np.split(solution.test_dimensions, np.cumsum(sizes[:2]))
-        dimensions = np.concatenate([first[of_rays], second[of_ranges], third[on]])
+        of_measures, of_points = np.split(solution.test_dimensions, [k + r])
         tested.append(Column(
-            "tested", dimensions,
+            "tested", np.concatenate([of_measures, of_points[on]]),
             meaning="where blunders were sought: in how many directions others check the measure, 0 for none",
         ))  # fmt: skip
 
@@ -154,39 +147,27 @@ def residuals_table(solution: Solution, rows: slice = slice(None)) -> Table:
                meaning="of a range: that carries it", page="s"),
         Column("used", used, meaning="false for blunders that were rejected"),
         *tested,
-        Column("isis_line", padded(np.concatenate([places[:, 0], shots]), 0, h) + ISIS_OFFSET,
+        Column("isis_line", padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
                meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
-        Column("isis_sample", padded(places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
+        Column("isis_sample", padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
                head="sample", page=".2f"),
         *of_ray(0, "line"), *of_ray(1, "sample"),
-        Column("range", padded(ranges.values[of_ranges], k, h), "m", "measured"),
-        Column("residual_before_range", padded(solution.range_residuals_before[of_ranges], k, h), "m",
+        Column("range", padded(ranges.values, k, h), "m", "measured"),
+        Column("residual_before_range", padded(solution.range_residuals_before, k, h), "m",
                "nominal orientation"),
-        Column("residual_range", padded(range_residuals, k, h), "m", "adjusted"),
-        Column("sigma_range", padded(range_sigmas, k, h), "m", "a priori"),
-        Column("normalised_range", padded(range_residuals / range_sigmas, k, h), meaning="residual over its sigma"),
+        Column("residual_range", padded(solution.range_residuals, k, h), "m", "adjusted"),
+        Column("sigma_range", padded(ranges.sigmas, k, h), "m", "a priori"),
+        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, h), meaning="residual over its sigma"),
         Column("residual_height", padded(-heights, k + r, 0), "m", "adjusted, along the stereo surface's normal"),
         Column("sigma_height", padded(height_sigmas, k + r, 0), "m", "a priori"),
         Column("normalised_height", padded(-heights / height_sigmas, k + r, 0), meaning="residual over its sigma"),
     ))  # fmt: skip
 
 
-def residual_rows(solution: Solution) -> int:
-    """Rows of `residuals_table`: rays, ranges, heights above stereo surfaces."""
-    return solution.network.rays.point.size + solution.network.ranges.point.size + _stereo_heights(solution)[0].size
-
-
 def residual_points(solution: Solution) -> Index:
     """(m,) number of the ground point of each row of `residuals_table`."""
     network = solution.network
     return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])
-
-
-def _parts(rows: slice, sizes: Sequence[int]) -> list[slice]:
-    """Which of several arrays' elements some rows are, where these stand one after another."""
-    first, last, _ = rows.indices(sum(sizes))
-    ends = np.cumsum([0, *sizes]).tolist()
-    return [slice(min(max(first - a, 0), b - a), min(max(last - a, 0), b - a)) for a, b in pairwise(ends)]
 
 
 def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:
@@ -239,8 +220,6 @@ TableForm = Literal["csv", "parquet"]
 """Form of the tables of points and residuals."""
 MOST_CSV_ROWS = 200_000
 """Rows of the longer table up to which both are CSV, unless another form is asked for."""
-_PIECE = 1 << 20
-"""Rows written at a time, one group of a Parquet file: 0.2 GB of columns in memory."""
 GEOMETRY = "geometry"
 """Name of the column."""
 _VERSION = "1.1.0"
@@ -263,17 +242,10 @@ def write_large_tables(solution: Solution, folder: Path, wanted: TableForm | Non
         points_table(solution).write_csv(folder / names[0])
         residuals_table(solution).write_csv(folder / names[1])
         return names
-    places, body = solution.places, solution.network.images[0].body
-    points = (with_points(points_table(solution, rows), places[rows]) for rows in _pieces(len(places)))
-    write_geoparquet(folder / names[0], points, body)
-    residuals = (residuals_table(solution, rows) for rows in _pieces(residual_rows(solution)))
-    write_parquet(folder / names[1], residuals)
+    points = with_points(points_table(solution), solution.places)
+    write_geoparquet(folder / names[0], [points], solution.network.images[0].body)
+    write_parquet(folder / names[1], [residuals_table(solution)])
     return names
-
-
-def _pieces(rows: int) -> Iterator[slice]:
-    """Rows that are written at a time; once where there is none."""
-    return (slice(first, min(first + _PIECE, rows)) for first in range(0, max(rows, 1), _PIECE))
 
 
 # --- rows with a place

@@ -32,7 +32,7 @@ from mgsgraph.simulation.files import write_pair
 LINES, SAMPLES = (3000, 3400), (100, 250)
 """Of the bright field in the pictures."""
 FIGURES = {
-    "map", "connectivity", "overlay_1", "overlay_2", "discrepancy", "orientation", "residuals", "sigma_map",
+    "map", "connectivity", "overlay_1", "overlay_2", "discrepancy", "orientation", "residuals",
     "comparison",
 }
 
@@ -79,7 +79,6 @@ def page(case: Case, solution: Solution, tmp_path_factory: pytest.TempPathFactor
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of other things: figures take most of the time."""
     monkeypatch.setattr(report_figures, "figure_tasks", lambda *_: [("map", list)])
-    monkeypatch.setattr(report_figures, "sigma_figures", lambda *_: ([], "none"))
 
 
 def text_of(solution: Solution, folder: Path, **wanted: Any) -> str:

@@ -135,14 +135,11 @@ def _axes(panel: Axes, north: str = "") -> None:
 
 
 def _caption(dem: Dem) -> str:
-    grid, there, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
-    whole, matching, orientation = (
-        number(float(np.median(band[there]))) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
-    )
+    checks, there = dem.checks, np.isfinite(dem.heights)
     text = (
-        f"Heights every {number(grid.post)} m from {some([short(name, 30) for name in dem.images], len(dem.images))}, "
-        f"lit from the north-west; sigma {whole} m (median), of which {matching} m by matching and relief and "
-        f"{orientation} m by the orientation, common to neighbours"
+        f"Heights every {number(dem.model.map.post)} m from "
+        f"{some([short(name, 30) for name in dem.images], len(dem.images))}, lit from the north-west; sigma "
+        f"{number(float(np.median(dem.model.sigmas[there])))} m (median)"
     )
     if not len(checks):
         return f"{text}. No laser shot that took no part in the adjustment lies on it."
@@ -151,6 +148,7 @@ def _caption(dem: Dem) -> str:
         f"{text}. {many(len(checks), 'laser shot')} that took no part: model minus shot {number(off['mean_m'])} m on "
         f"the average, {number(off['rms_m'])} m rms, {number(off['rms_by_sigma'], 2)} times what is stated."
     )
+
 
 
 def height_map_sheets(statistics: TwoStepStatistics) -> Iterator[Sheet]:

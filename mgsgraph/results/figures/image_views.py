@@ -137,25 +137,19 @@ def _handles(views: Sequence[ImageView], factor: float, adjusted: bool) -> list[
 
 def _caption(views: Sequence[ImageView], factor: float, adjusted: bool) -> str:
     first = views[0]
-    line0, line1, sample0, sample1 = first.window
-    text = (
-        f"Lines {number(line0, 6)} to {number(line1, 6)} and samples {number(sample0, 6)} to {number(sample1, 6)} of "
-        f"{first.name} (first pixel's centre at 0.5)"
-    )
-    if len(views) > 1:
-        text += f", and the same ground in {many(len(views) - 1, 'other image')}"
+    line0, line1, sample0, sample1 = (number(one, 6) for one in first.window)
     shots = sum(len(profile["names"]) for profile in first.shots["profiles"])
-    text += f"; {many(len(first.ties['measured']), 'tie')} and {many(shots, 'laser shot')} in {first.name}"
+    text = (
+        f"Lines {line0} to {line1} and samples {sample0} to {sample1} of {first.name} (first pixel's centre at 0.5), "
+        f"{many(len(first.ties['measured']), 'tie')} and {many(shots, 'laser shot')} in it, and the same ground in "
+        f"{many(len(views) - 1, 'other image')}"
+    )
     if factor and adjusted:
         text += f"; residuals, measured minus predicted, are drawn {number(factor)} times as long"
     if any(one.predicted is not None for one in views):
-        known = "posterior" if adjusted else "a-priori"
-        text += (
-            "; ellipses (white on the pictures, with a dot) hold the place of the first image's middle with a "
-            f"probability of 95 %, by the {known} "
-            "covariance of both orientations and the sigma of the ground's height"
-        )
+        text += "; ellipses hold the place of the first image's middle with a probability of 95 %"
     return text + ("." if adjusted else "; the block has not been adjusted.")
+
 
 
 

@@ -7,10 +7,7 @@ from functools import partial
 from typing import Any
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.overlap_sigmas import sigma_grid
-from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import CommonPoints
-from mgsgraph.errors import MgsgraphError
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.results.figures import solution_sheets
@@ -20,10 +17,7 @@ from mgsgraph.results.figures.sheet import (
     Sheet,
     encoded,
 )
-from mgsgraph.results.figures.sigmas import raster_sheet
 
-_MOST_IMAGES = 12
-"""Images up to which the sigmas of new points are mapped: each cell is projected into every one."""
 _QUALITY = 80
 """Of JPEG, for sheets that are pictures."""
 _CSS = 96.0
@@ -84,18 +78,3 @@ def comparison_figures(points: CommonPoints) -> list[Picture]:
     """The map of the differences from an earlier solution; none of fewer than three common points."""
     sheet = comparison_sheet(points, ("the earlier one", "this one"))
     return drawn([] if sheet is None else [sheet])
-
-
-def sigma_figures(solution: Solution) -> tuple[list[Picture], str]:
-    """Maps of the sigmas that new points would have; without them, a sentence that says why."""
-    count = len(solution.network.images)
-    if not 2 <= count <= _MOST_IMAGES:
-        return [], (
-            f"Sigmas of new points are mapped for 2 to {_MOST_IMAGES} images, and there are {count}: "
-            "`mgsgraph analyze --raster --image ...` maps those of your choice."
-        )
-    try:
-        grid = sigma_grid(Posterior.of(solution))
-    except MgsgraphError as error:
-        return [], f"Sigmas of new points can't be mapped: {error}."
-    return drawn([raster_sheet(grid, "sigma_map")], as_picture=True), ""

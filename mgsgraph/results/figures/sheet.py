@@ -27,7 +27,6 @@ from matplotlib.ticker import Locator, LogLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import SHARE, counts
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
@@ -239,12 +238,8 @@ def short(name: str, letters: int = 40) -> str:
 
 
 
-LARGE_BLOCK = 16
-"""Images up to which all are drawn, one by one; a larger block has overviews, and a choice of its images."""
 MOST_ROWS = 500
 """Rows of a picture; a block of more images has several in a row."""
-_NAMED = 12
-"""Rows that have their image's name beside them."""
 
 
 def means(values: Array, groups: Index, number: int) -> Array:
@@ -273,41 +268,3 @@ def limit(values: Array) -> float:
 def image_rows(images: int, most: int = MOST_ROWS) -> Index:
     """(images,) row of each of so many images in a picture of at most `most` rows, from 0, none of them empty."""
     return np.arange(images) * min(images, most) // max(images, 1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Images of a block by the rows of a picture, in their own order."""
-
-    images: Sequence[int]
-    """Which images of the network."""
-    names: Sequence[str]
-    """Of those that are first in a row, (number,)."""
-    row: Index
-    """(images of the network,) row of each; -1 for one that is in none."""
-
-    @staticmethod
-    def of(solution: Solution, images: Sequence[int] | None = None) -> "Rows":
-        """Rows of some images, of all by default."""
-        every = solution.network.images
-        images = range(len(every)) if images is None else images
-        row, mine = np.full(len(every), -1, dtype=np.int64), image_rows(len(images))
-        row[np.asarray(images, dtype=np.int64)] = mine
-        first = np.searchsorted(mine, np.arange(min(len(images), MOST_ROWS)))
-        return Rows(images, [every[images[k]].name for k in first], row)
-
-    @property
-    def number(self) -> int:
-        """How many rows there are."""
-        return len(self.names)
-
-    @property
-    def words(self) -> str:
-        """For an axis: what a row is."""
-        several = -(-len(self.images) // max(self.number, 1))
-        return "image" if several == 1 else f"images, up to {several} in a row"
-
-    def name(self, panel: Axes) -> None:
-        """Write some of the names beside a panel's rows."""
-        ticks = np.unique(np.linspace(0, self.number - 1, min(self.number, _NAMED)).round().astype(int)).tolist()
-        panel.set_yticks(ticks, [short(self.names[k], 20) for k in ticks], size=7.0)

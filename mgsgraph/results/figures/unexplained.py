@@ -73,9 +73,7 @@ def binned(one: Pattern) -> tuple[Array, Array, Array]:
 
 def _caption(found: Unexplained, drawn: int) -> str:
     """What one sees, with figures."""
-    first = found.effects[0]
-    text = f"{len(found.effects)} effects are named by {found.tests} tests; clearest: {first.sentence}"
-    more = len(found.effects) - drawn
-    return text + (f"; of {more} more the table has the rest" if more > 0 else "") + (
-        ". Residuals show of an effect what the adjustment did not absorb."
+    return (
+        f"{len(found.effects)} effects are named by {found.tests} tests, {drawn} are drawn; clearest: "
+        f"{found.effects[0].sentence}. Residuals show of an effect what the adjustment did not absorb."
     )

@@ -9,6 +9,7 @@ from matplotlib.ticker import NullFormatter
 from mgsgraph.analysis.residual_spectrum import FALSE_ALARMS, TURNS
 from mgsgraph.analysis.vibrations import ImageSpectrum, ResidualVibrations
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
+from mgsgraph.text import many
 
 _MOST_IMAGES = 4
 """That are drawn: those with the clearest vibrations first."""
@@ -81,20 +82,8 @@ def _percent(share: float) -> str:
 
 
 def _caption(found: ResidualVibrations, left_out: int) -> str:
-    seen = [one for one in found.spectra if not one.blind]
-    limits = [one.limit for one in seen if one.turn != "yaw"]
-    what = "; ".join(
-        f"{one.image} {one.turn} {number(one.frequency)} Hz, {number(one.amplitude, 2)} px"
-        + (f" (or {', '.join(one.alternatives)})" if one.alternatives else "")
-        for one in found.vibrations[:3]
-    )  # fmt: skip
-    more = f" and {len(found.vibrations) - 3} more" if len(found.vibrations) > 3 else ""
-    said = f"Vibrations: {what}{more}." if what else "No vibration stands out of noise."
-    least = (
-        f" Named would be any from {number(min(limits), 2)} to {number(max(limits), 2)} px on (medians over "
-        f"frequency), and noise alone crosses the dashed level somewhere in {100.0 * FALSE_ALARMS:g} % of such panels."
-        if limits else ""
-    )  # fmt: skip
-    blind = " Panels without a curve: points take such turns up as heights." if len(seen) < len(found.spectra) else ""
-    also = f" {left_out} more images are not drawn." if left_out else ""
-    return said + least + blind + also
+    return (
+        f"{many(len(found.vibrations), 'vibration')} above the noise, which crosses the dashed level somewhere in "
+        f"{100.0 * FALSE_ALARMS:g} % of such panels; marks say Hz and px. Panels without a curve: points take such "
+        f"turns up as heights. {many(left_out, 'more image')} not drawn."
+    )

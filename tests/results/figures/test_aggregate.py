@@ -14,7 +14,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.results.figures.connectivity import adjacency, links_sheet
 from mgsgraph.results.figures.map import LEAST, cell_medians, frame
 from mgsgraph.results.figures.residuals import residual_matrix
-from mgsgraph.results.figures.sheet import Rows, encoded, image_rows, limit, means
+from mgsgraph.results.figures.sheet import encoded, image_rows, limit, means
 
 FLOATS = st.one_of(st.floats(-1e6, 1e6, width=32), st.just(float("nan")))
 
@@ -41,19 +41,19 @@ def test_colour_scales_are_robust() -> None:
 def test_the_residual_matrix_has_the_medians_of_images_and_lines() -> None:
     solution = adjust_network(block().network, SolverSettings())
     rays, network = solution.network.rays, solution.network
-    found = residual_matrix(solution, Rows.of(solution), PointClass.TIE)
+    found = residual_matrix(solution, PointClass.TIE)
     assert found is not None
-    bins = found.medians.shape[2]
+    bins = found.shape[2]
     compared = 0
     for j, image in enumerate(network.images):
         for b in range(bins):
             part = np.minimum(rays.places[:, 0] / image.lines * bins, bins - 1).astype(int)
             mine = (rays.image == j) & (part == b) & solution.rays_used & (network.points.classes[rays.point] == 0)
             if np.any(mine):
-                assert found.medians[:, j, b] == pytest.approx(np.median(solution.residuals[mine], axis=0), rel=1e-5)
+                assert found[:, j, b] == pytest.approx(np.median(solution.residuals[mine], axis=0), rel=1e-5)
                 compared += 1
             else:
-                assert np.all(np.isnan(found.medians[:, j, b]))
+                assert np.all(np.isnan(found[:, j, b]))
     assert compared > 5
 
 
