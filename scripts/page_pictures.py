@@ -30,7 +30,6 @@ FIGURES = {
     "matches.png": "MATCHES/matches.png",
     "dem.jpg": "DEM/dem.png",
     "quantiles.png": "analysis/quantiles.png",
-    "curve.png": "sigmas/sigmas_E02-00665.png",
     "sigma_map.jpg": "sigmas/sigma_map.png",
 }
 PAGES = {"review.jpg": ("review.html", 820, 150), "report.jpg": ("report.html", 760, 0)}

@@ -38,7 +38,7 @@ print(components_of(linearised))
 # %%
 # The same as a picture: on the line the sigmas are honest, steeper they are too small.
 from mgsgraph.analysis.residual_tests import residual_statistics
-from mgsgraph.results.figures.quantiles import quantile_sheet
+from mgsgraph.results.figures.analysis import quantile_sheet
 
 quantiles = quantile_sheet(residual_statistics(solution), solution.name)
 

@@ -32,7 +32,7 @@ from mgsgraph.files.writing import fresh_file
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
 from mgsgraph.libraries import library
-from mgsgraph.results.sigmas import write_sigma_raster
+from mgsgraph.results.answers import write_sigma_raster
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""

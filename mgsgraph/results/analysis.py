@@ -23,9 +23,8 @@ from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.records import Index
-from mgsgraph.results.answers import Questions, answered
+from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
 from mgsgraph.results.section import Section, drawn, write_sections
-from mgsgraph.results.sigmas import curve_section, raster_section
 from mgsgraph.results.soundness import linearity_section
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
@@ -239,7 +238,7 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     return Section(
         "honesty", "Stated sigmas against residuals", [f"{test.sentence}.", *components.sentences], [residuals],
         record, [components_table(components)],
-        sheets=drawn("mgsgraph.results.figures.quantiles.quantile_sheet", statistics, name),
+        sheets=drawn("mgsgraph.results.figures.analysis.quantile_sheet", statistics, name),
     )  # fmt: skip
 
 
@@ -390,7 +389,7 @@ def unexplained_section(posterior: Posterior, name: str) -> Section:
     table, said = unexplained_table(found), found.sentences
     record = {"level": found.level, "tests": found.tests, "words": said, "effects": table.records()}
     return Section("unexplained", sentences=said, numbers=record, csv=[table],
-                   sheets=drawn("mgsgraph.results.figures.unexplained.unexplained_sheets", found, name))  # fmt: skip
+                   sheets=drawn("mgsgraph.results.figures.analysis.unexplained_sheets", found, name))  # fmt: skip
 
 
 def unexplained_table(found: Unexplained) -> Table:
@@ -434,7 +433,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
     ]  # fmt: skip
     record = {"words": found.sentences, "vibrations": table.records(), "spectra": seen}
     return Section("vibrations", sentences=found.sentences, numbers=record, csv=[table],
-                   sheets=drawn("mgsgraph.results.figures.vibrations.vibrations_sheet", found, name))  # fmt: skip
+                   sheets=drawn("mgsgraph.results.figures.analysis.vibrations_sheet", found, name))  # fmt: skip
 
 
 def vibrations_table(found: ResidualVibrations) -> Table:

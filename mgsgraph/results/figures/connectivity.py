@@ -81,6 +81,4 @@ def adjacency(connected: Connectivity, most: int = MOST_ROWS) -> Array:
 def _caption(connected: Connectivity) -> str:
     several = -(-len(connected.names) // MOST_ROWS)
     words = f" A cell has up to {several} by {several} images, and the most points of a pair of them." * (several > 1)
-    band = " A band along the diagonal is a strip, cells beside it are overlaps of strips."
-    statements = " ".join(connectivity_statements(connected)) or "One image."
-    return f"{statements} Each pair of images that shares points is a cell, twice.{band * (several > 1)}{words}"
+    return f"{' '.join(connectivity_statements(connected)) or 'One image.'}{words}"

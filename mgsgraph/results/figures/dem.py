@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mgsgraph.analysis.two_step_statistics import TwoStepStatistics
 from mgsgraph.files.rasters.raster_file import open_raster, read_band
 from mgsgraph.geometry.map_plane import centre_of, east_north
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.registration.dem.checking import check_figures
 from mgsgraph.registration.dem.model import Dem
 from mgsgraph.results.figures.map import outlines_of, points_window, window_sheet
@@ -113,7 +113,7 @@ def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> Non
     panel.imshow(grey, extent=_extent(dem), cmap="Greys_r", vmin=0, vmax=255, interpolation="nearest", aspect="equal")
     widest = float(np.quantile(np.abs(checks.differences), 0.98)) if len(checks) else 1.0
     norm = Normalize(-max(widest, 1e-9), max(widest, 1e-9))
-    some = _some(len(checks))
+    some = thinned(len(checks), MOST_MARKS)
     shown = panel.scatter(
         checks.plane[some, 0] / KM, checks.plane[some, 1] / KM, c=checks.differences[some], cmap="RdBu_r", norm=norm,
         s=9.0, edgecolors=INK, linewidths=0.2, zorder=3,
@@ -121,10 +121,6 @@ def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> Non
     if len(checks):
         sheet.colour_bar(shown, panel, "model minus shot (m)", MaxNLocator(2), "both")
     _axes(panel)
-
-
-def _some(count: int) -> slice:
-    return slice(None, None, max(1, -(-count // MOST_MARKS)))
 
 
 def _axes(panel: Axes, north: str = "") -> None:

@@ -217,8 +217,8 @@ def _profile_caption(one: ReliefProfile) -> str:
     east, north = (number(size) for size in one.before.misplacement.tolist())
     return (
         f"{int(one.taken.sum())} of {many(one.mine.size, one.unit)} lie on the surface that the images show; "
-        f"{one.unit} minus surface {number(one.rms_before)} m rms before, {number(one.rms_after)} m after; before, it had to "
-        f"move {east} m east and {north} m north to fit."
+        f"{one.unit} minus surface {number(one.rms_before)} m rms before, {number(one.rms_after)} m after; before, "
+        f"it had to move {east} m east and {north} m north to fit."
     )
 
 

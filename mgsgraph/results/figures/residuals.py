@@ -55,13 +55,8 @@ def residual_matrix(solution: Solution, point_class: PointClass) -> Array | None
     return np.stack(found)
 
 
-def residual_sheets(solution: Solution) -> list[Sheet]:
-    """The sheet of the residuals."""
-    return [residual_sheet(solution)]
-
-
 @plain_style()
-def residual_sheet(solution: Solution) -> Sheet:
+def residual_sheets(solution: Solution) -> list[Sheet]:
     """Medians of the residuals of all images along their lines, and rms beside robust sigma of each image."""
     names, row = [one.name for one in solution.network.images], image_rows(len(solution.network.images))
     found = [(c, one) for c in _SHOWN if (one := residual_matrix(solution, c)) is not None]
@@ -83,7 +78,7 @@ def residual_sheet(solution: Solution) -> Sheet:
     for panel in panels[1:]:
         panel.tick_params(labelleft=False)
     sheet.legend([Patch(color=_EMPTY, lw=0.0, label="no measurement")])
-    return sheet
+    return [sheet]
 
 
 def _draw_matrix(sheet: Sheet, panels: list[Axes], point_class: PointClass, found: Array) -> None:
