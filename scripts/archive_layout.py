@@ -3,7 +3,7 @@
     python scripts/archive_layout.py            # as a table
     python scripts/archive_layout.py --page     # writes docs/solution_npz.md
 
-The archive takes the record `Solution` apart (`mgsgraph.results.archive_arrays`), so what an array means is what stands
+The archive takes the record `Solution` apart (`mgsgraph.results.archive`), so what an array means is what stands
 under the record's field in the source.
 """
 
@@ -18,8 +18,7 @@ from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface
 from mgsgraph.record import meanings
-from mgsgraph.results.archive import FORMAT
-from mgsgraph.results.archive_arrays import array_scalar, kinds_of
+from mgsgraph.results.archive import FORMAT, array_scalar, kinds_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "solution_npz.md"
 HEAD = "| array | numbers | unit | meaning |"

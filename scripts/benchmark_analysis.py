@@ -25,7 +25,7 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.analysis.reliability import reliability, suspects
 from mgsgraph.network import Network
-from mgsgraph.results.reliability import reliability_table
+from mgsgraph.results.analysis import reliability_table
 
 PAGE = "analysis_cost.md"
 WORDS = """# What it costs to ask

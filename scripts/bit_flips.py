@@ -1,6 +1,6 @@
 """Flip single bits of what the program keeps, read it again, and look whether the damage is noticed.
 
-Each flip is of one bit, drawn at random, of a copy: of a project's file, of results, of kept tiles, or of records. What
+Each flip is of one bit, drawn at random, of a copy: of a project's file, of results, or of records. What
 reads it again must refuse it, do the work again, or come to the same result.
 
     python scripts/bit_flips.py --flips 2000 --commands 60 > table.md
@@ -20,7 +20,6 @@ from contextlib import closing, suppress
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from study import at_least, command, show, table
 
 from mgsgraph.case.groups import window_beside
@@ -40,9 +39,7 @@ from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import comparison_with_truth
 from mgsgraph.project.status import status
-from mgsgraph.results.archive import ARCHIVE, read_solution
-from mgsgraph.results.archive_arrays import pack
-from mgsgraph.results.matching import KeptTiles
+from mgsgraph.results.archive import ARCHIVE, pack, read_solution
 from mgsgraph.results.results import RECORD, case_of
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -108,15 +105,6 @@ def of_matches(folder: Path) -> str:
     return digest(*map(pack, ties), window_beside(folder / "network.pvl"))
 
 
-def of_tile(folder: Path) -> str:
-    """A tile as the next run of `match` takes it up."""
-    store = KeptTiles(folder / "out", "key")
-    found = store.load("tile_00000")
-    if found is None or found.keys() != tile().keys():
-        return _AGAIN
-    return digest([(name, found[name].dtype, found[name].shape, found[name].tobytes()) for name in tile()])
-
-
 def of_campaign(folder: Path) -> str:
     """The record of a campaign; of one whose last line is gone, that its case is done again."""
     with open_record(folder) as record:
@@ -129,12 +117,6 @@ def of_lock(folder: Path) -> str:
 
 
 # --- what is made
-
-
-def tile() -> dict[str, np.ndarray]:
-    """Arrays as `match` keeps them."""
-    rng = np.random.default_rng(3)
-    return {"pair": rng.integers(0, 9, 40), "places": rng.normal(size=(40, 2, 2)), "alike": rng.random(40) > 0.5}
 
 
 def made(work: Path) -> Iterator[Target]:
@@ -163,10 +145,6 @@ def made(work: Path) -> Iterator[Target]:
     files = tuple(matches / name for name in (MATCH, *sums))
     adjust = ("adjust", str(case), "--ties", "{}/network.pvl", "--out", "{}/out", "--no-figures")
     yield Target("matches", files, of_matches, (adjust,), Path("out") / ARCHIVE)
-
-    tiles = work / "tiles"
-    KeptTiles(tiles / "out", "key").keep("tile_00000", tile())
-    yield Target("tiles", tuple((tiles / ".out.matching").iterdir()), of_tile)
 
     cases = [case, case.with_name("other.toml")]
     shutil.copy(*cases)

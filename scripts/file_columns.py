@@ -23,13 +23,18 @@ from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.dem.checking import HeightChecks
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
-from mgsgraph.results.analysis import components_table, likelihood_table, unexplained_table, vibrations_table
+from mgsgraph.results.analysis import (
+    components_table,
+    likelihood_table,
+    reliability_table,
+    unexplained_table,
+    vibrations_table,
+)
 from mgsgraph.results.matching import matches_table
 from mgsgraph.results.passes import nodes_table, shared_table
 from mgsgraph.results.places import selection_table
 from mgsgraph.results.plan import judged_table
 from mgsgraph.results.registration import discrepancy_table, registration_table
-from mgsgraph.results.reliability import reliability_table
 from mgsgraph.results.relief import costs_table, profiles_table, relief_shots_table
 from mgsgraph.results.soundness import drivers_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table

@@ -107,7 +107,6 @@ def of_what_is_kept() -> Iterator[Row]:
     from mgsgraph.project.project import open_project
     from mgsgraph.project.reading import read_state
     from mgsgraph.results.archive import read_solution
-    from mgsgraph.results.matching import KeptTiles
     from mgsgraph.results.results import case_of
 
     def record(path: Path) -> object:
@@ -123,16 +122,12 @@ def of_what_is_kept() -> Iterator[Row]:
         case = seeds.pair_folder() / "case.toml"
         seeds.commanded("campaign", case, "--out", folder, "--no-figures")
 
-    def tile(path: Path) -> object:
-        return KeptTiles(path.parent.parent / "out", "0123").load("ties")
-
     yield Row("result", "C", read_solution, partial(of_pair, "result/solution.npz"), NPZ, gaps=(".sigmas",))
     yield Row("result's record", "C", lambda path: case_of(path.parent), partial(of_pair, "result/solution.json"), JSON)
     sources = lambda path: source_networks(path.parent, [], _MARS)  # noqa: E731
     yield Row("result's networks", "C", sources, partial(of_pair, "result/solution.json", "network.pvl"), JSON)
     yield Row("project", "C", project, partial(of_pair, "project/project.sqlite"), SQLITE)
     yield Row("campaign's record", "C", record, lambda: made("campaign.jsonl", campaign), (*JSON, *TEXT))
-    yield Row("kept tile", "C", tile, partial(text, ".out.matching/0123_ties.npz", seeds.small_npz()), NPZ)
 
 
 def of_archives() -> Iterator[Row]:

@@ -220,7 +220,7 @@ def main() -> int:
             if seed == 1:
                 with tempfile.TemporaryDirectory() as folder:
                     write_two_steps(rows[0].merit, Path(folder))
-                    shutil.copy(Path(folder) / "height_map.png", chosen.out / PICTURE)
+                    shutil.copy(Path(folder) / "height_map_2.png", chosen.out / PICTURE)
         return page(rows, settings, time.perf_counter() - begin)
 
     return write_page(parser, chosen.out / PAGE, text)

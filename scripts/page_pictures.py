@@ -21,11 +21,8 @@ PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 WIDTH = 1040
 """px; pages show them 690 to 740 wide, and finer on fine screens."""
 FIGURES = {
-    "story.jpg": "mgsgraph-demo/story.png",
-    "landing.jpg": "mgsgraph-demo/story.png",
     "profiles.png": "mgsgraph-demo/profiles_1.png",
     "discrepancy.png": "mgsgraph-demo/discrepancy.png",
-    "closeups.jpg": "mgsgraph-demo/closeups.png",
     "overlay.jpg": "mgsgraph-demo/overlay_1.png",
     "map.png": "mgsgraph-demo/map.png",
     "residuals.png": "mgsgraph-demo/residuals.png",
@@ -33,11 +30,8 @@ FIGURES = {
     "matches.png": "MATCHES/matches.png",
     "dem.jpg": "DEM/dem.png",
     "quantiles.png": "analysis/quantiles.png",
-    "curve.png": "sigmas/sigmas_E02-00665.png",
     "sigma_map.jpg": "sigmas/sigma_map.png",
 }
-CROPPED = {"closeups.jpg": (0.0, 0.075, 0.672, 0.885), "landing.jpg": (0.0, 0.05, 1.0, 0.865)}
-"""Shares of width and height: left, upper, right, lower."""
 PAGES = {"review.jpg": ("review.html", 820, 150), "report.jpg": ("report.html", 760, 0)}
 """Files, how much of them is shown, and from where on, px."""
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
@@ -62,10 +56,7 @@ def main() -> None:
 
 def save(picture: Image.Image, name: str) -> None:
     """What pages need of it, as wide as they need it: pictures in JPEG, drawings in 128 colours."""
-    left, upper, right, lower = CROPPED.get(name, (0.0, 0.0, 1.0, 1.0))
-    width, height = picture.size
-    box = (round(left * width), round(upper * height), round(right * width), round(lower * height))
-    picture = picture.convert("RGB").crop(box)
+    picture = picture.convert("RGB")
     if picture.width > WIDTH:
         picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
     if name.endswith(".jpg"):

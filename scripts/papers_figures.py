@@ -12,7 +12,7 @@ from mgsgraph.case.reading import Case
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.registration.case import register_case
-from mgsgraph.results.figures import write_registration_figures
+from mgsgraph.results.figures.registration import write_registration_figures
 from mgsgraph.results.figures.sheet import (
     CLASS_COLOUR,
     CLASS_NAME,

@@ -37,7 +37,7 @@ SHAN_EMISSION = 22.0 * DEG
 """rad, of Eos' off-nadir image in Shan's orientation; Table 1 has 17.97 deg."""
 PUBLISHED = SimulationOptions(errors="published", tie_noise=balance.tie_noise(), pictures=False)
 """Kernels as wrong as the papers found them, and ties as good."""
-SHOWN = ("orientation", "arrows", "overlay_1", "overlay_2", "closeups")
+SHOWN = ("orientation", "arrows", "overlay_1", "overlay_2")
 """Figures that the page shows."""
 
 

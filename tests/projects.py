@@ -15,7 +15,7 @@ from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared,
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, Members, Unknown, bundles, part
 from mgsgraph.project.project import open_project
-from mgsgraph.results.archive_arrays import pack
+from mgsgraph.results.archive import pack
 
 ODD = (0.0, -0.0, 5e-324, -1.7976931348623157e308, 1e-17, np.nextafter(1.0, 2.0), 3.0)
 """Numbers that a careless store would change."""

@@ -148,7 +148,7 @@ DOOR = {
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
     "mgsgraph.files.cameras.hrsc": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
-    "mgsgraph.results.archive_arrays": {"zipfile.ZipFile"},
+    "mgsgraph.results.archive": {"zipfile.ZipFile"},
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
     "mgsgraph.project.project": {"json.loads"},
     "mgsgraph.project.settings": {"json.loads"},

@@ -29,15 +29,8 @@ print(posterior.intersection(new, "a new point"))
 print(posterior.difference(*solution.network.points.ids[:2]).sentence)
 
 # %%
-# How well position and pointing of one image are known along its lines.
-import numpy as np
-
-from mgsgraph.results.figures.sigmas import curve_sheet, raster_sheet
-
-curve = curve_sheet(posterior.poses(first, np.linspace(0.0, pair.images[0].lines, 41)), "curve")
-
-# %%
-# And the sigmas that points measured to half a pixel would have anywhere on the ground that both images show.
+# The sigmas that points measured to half a pixel would have anywhere on the ground that both images show.
 from mgsgraph.analysis.places import sigma_grid
+from mgsgraph.results.figures.analysis import raster_sheet
 
 raster = raster_sheet(sigma_grid(posterior, cell=300.0, sigma=0.5), "sigmas")

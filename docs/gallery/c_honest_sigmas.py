@@ -23,6 +23,6 @@ print(components_of(solution))
 # The same in one picture for each group: normalised residuals against the law that they should follow. Where sigmas are
 # too large they lie flatter than the line.
 from mgsgraph.analysis.residual_tests import residual_statistics
-from mgsgraph.results.figures.quantiles import quantile_sheet
+from mgsgraph.results.figures.analysis import quantile_sheet
 
 quantiles = quantile_sheet(residual_statistics(solution), solution.name)

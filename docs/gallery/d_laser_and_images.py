@@ -21,6 +21,6 @@ print(solution)
 # %%
 # Each footprint projected into the second image, minus where the first one and the tie points have it.
 from mgsgraph.registration.case import register_case
-from mgsgraph.results.figures.discrepancy import discrepancy_sheets
+from mgsgraph.results.figures.registration import discrepancy_sheets
 
 discrepancies = list(discrepancy_sheets(register_case(case, solution)))

@@ -19,7 +19,7 @@ print(*sorted(path.name for path in folder.iterdir()))
 
 # %%
 # Read the case and adjust it. What is printed says first whether it converged, then how well everything fits.
-from mgsgraph.results.summary import statements, summary_table
+from mgsgraph.results.results import statements, summary_table
 
 case = mgsgraph.read_case(case_file)
 solution = mgsgraph.adjust(case)

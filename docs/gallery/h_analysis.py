@@ -24,7 +24,7 @@ print(solution)
 # %%
 # What may be a blunder: w-tests and minimal detectable errors of every measure, the most suspicious first.
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.results.reliability import reliability_section
+from mgsgraph.results.analysis import reliability_section
 
 found = reliability(linearised)
 print(reliability_section(found, 3).text())
@@ -38,7 +38,7 @@ print(components_of(linearised))
 # %%
 # The same as a picture: on the line the sigmas are honest, steeper they are too small.
 from mgsgraph.analysis.residual_tests import residual_statistics
-from mgsgraph.results.figures.quantiles import quantile_sheet
+from mgsgraph.results.figures.analysis import quantile_sheet
 
 quantiles = quantile_sheet(residual_statistics(solution), solution.name)
 

@@ -206,12 +206,13 @@ def campaign(
     help="Share of the points with three rays or more of which one ray is held out.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draw of these rays.")
-@click.option("--out", type=PATH, help="Folder for nodes.json, its table and figure; made anew.")
+@click.option("--densify", is_flag=True, hidden=True)
+@click.option("--no-figures", is_flag=True, hidden=True)
+@click.option("--out", type=PATH, help="Folder for nodes.json and its table; made anew.")
 @TIES
-@NO_FIGURES
 def nodes(
     case: Path, spacings: str, hold_out: float, seed: int, out: Path | None,
-    ties: Path | None, no_figures: bool,
+    ties: Path | None, densify: bool, no_figures: bool,
 ) -> None:
     """Adjust CASE (a TOML file with [[passes]]) with orientation images at several spacings, without some of its rays,
     and choose the coarsest that predicts these no worse than the best one. (Vibrations: `mgsgraph analyze`.)
@@ -222,10 +223,12 @@ def nodes(
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.files.output.folders import NODES, require_replaceable
-    from mgsgraph.results.analysis import require_used
     from mgsgraph.results.spacing import nodes_section, seconds_of
 
-    require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
+    if densify:
+        raise click.UsageError("--densify is gone: give closer --spacings, of which rays held out choose one")
+    if no_figures:
+        raise click.UsageError("--no-figures is gone: nodes draws none")
     wanted = seconds_of(spacings)
     if out is not None:
         require_replaceable(out, NODES)
@@ -234,7 +237,7 @@ def nodes(
         choice = choose_spacing(read.network, read.settings, wanted, hold_out, seed, progress=bar)
     section = nodes_section(choice, read.name)
     if out is not None:
-        section.write_folder(out, NODES, figures=not no_figures)
+        section.write_folder(out, NODES)
     click.echo(section.text())
     if out is not None:
         click.echo(f"The study is in {out}")

@@ -79,7 +79,7 @@ def print_sentences(sentences: Iterable[str]) -> None:
 
 def print_solution(solution: "Solution") -> None:
     """Print what an adjustment has found: the table and the sentences."""
-    from mgsgraph.results.summary import sentences_of, solution_sections, summary_table
+    from mgsgraph.results.results import sentences_of, solution_sections, summary_table
 
     sections = solution_sections(solution)
     click.echo(summary_table(solution, sections))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Device
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited
-    from mgsgraph.results.large_tables import TableForm
+    from mgsgraph.results.tables import TableForm
 
 _IMPACT = click.option(
     "--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file."

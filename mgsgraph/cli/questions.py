@@ -128,7 +128,7 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
     "--criterion", type=click.Choice(["mean", "worst"]), default="mean", show_default=True,
     help="Whether the targets' mean sigma counts, or the largest one.",
 )  # fmt: skip
-@click.option("--out", type=PATH, help="Folder for plan.csv, plan.json and a figure; made anew.")
+@click.option("--out", type=PATH, help="Folder for plan.csv and plan.json; made anew.")
 def plan(
     adjusted: Path, candidates: Path, choose: int, targets: tuple[str, ...], criterion: str, out: Path | None
 ) -> None:

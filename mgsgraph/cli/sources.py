@@ -231,7 +231,7 @@ def match(
 
     Images are resampled to one ground grid on the terrain, features matched where orientation and heights say, and
     every match measured by least squares in the images themselves, with its covariance. Use the result with
-    `mgsgraph adjust CASE --ties OUT/network.pvl`. An interrupted run goes on where it was.
+    `mgsgraph adjust CASE --ties OUT/network.pvl`.
     """
     from mgsgraph.errors import InputError
     from mgsgraph.matching.settings import MatchSettings
@@ -303,7 +303,7 @@ def dem(
     """Match the images of SOLUTION (results of `mgsgraph adjust`, or a project) densely and write a terrain model.
 
     OUT then holds dem.tif (height, sigma, its parts by matching and by orientation, number of points), ortho.tif (an
-    image laid on it), dem.json, dem.stac.json (item of a STAC catalogue), shots.csv (heights against laser shots that
+    image laid on it), dem.json, shots.csv (heights against laser shots that
     took no part in the adjustment) and a figure.
     """
     from typing import cast

@@ -13,14 +13,16 @@ from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.record import meanings
-from mgsgraph.results.large_tables import GEOMETRY, with_points, with_shapes
 from mgsgraph.results.passes import nodes_table, shared_table
 from mgsgraph.results.tables import (
+    GEOMETRY,
     connectivity_table,
     orientation_table,
     points_table,
     residual_points,
     residuals_table,
+    with_points,
+    with_shapes,
 )
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, 
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.rasters.coordinate_systems import authority_code, geographic_crs, wkt2
 from mgsgraph.files.writing import fresh_file
-from mgsgraph.results.sigmas import write_sigma_raster
+from mgsgraph.results.answers import write_sigma_raster
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""

@@ -19,7 +19,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.patches import Links, TileStore, Window, features_on, kept_links, links_on, tiling, together
+from mgsgraph.matching.patches import Links, Window, features_on, links_on, tiling, together
 from mgsgraph.matching.scene import Ground, Pair, Picture, Scene, boxes, first_picture, next_pair
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.text import root_mean_square
@@ -270,13 +270,12 @@ def brought_together(
     pairs: Sequence[Pair],
     settings: MatchSettings,
     step: float,
-    store: TileStore | None,
     progress: Progress,
 ) -> Together:
     """Correct pictures that share ground, one after the other, until they agree with those before.
 
-    `scene` has nominal orientations, `step` is the pixel of the fine ground grid in m; links that are found are kept in
-    the store. InputError where no two pictures agree.
+    `scene` has nominal orientations, `step` is the pixel of the fine ground grid in m. InputError where no two pictures
+    agree.
     """
     count = len(scene.pictures)
     left, there, group = set(range(count)), set[int](), np.full(count, -1)
@@ -290,7 +289,7 @@ def brought_together(
             left.discard(new)
             continue
         try:
-            scene, agreement = _joined(scene, pair, settings, _COARSER * step, store)
+            scene, agreement = _joined(scene, pair, settings, _COARSER * step)
         except NoAgreement as error:
             tried.add(pair)
             refused.append(error)
@@ -306,9 +305,9 @@ def brought_together(
 
 
 def _joined(
-    scene: Scene, pair: Pair, settings: MatchSettings, step: float, store: TileStore | None
+    scene: Scene, pair: Pair, settings: MatchSettings, step: float
 ) -> tuple[Scene, Agreement]:
-    """The scene with the second picture corrected, by links that were kept or are found."""
+    """The scene with the second picture corrected, by links on the coarse grid."""
     first, second = (scene.pictures[j] for j in pair[:2])
     radius = max(settings.search or search_radius(first, second, scene), _LEAST_SEARCH * step)
     if radius > _WIDEST_SEARCH * step:
@@ -318,8 +317,7 @@ def _joined(
             f"at most {_WIDEST_SEARCH}",
             "give smaller a-priori sigmas, --search METRES, or a coarser grid (--step METRES)",
         )
-    name = f"coarse_{pair.first:05d}_{pair.second:05d}"
-    links = kept_links(store, name, lambda: _coarse_links(scene, pair, settings, step, radius))
+    links = _coarse_links(scene, pair, settings, step, radius)
     return corrected_scene(scene, pair, links, step, radius, np.random.default_rng([settings.seed, *pair[:2]]))
 
 

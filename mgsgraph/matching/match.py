@@ -2,15 +2,12 @@
 count of what was lost on the way.
 """
 
-import hashlib
 import os
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, replace
-from functools import partial
-from importlib.metadata import version
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,10 +22,8 @@ from mgsgraph.matching.measuring import Measured, SharpPictures, joined_measures
 from mgsgraph.matching.patches import (
     Links,
     Tile,
-    TileStore,
     Window,
     features_on,
-    kept_links,
     links_on,
     opencv,
     tiling,
@@ -180,7 +175,6 @@ _TRIED = 4
 def match_scene(
     scene: Scene,
     settings: MatchSettings | None = None,
-    store: TileStore | None = None,
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> Matches:
@@ -192,8 +186,6 @@ def match_scene(
         Pictures with nominal orientations and priors over one ground.
     settings : MatchSettings, optional
         Choices.
-    store : TileStore, optional
-        Where tiles that are done are kept.
     workers : int, optional
         Tiles at a time; as many as there are processors when absent.
     progress : callable, optional
@@ -209,44 +201,25 @@ def match_scene(
     cautions = require_unblocked(scene)
     pairs = pairs_of(scene)
     step = settings.step or scene.step
-    known = brought_together(scene, pairs, settings, step, store, progress)
+    known = brought_together(scene, pairs, settings, step, progress)
     pairs = [pair for pair in pairs if known.group[pair.first] == known.group[pair.second]]
-    found = _links(known, pairs, settings, step, store, workers, progress)
+    found = _links(known, pairs, settings, step, workers, progress)
     matches = _measured_matches(known, pairs, found, settings, step, progress)
     return replace(matches, cautions=cautions + matches.cautions)
 
 
-def digest(scene: Scene, settings: MatchSettings) -> str:
-    """A short name for all that the result depends on."""
-    whole = hashlib.sha256(f"{version('mgsgraph')} {astuple(settings)}".encode())
-    for picture in scene.pictures:
-        lines, samples = np.linspace(0.0, picture.image.lines, 31), np.linspace(0.0, picture.image.samples, 31)
-        rays = picture.image.sightlines(lines, samples, picture.correction)
-        for array in (picture.pixels, picture.prior.sigmas, *rays):
-            whole.update(repr((picture.image.name, array.shape, array.dtype.str)).encode())
-            whole.update(np.ascontiguousarray(array).tobytes())
-    ground = scene.ground
-    whole.update(repr((ground.height, ground.height_sigma, ground.chart.axes.tolist(), ground.body)).encode())
-    if (model := ground.terrain) is not None:
-        steps = model.first_longitude, model.first_latitude, model.longitude_step, model.latitude_step
-        whole.update(repr((model.radii.shape, steps)).encode())
-        whole.update(np.ascontiguousarray(model.radii).tobytes())
-    return whole.hexdigest()[:16]
-
-
 def _links(
-    known: Together, pairs: Sequence[Pair], settings: MatchSettings, step: float, store: TileStore | None,
-    workers: int | None, progress: Progress,
+    known: Together, pairs: Sequence[Pair], settings: MatchSettings, step: float, workers: int | None,
+    progress: Progress,
 ) -> Links:
-    """Links on all tiles, those that were kept from an earlier run taken from there."""
+    """Links on all tiles."""
     scene = known.scene
     shown = boxes(scene)
     tiles = tiling(shown, step, _MARGIN * step)
     windows = _windows(scene, pairs, known.agreements, step)
 
     def work(tile: Tile) -> Links:
-        find = partial(_on_tile, scene, tile, shown, windows, settings)
-        return kept_links(store, f"tile_{tile.number:05d}", find)
+        return _on_tile(scene, tile, shown, windows, settings)
 
     parts = list[Links]()
     progress("matching", 0, len(tiles))

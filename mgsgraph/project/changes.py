@@ -26,7 +26,7 @@ from mgsgraph.project.store import ProjectStore
 if TYPE_CHECKING:
     from mgsgraph.adjustment.rounds import Progress
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.results.large_tables import TableForm
+    from mgsgraph.results.tables import TableForm
 
 Stages = Callable[[str], AbstractContextManager[None]]
 

@@ -19,7 +19,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, Network
 from mgsgraph.network.control import StereoControl
-from mgsgraph.results.archive_arrays import pack, unpack
+from mgsgraph.results.archive import pack, unpack
 
 COLUMNS: dict[str, dict[str, tuple[str, tuple[int, ...]]]] = {
     "points": {

@@ -22,7 +22,7 @@ from mgsgraph.geometry.image import ImageTimes, LineTiming
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.results.archive_arrays import unpack_parts
+from mgsgraph.results.archive import unpack_parts
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment

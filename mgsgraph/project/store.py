@@ -20,7 +20,7 @@ from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, wi
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.project.columns import Cells, StoredGrids, StoredPoints, index_among
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
-from mgsgraph.results.archive_arrays import pack, unpack
+from mgsgraph.results.archive import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
 """Columns of a reduced system; NULL in a bundle that has none."""

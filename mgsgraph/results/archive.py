@@ -5,24 +5,272 @@ NumPy reads it too; everything else is a JSON text under `record`. Nothing is pi
 of its.
 """
 
+import io
 import json
-from collections.abc import Sequence
+import math
+import re
+import types
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
+from functools import cache, reduce
+from operator import getitem
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.opening import opened, understood
-from mgsgraph.geometry.records import Array
-from mgsgraph.results.archive_arrays import Arrays, from_arrays, read_members, record_of, to_arrays
+from mgsgraph.files.opening import json_object, opened, understood
+from mgsgraph.geometry.distortion import MODELS, Distortion
+from mgsgraph.geometry.image import ExteriorOrientation
+from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
+from mgsgraph.geometry.records import Array, assign
+from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
+from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory
+from mgsgraph.network import NodePrior, PolynomialPrior, ProcessPrior
+
+Arrays = dict[str, NDArray[Any]]
+"""Arrays by the path of fields that leads to them."""
+Kind = TypeVar("Kind")
+
+_KINDS: dict[Any, dict[str, Any]] = {
+    protocol: {kind.__name__: kind for kind in kinds}
+    for protocol, kinds in (
+        (Distortion, MODELS),
+        (ExteriorOrientation, (Trajectory, FixedTrajectory, PolynomialTrajectory)),
+    )
+}
+"""Records that may stand where a protocol is declared; the record says which it is."""
+_KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
+_KIND_NAMES |= {one.__name__ for one in (NodePrior, PolynomialPrior, ProcessPrior, PackedSurface)}
+_AGAIN = "write it anew with the program that made it"
+_HEADER = re.compile(
+    rb"\x93NUMPY\x01\x00(..)\{'descr': '([<|][biufU]\d{1,9})', 'fortran_order': (True|False), "
+    rb"'shape': \(([\d, ]{0,200})\), \} *\n",
+    re.DOTALL,
+)
+"""What NumPy writes before the numbers of an array, of the kinds that records have."""
+_VERSION, _RECORD = "format", "record"
+"""Members beside the arrays that the record names."""
+
+
+def pack(record: Any) -> bytes:
+    """A record as the bytes of an .npz file; the same record gives the same bytes."""
+    arrays: Arrays = {}
+    text = json.dumps(to_arrays(record, "", arrays), allow_nan=False)
+    file = io.BytesIO()
+    np.savez(file, record=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
+    """The record of a kind that `pack` made the bytes of; InputError naming `where` for anything else."""
+    with errors_from(where), understood(where, f"a record of kind {kind.__name__}", _AGAIN):
+        arrays = read_members(io.BytesIO(data))
+        record: Kind = from_arrays(record_of(arrays), kind, "", arrays)
+        return record
+
+
+def unpack_parts(data: bytes, kinds: Mapping[str, Any], where: str) -> list[Any]:
+    """Parts of the record that `pack` made the bytes of, without its other arrays.
+
+    Parameters
+    ----------
+    data : bytes
+        All of the record.
+    kinds : mapping
+        Type of each part by the path of fields that leads to it ("image.timing").
+    where : str
+        What to call the record in messages.
+
+    Raises
+    ------
+    InputError
+        For anything else, and a part that is not there.
+    """
+    with errors_from(where), understood(where, f"a record with {', '.join(kinds)}", _AGAIN):
+        arrays = read_members(io.BytesIO(data), lambda name: name == _RECORD or name.startswith(tuple(kinds)))
+        record = json_object(arrays[_RECORD].tobytes(), _RECORD)
+        return [
+            from_arrays(reduce(getitem, path.split("."), record), kind, path, arrays) for path, kind in kinds.items()
+        ]
+
+
+def record_of(arrays: Arrays) -> dict[str, Any]:
+    """What the text in an archive says; InputError where an array is there that it does not name."""
+    record = json_object(arrays[_RECORD].tobytes(), _RECORD)
+    for name in sorted(arrays.keys() - set(_named(record)) - {_VERSION, _RECORD})[:1]:
+        raise InputError(name, "an array that the archive's record does not name", remedy=_AGAIN)
+    return record
+
+
+def _named(value: Any) -> Iterator[str]:
+    """Paths of the arrays in a record as `to_arrays` gives it."""
+    if isinstance(value, dict):
+        if value.keys() == {"array"}:
+            yield str(value["array"])
+        for item in value.values():
+            yield from _named(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _named(item)
+
+
+def read_members(file: BinaryIO, wanted: Callable[[str], bool] = lambda _: True) -> Arrays:
+    """Arrays of an archive, all or those whose names are wanted, read-only, each after its checksum; InputError for
+    members that are none, or that say they hold more than the file has, before anything of them is read.
+    """
+    size = file.seek(0, io.SEEK_END)
+    with zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        whole = sum(member.file_size for member in members)
+        if whole > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+            found = f"members of {whole / 1e6:.1f} MB in a file of {size / 1e6:.1f} MB, or packed ones"
+            raise InputError(members[0].filename, found, "arrays as NumPy's savez writes them", _AGAIN)
+        names = [(member, member.filename.removesuffix(".npy")) for member in members]
+        return {name: _from_npy(archive.read(member), name) for member, name in names if wanted(name)}
+
+
+def _from_npy(content: bytes, name: str) -> NDArray[Any]:
+    """An array out of the bytes of an .npy file, without a copy; nothing in it is evaluated."""
+    head = _HEADER.match(content)
+    if head is None or head.end() != 10 + int.from_bytes(head[1], "little"):
+        raise InputError(name, "no NumPy array of numbers or names", remedy=_AGAIN)
+    kind, shape = np.dtype(head[2].decode()), tuple(int(size) for size in head[4].split(b",") if size.strip())
+    if math.prod(shape) * kind.itemsize != len(content) - head.end():
+        raise InputError(name, f"{len(content) - head.end()} bytes", f"an array of shape {shape}", _AGAIN)
+    return np.ndarray(shape, kind, content, head.end(), order="F" if head[3] == b"True" else "C")
+
+
+# --- taking a record apart
+
+
+def to_arrays(value: Any, where: str, arrays: Arrays) -> Any:
+    """JSON of a value; the arrays in it go to `arrays`, under the path that leads to them."""
+    if isinstance(value, np.ndarray):
+        arrays[where] = value
+        return {"array": where}
+    if isinstance(value, StereoSurface):
+        value = packed(value)
+    if is_dataclass(value):
+        parts = {field.name: to_arrays(getattr(value, field.name), _at(where, field.name), arrays)
+                 for field in fields(value)}
+        return parts | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
+    if isinstance(value, Mapping):
+        return {key: to_arrays(item, _at(where, key), arrays) for key, item in value.items()}
+    if isinstance(value, tuple):
+        names = _as_text_array(value)
+        if names is not None:
+            return to_arrays(names, where, arrays)
+        return [to_arrays(item, _at(where, str(k)), arrays) for k, item in enumerate(value)]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else {"float": str(float(value))}
+    if isinstance(value, int | str | None):
+        return value
+    raise TypeError(f"{where} is a {type(value).__name__}, for which the archive has no form")
+
+
+def _as_text_array(names: tuple[Any, ...]) -> np.ndarray | None:
+    """Array of names; None where there are none, or NumPy would drop something (it does with closing NULs)."""
+    if not names or not all(isinstance(name, str) for name in names):
+        return None
+    array = np.array(names)
+    return array if array.tolist() == list(names) else None
+
+
+def _at(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+# --- putting it together again
+
+
+def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
+    """The value of type `kind` (as the records' fields declare it) that was taken apart to the JSON `value`."""
+    origin, options = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in options:
+            return None
+        options = tuple(option for option in options if option is not type(None))
+        if any(array_scalar(option) for option in options):
+            return _array(value, options, where, arrays)
+        if len(options) > 1:  # records, of which the value says which it is
+            return _record(value, {kind.__name__: kind for kind in options}[value["kind"]], where, arrays)
+        return from_arrays(value, options[0], where, arrays)
+    if array_scalar(kind):
+        return _array(value, (kind,), where, arrays)
+    if origin is tuple:
+        if isinstance(value, dict):
+            return tuple(_array(value, (NDArray[np.str_],), where, arrays).tolist())
+        return tuple(from_arrays(item, options[0], _at(where, str(k)), arrays) for k, item in enumerate(value))
+    if origin is Mapping:
+        return {key: from_arrays(item, options[1], _at(where, key), arrays) for key, item in value.items()}
+    if kind in _KINDS:
+        return _record(value, _KINDS[kind][value["kind"]], where, arrays)
+    if kind is StereoSurface and value.get("kind") == PackedSurface.__name__:
+        return _record(value, PackedSurface, where, arrays).surface
+    return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
+
+
+def kinds_of(kind: Any) -> tuple[type[Any], ...]:
+    """Records that may stand where a protocol is declared; none of any other type."""
+    return tuple(_KINDS[kind].values()) if kind in _KINDS else ()
+
+
+def array_scalar(kind: Any) -> Any:
+    """Type of the numbers of an array's type; None of any other type."""
+    if get_origin(kind) is np.ndarray:
+        return get_args(get_args(kind)[1])[0]
+    return get_args(kind)[0] if get_origin(kind) is NDArray else None  # from NumPy 2.5 on it is a name of its own
+
+
+def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Arrays) -> np.ndarray:
+    """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
+    array, scalars = arrays[value["array"]], tuple(map(array_scalar, kinds))
+    if not issubclass(array.dtype.type, scalars):
+        raise InputError(where, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _AGAIN)
+    return array
+
+
+def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any:
+    hints = _field_types(kind)
+    for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
+        raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
+    # a field that the writer didn't know yet takes its default; one that has none fails there
+    parts = {name: from_arrays(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}
+    record = kind(**parts)
+    if kind is AttitudeTable:
+        assign(record, quaternions=parts["quaternions"])  # checked above; a second division by the norm moves last bits
+    return record
+
+
+@cache
+def _field_types(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def _scalar(value: Any, kind: Any, where: str) -> Any:
+    if isinstance(value, dict):
+        value = float(value["float"])
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        if value not in tuple(kind):
+            raise InputError(where, f"{value!r}", f"one of {', '.join(kind)}", _NEWER)
+        return kind(value)
+    if isinstance(kind, type) and not (isinstance(value, kind) or (kind is float and isinstance(value, int))):
+        raise InputError(where, f"{value!r}", f"a value of type {kind.__name__}", _AGAIN)
+    return value
+
+
 
 FORMAT = 4
-"""Version of the layout, raised whenever an older reader would misread it: 2 holds the joint covariance by blocks,
-3 has passes for strips,
-4 ids in columns."""
-_READ = (2, 3, FORMAT)
+"""Version of the layout, raised whenever an older reader would misread it; no other is read."""
 ARCHIVE = "solution.npz"
 """Name of the file in a result folder."""
 _LARGEST = 1 << 40
@@ -69,13 +317,9 @@ def read_solution(path: str | Path) -> Solution:
     with errors_from(where), understood(where, "an archive of mgsgraph", _ANEW), opened(path, _LARGEST) as file:
         arrays = read_members(file)
         version = int(arrays["format"])
-        if version not in _READ:
+        if version != FORMAT:
             raise InputError("format", f"{version}", f"{FORMAT}", _NEWER if version > FORMAT else _OLDER)
-        record = record_of(arrays)
-        if version == _READ[0] and "strips" in record.get("network", {}):
-            record["network"]["passes"] = record["network"].pop("strips")
-        record.pop("terrain_cells", None)  # patches that were held, before the terrain model was one smooth surface
-        solution: Solution = from_arrays(record, Solution, "", arrays)
+        solution: Solution = from_arrays(record_of(arrays), Solution, "", arrays)
         _require_shapes(solution)
         return solution
 

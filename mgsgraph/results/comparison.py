@@ -18,9 +18,9 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.network import Network, PointClass
+from mgsgraph.results.results import figures_of_merit
 from mgsgraph.results.section import Section, drawn
 from mgsgraph.results.soundness import state_of
-from mgsgraph.results.summary import figures_of_merit
 from mgsgraph.text import many, root_mean_square, some
 
 _POINTS = "points_compared"
@@ -83,7 +83,7 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     record = {"format": 1, "names": list(labels), "statements": said}
     record |= {table.name: table.records() for table in every if table.name != _POINTS}
     section = Section("comparison", "", said, every, record, csv,
-                      sheets=drawn("mgsgraph.results.figures.comparison.comparison_sheet", points, labels))  # fmt: skip
+                      sheets=drawn("mgsgraph.results.figures.map.comparison_sheet", points, labels))  # fmt: skip
     return Comparison(earlier.name, section, points)
 
 

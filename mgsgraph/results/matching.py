@@ -1,30 +1,22 @@
-"""What matching found, in words and as files: networks, a table with every covariance, a record and a figure; and the
-folder in which an interrupted run is kept.
-"""
+"""What matching found, in words and as files: networks, a table with every covariance, a record and a figure."""
 
-import errno
-import os
-import shutil
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.pvl_writing import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
-from mgsgraph.files.opening import opened, sha256_of, understood
+from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.csv_json import picked, plain, write_json
 from mgsgraph.files.output.folders import MATCH, PROGRAM, fresh_folder
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.records import FILES
 from mgsgraph.geometry.body import target_name
-from mgsgraph.matching.match import Matches, digest, match_scene
+from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.results.archive_arrays import read_members
 from mgsgraph.results.section import Section, drawn
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET
@@ -36,49 +28,6 @@ _SURPRISING = 3.0
 """A-priori sigmas of an orientation beyond which a correction is worth a word."""
 
 
-class KeptTiles:
-    """Tiles that are done, in a folder of their own beside the results, for as long as the work isn't whole."""
-
-    def __init__(self, out: Path, key: str) -> None:
-        target = out.resolve()
-        self.folder = target.with_name(f".{target.name}.matching")
-        self._key = key
-        self.resumed = 0
-
-    def load(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """What an earlier run with the same inputs and choices kept under a name."""
-        path = self._path(name)
-        try:
-            with opened(path) as file, understood(str(path), "a tile that was kept"):
-                found = read_members(file)
-        except InputError:  # none, or a damaged one: it is done again
-            return None
-        self.resumed += 1
-        return found
-
-    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keep arrays; the file is there whole or not at all."""
-        path = self._path(name)
-        aside = path.with_suffix(".part")
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with aside.open("wb") as file:
-                np.savez(file, **cast(dict[str, Any], arrays))
-            os.replace(aside, path)
-        except OSError as error:
-            found = f"can't be written ({error.strerror})"
-            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-            remedy = "free some space" if full else "choose another --out, where you may write"
-            raise InputError(str(self.folder), found, remedy=remedy) from None
-
-    def drop(self) -> None:
-        """Forget everything: the work is whole."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _path(self, name: str) -> Path:
-        return self.folder / f"{self._key}_{name}.npz"
-
-
 def match_into(
     name: str, scene: Scene, out: Path, settings: MatchSettings, workers: int | None = None, figures: bool = True,
     progress: Progress = no_progress,
@@ -86,8 +35,8 @@ def match_into(
     """Match a scene and write what was found to a folder that appears whole or not at all; an earlier result of
     matching is replaced.
 
-    Tiles that are done are kept beside it until then: the same call after an interruption goes on. `name` is that of
-    the case, `workers` the number of tiles at a time; without `figures` only tables and networks are written.
+    `name` is that of the case, `workers` the number of tiles at a time; without `figures` only tables and networks are
+    written.
 
     Examples
     --------
@@ -97,15 +46,8 @@ def match_into(
     >>> print(matches)
     Matches(58 points in 24 of 24 cells)
     """
-    store = KeptTiles(out, digest(scene, settings))
-    try:
-        matches = match_scene(scene, settings, store, workers, progress)
-    except InputError as error:
-        if error.where != str(store.folder):  # of the work itself, which would end so again
-            store.drop()
-        raise
+    matches = match_scene(scene, settings, workers, progress)
     write_matches(matches, scene, name, settings, out, figures)
-    store.drop()
     return matches
 
 

@@ -21,9 +21,9 @@ from mgsgraph.network import PointClass
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
+from mgsgraph.results.results import figure, figures_of_merit, sentences_of, solution_sections
 from mgsgraph.results.section import Section
 from mgsgraph.results.soundness import state_of
-from mgsgraph.results.summary import figure, figures_of_merit, sentences_of, solution_sections
 from mgsgraph.results.tables import points_table, residuals_table
 from mgsgraph.workers import called_in_workers
 
@@ -95,7 +95,7 @@ def _content(
     solution: Solution, case: Case | None, earlier: Solution | None, inputs: Mapping[str, str | None]
 ) -> dict[str, Any]:
     """Everything that the template shows."""
-    from mgsgraph.results.figures.page import comparison_figures, figure_tasks, sigma_figures
+    from mgsgraph.results.figures.page import comparison_figures, figure_tasks
 
     compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
     registration = None if case is None or not case.profiles else register_case(case, solution)
@@ -106,12 +106,10 @@ def _content(
     parts, tasks = zip(*drawings, strict=True)
     found = solution_sections(solution, connected)
     with called_in_workers(tasks, "figures of the page", "give this program more memory") as drawn:
-        sigmas, without_sigmas = sigma_figures(solution)
         content = {
             "solution": solution,
             "statements": sentences_of(found),
             "key_figures": _key_figures(solution),
-            "without_sigmas": without_sigmas,
             **_registered(solution, registration),
             "tables": tables(solution, found),
             "compared": compared,
@@ -122,7 +120,7 @@ def _content(
             "case_name": "" if case is None else case.path.name,
             "version": solution.versions.get("mgsgraph", NONE),
         }
-        figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS} | {"sigmas": sigmas}
+        figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS}
         for section, pictures in zip(parts, drawn(), strict=True):
             figures[section] += pictures
     return content | {"figures": figures}

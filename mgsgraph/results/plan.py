@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan, Sigmas
-from mgsgraph.results.section import Section, drawn
+from mgsgraph.results.section import Section
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
@@ -23,8 +23,7 @@ def plan_section(plan: Plan) -> Section:
         for first, last, title in zip(ends, ends[1:], ("Each by itself", "Chosen one after the other"), strict=False)
     ]
 
-    return Section("plan", "", statements(plan), shown, plan_json(plan), [table],
-                   sheets=drawn("mgsgraph.results.figures.plan.plan_sheet", plan))  # fmt: skip
+    return Section("plan", "", statements(plan), shown, plan_json(plan), [table])
 
 
 def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:

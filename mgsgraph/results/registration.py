@@ -54,7 +54,9 @@ def write_registration_into(registration: CaseRegistration, folder: Path, figure
     names = write_sections_into([section], section.numbers, folder, REGISTRATION)
     if not figures:
         return names
-    from mgsgraph.results.figures import write_registration_figures  # only those who draw wait for matplotlib
+    from mgsgraph.results.figures.registration import (
+        write_registration_figures,  # only those who draw wait for matplotlib
+    )
 
     return names + write_registration_figures(registration, folder)
 

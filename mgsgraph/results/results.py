@@ -1,29 +1,241 @@
 """All files of one adjustment, in one folder; and the record of all figures of merit, solution.json."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from mgsgraph.adjustment.settings import Device, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import point_statistics, solution_connectivity
+from mgsgraph.analysis.residual_tests import ODDS
+from mgsgraph.analysis.statistics import (
+    ORIENTATION,
+    PLACES,
+    RayStatistics,
+    orientation_statistics,
+    point_statistics,
+    ray_statistics,
+    solution_connectivity,
+    worst_first,
+)
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.csv_json import plain, write_json
 from mgsgraph.files.output.folders import PROGRAM, RECORD, fresh_folder
+from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.records import read_record
-from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity, connectivity_json, connectivity_statements
 from mgsgraph.results.archive import ARCHIVE, write_archive
-from mgsgraph.results.large_tables import TableForm, write_large_tables
-from mgsgraph.results.section import Section
-from mgsgraph.results.summary import sentences_of, solution_sections
-from mgsgraph.results.tables import connectivity_table, orientation_table
+from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
+from mgsgraph.results.passes import passes_section, shared_section
+from mgsgraph.results.section import ROWS, Section
+from mgsgraph.results.soundness import (
+    drivers_section,
+    fits_section,
+    implausible_section,
+    linearity_section,
+    reading_statements,
+    soundness_section,
+    state_of,
+)
+from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
+from mgsgraph.text import many, short, some
+from mgsgraph.units import ARCSEC
 from mgsgraph.workers import called_in_workers
+
+_PIXELS = 0.5
+"""Size of a mean residual below which it does no harm."""
+_FEW_RAYS = 8
+"""Fewer rays don't show how they scatter."""
+_NOTE = (
+    "Residuals: rms of the measurements that were used, measured minus predicted. Corrections: adjusted minus nominal, "
+    f"mean over {PLACES} lines; positions along the body-fixed axes, rotations about the camera's own axes. Sigmas are "
+    "those of the adjusted orientation, mean over the same lines; a dash: held. "
+)
+
+
+def images_section(solution: Solution) -> Section:
+    """How each class of points fits, and each image."""
+    rays, said = ray_statistics(solution), list[str]()
+    for point_class in PointClass:
+        if count := int(rays.count[:, point_class].sum()):
+            line, sample = rays.rms_of_classes[point_class]
+            said.append(
+                f"{point_class.name.capitalize()} points fit to {line:.2g} lines and {sample:.2g} samples "
+                f"(rms of {many(count, 'ray')})."
+            )
+    record = [_image(solution, j, rays) for j in range(len(solution.network.images))]
+    said += _constant_residuals(solution, rays)
+    return Section("images", sentences=said, tables=[images_table(solution)], numbers=record)
+
+
+def images_table(solution: Solution) -> Table:
+    """One row per image: measurements, residuals, corrections; in large blocks those that fit worst first."""
+    network, rays, count = solution.network, ray_statistics(solution), len(solution.network.images)
+    found = [orientation_statistics(solution, j) for j in range(len(network.images))]
+    mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
+    sigma = np.where(network.held[:, None], np.nan, sigma)
+    passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
+    table = Table("images", "Images", (
+        Column("image", [image.name for image in network.images], page="s", text="<26"),
+        Column("pass", passes, page="s"),
+        Column("lines", np.array([image.lines for image in network.images]), "px", page="s"),
+        Column("samples", np.array([image.samples for image in network.images]), "px", page="s"),
+        Column("measures", rays.total, page="s", label="rays", text=">6"),
+        Column("used", rays.count.sum(axis=1), page="s", text=">6"),
+        Column("residual_{}", rays.rms_of_images, "px", "rms of the measures used, measured minus predicted",
+               ("line", "sample"), "residual {}", ".2f", "residuals [px]", ">7", gap=2),
+        Column("correction_{}", mean[:, :3], "m", "adjusted minus nominal, body-fixed, mean over the lines",
+               ("X", "Y", "Z"), "Δ{}", ".1f", "mean correction [m]", ">7", gap=2),
+        Column("sigma_{}", sigma[:, :3], "m", "of the adjusted position; none of a held image",
+               ("X", "Y", "Z"), "σ {}", ".1f"),
+        Column("turn_{}", mean[:, 6:], "arcsec", "the same about the camera's own axes", ("x", "y", "z"), "turn {}",
+               ".1f", "camera axes [arcsec]", ">7", gap=2),
+        Column("sigma_turn_{}", sigma[:, 6:], "arcsec", "of the adjusted attitude", ("x", "y", "z"), "σ turn {}",
+               ".1f"),
+    ), _NOTE, dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}")))  # fmt: skip
+    return table if count <= ROWS else table.take(worst_first(solution))
+
+
+def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
+    """What a record holds of an image."""
+    image, owner = solution.network.images[j], int(solution.network.pass_of[j])
+    line, sample = rays.rms_of_images[j]
+    record: dict[str, Any] = {
+        "name": image.name,
+        "held": bool(solution.network.held[j]),
+        "pass": solution.network.passes[owner].name if owner >= 0 else None,
+        "lines": image.lines,
+        "samples": image.samples,
+        "rays": int(rays.total[j]),
+        "rays_used": int(rays.count[j].sum()),
+        "residual_rms_line_px": line,
+        "residual_rms_sample_px": sample,
+    }
+    for c in filter(lambda one: one.measured, PointClass):
+        record[c.name.lower()] = {"count": int(rays.count[j, c])} | {
+            f"{what}_{way}_px": getattr(rays, what)[j, c, k]
+            for what in ("mean", "rms") for k, way in enumerate(("line", "sample"))
+        }  # fmt: skip
+    return record | {"orientation": _orientation(solution, j)}
+
+
+def _orientation(solution: Solution, j: int) -> dict[str, Any]:
+    found = orientation_statistics(solution, j)
+    record: dict[str, Any] = {"places": PLACES}
+    for k, component in enumerate(ORIENTATION):
+        unit, factor = ("m", 1.0) if k < 3 else ("arcsec", ARCSEC)
+        record[f"{component.replace(' ', '_')}_{unit}"] = {
+            "mean": found.mean[k] / factor, "rms": found.rms[k] / factor, "sigma_mean": found.mean_sigma[k] / factor,
+        }
+    return record
+
+
+def _constant_residuals(solution: Solution, rays: RayStatistics) -> list[str]:
+    """Mean residuals of a class in an image that are too large for noise: its coordinates contradict the rest."""
+    names, enough, found = [image.name for image in solution.network.images], rays.count >= _FEW_RAYS, list[str]()
+    size, noise = np.abs(np.nan_to_num(rays.mean)), np.nan_to_num(rays.standard_errors)
+    # noise exceeds the limit once in 1 / ODDS solutions, of all means together
+    limit = NormalDist().inv_cdf(1.0 - 0.5 * ODDS / max(2 * int(enough.sum()), 1))
+    marked = enough[:, :, None] & (size > limit * noise) & (size > _PIXELS)
+    for point_class in PointClass:
+        rows = np.argwhere(marked[:, point_class])
+        worst = rows[np.argsort(-size[rows[:, 0], point_class, rows[:, 1]], kind="stable")].tolist()
+        parts = [f"{rays.mean[j, point_class, c]:+.1f} {('lines', 'samples')[c]} in {names[j]}" for j, c in worst]
+        if parts:
+            found.append(
+                f"{point_class.name.capitalize()} image points keep a constant residual of {some(parts, len(parts))}: "
+                "no noise, but their image coordinates disagree with ranges, ground places or ties; no sigma covers it."
+            )
+    return found
+
+
+
+
+def solution_sections(solution: Solution, connected: Connectivity | None = None) -> list[Section]:
+    """Findings in the order in which they are read; `connected` saves finding it anew. Those with a name are in
+    solution.json.
+    """
+    connected = connected or solution_connectivity(solution)
+    return [
+        Section("", sentences=_ending(solution)),
+        soundness_section(solution),
+        drivers_section(solution),
+        fits_section(solution),
+        implausible_section(solution),
+        linearity_section(solution.linearity),
+        minima_section(solution.minima),
+        images_section(solution),
+        ranges_section(solution),
+        laser_section(solution),
+        control_section(solution),
+        shared_section(solution),
+        passes_section(solution),
+        points_section(solution),
+        Section("", sentences=reading_statements(solution.network.images)),
+        Section("connectivity", sentences=connectivity_statements(connected), numbers=connectivity_json(connected)),
+    ]
+
+
+def statements(solution: Solution, connected: Connectivity | None = None) -> list[str]:
+    """Sentences with figures and units; `connected` saves finding it anew."""
+    return sentences_of(solution_sections(solution, connected))
+
+
+def sentences_of(sections: Sequence[Section]) -> list[str]:
+    """Sentences of several sections."""
+    return [sentence for section in sections for sentence in section.sentences]
+
+
+def summary_table(solution: Solution, sections: Sequence[Section] | None = None) -> str:
+    """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves finding them anew."""
+    tables = [Section("", tables=one.tables).text() for one in sections or solution_sections(solution)]
+    seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
+    return "\n\n".join([_head(solution), *filter(None, tables), f"Seconds: {seconds}"])
+
+
+def _ending(solution: Solution) -> list[str]:
+    steps = many(solution.iterations, "iteration")
+    cost = f"the cost went from {solution.cost_initial:.4g} to {solution.cost_final:.4g}"
+    if solution.converged:
+        return [f"{solution.message} It took {steps}; {cost}."]
+    return [
+        f"NOT CONVERGED after {steps}; {cost}. {solution.message}",
+        "Nothing below is a result. Look at the largest residuals for blunders, and at the a-priori sigmas.",
+    ]
+
+
+def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:
+    """What one looks at first: names and numbers."""
+    fit, network = solution.fit, solution.network
+    return [
+        ("cost with the nominal orientation", solution.cost_initial), ("cost at the solution", solution.cost_final),
+        ("sigma0", fit.sigma0), ("degrees of freedom", fit.degrees_of_freedom), ("observations", fit.observations),
+        ("unknowns", fit.unknowns), ("images", len(network.images)), ("ground points", len(network.points)),
+        ("image measurements", network.rays.point.size), ("laser ranges", network.ranges.point.size),
+    ]  # fmt: skip
+
+
+def figure(value: float) -> str:
+    """A figure of merit in words."""
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.6g}" if math.isfinite(value) else "not defined"
+
+
+def _head(solution: Solution) -> str:
+    words = [f"{name} {figure(value)}" for name, value in figures_of_merit(solution)]
+    head = f"{short(solution.name, 60)}: {state_of(solution)}, {many(solution.iterations, 'iteration')}"
+    return "\n".join([head, *(f"  {', '.join(words[first:last])}" for first, last in ((0, 3), (3, 7), (7, 10)))])
+
+
 
 FORMAT = 1
 """Version of solution.json's layout."""

@@ -1,4 +1,4 @@
-"""A choice of the spacing of orientation images in words, and as files: nodes.json, spacings.csv and a figure."""
+"""A choice of the spacing of orientation images in words, and as files: nodes.json and spacings.csv."""
 
 import math
 
@@ -7,7 +7,7 @@ import numpy as np
 from mgsgraph.analysis.spacing import Choice
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import Column, Table, numbers
-from mgsgraph.results.section import Section, drawn
+from mgsgraph.results.section import Section
 from mgsgraph.text import many
 
 
@@ -78,5 +78,4 @@ def nodes_section(choice: Choice, name: str) -> Section:
         "best_s": best.spacing,
         "chosen_s": choice.spacing,
     }
-    return Section("nodes", "", node_statements(choice), [candidates], record, [candidates],
-                   sheets=drawn("mgsgraph.results.figures.spacing.spacing_sheet", choice, name))
+    return Section("nodes", "", node_statements(choice), [candidates], record, [candidates])

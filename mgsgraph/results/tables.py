@@ -4,10 +4,14 @@ The columns of files carry their units. Lines and samples are counted as ISIS do
 latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights are given as radii.
 """
 
-from collections.abc import Sequence
-from itertools import pairwise
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+import pyarrow as pa
 
 from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.analysis.statistics import (
@@ -17,9 +21,10 @@ from mgsgraph.analysis.statistics import (
     used_ray_counts,
 )
 from mgsgraph.files.output.csv_json import padded, picked
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Column, Table, write_parquet
+from mgsgraph.files.rasters.coordinate_systems import geographic_crs
 from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.body import Ellipsoid, east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
@@ -31,7 +36,7 @@ _REMARKS = ("bridge", "overlap without common points", "common points without ov
 
 def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table:
     """One row per ground point: adjusted place, sigmas, covariance, rays and correction; unknown where undetermined.
-    Some of the `rows` alone where the table is made in pieces, or has a choice of the points.
+    Some of the `rows` alone where the table has a choice of the points.
     """
     network, places, covariances = solution.network, solution.places[rows], solution.covariances[rows]
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
@@ -100,30 +105,24 @@ def orientation_table(solution: Solution) -> Table:
     ))  # fmt: skip
 
 
-def residuals_table(solution: Solution, rows: slice = slice(None)) -> Table:
+def residuals_table(solution: Solution) -> Table:
     """One row per ray, per range and per height above a stereo surface: residuals (measured minus predicted) before and
-    after; some of the `rows` alone where the table is made in pieces.
+    after.
 
     A normalised residual is the residual over its a-priori sigma. A range has the line at which its shot was taken. A
     height, of which zero is measured, belongs to no image alone, and to no nominal orientation.
     """
     network, rays, ranges = solution.network, solution.network.rays, solution.network.ranges
     on, heights, height_sigmas = _stereo_heights(solution)
-    sizes = rays.point.size, ranges.point.size, on.size
-    of_rays, of_ranges, of_heights = parts = _parts(rows, sizes)
-    on, heights, height_sigmas = on[of_heights], heights[of_heights], height_sigmas[of_heights]
-    k, r, h = (part.stop - part.start for part in parts)
-    point = np.concatenate([rays.point[of_rays], ranges.point[of_ranges], on])
-    image = np.concatenate([rays.image[of_rays], ranges.image[of_ranges], np.full(on.size, -1)])
-    used = np.concatenate([solution.rays_used[of_rays], solution.ranges_used[of_ranges], solution.stereo_used[on]])
-    before, after, places = (one[of_rays] for one in (solution.residuals_before, solution.residuals, rays.places))
-    range_residuals, range_sigmas = solution.range_residuals[of_ranges], ranges.sigmas[of_ranges]
-    sigmas, shots, tested, dimensions = rays.sigmas[of_rays], _shot_lines(solution)[of_ranges], list[Column](), None
+    k, r, h = rays.point.size, ranges.point.size, on.size
+    point = np.concatenate([rays.point, ranges.point, on])
+    image = np.concatenate([rays.image, ranges.image, np.full(h, -1)])
+    used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
+    before, after, sigmas, tested = solution.residuals_before, solution.residuals, rays.sigmas, list[Column]()
     if solution.test_dimensions is not None:
-        first, second, third = np.split(solution.test_dimensions, np.cumsum(sizes[:2]))
-        dimensions = np.concatenate([first[of_rays], second[of_ranges], third[on]])
+        of_measures, of_points = np.split(solution.test_dimensions, [k + r])
         tested.append(Column(
-            "tested", dimensions,
+            "tested", np.concatenate([of_measures, of_points[on]]),
             meaning="where blunders were sought: in how many directions others check the measure, 0 for none",
         ))  # fmt: skip
 
@@ -148,39 +147,28 @@ def residuals_table(solution: Solution, rows: slice = slice(None)) -> Table:
                meaning="of a range: that carries it", page="s"),
         Column("used", used, meaning="false for blunders that were rejected"),
         *tested,
-        Column("isis_line", padded(np.concatenate([places[:, 0], shots]), 0, h) + ISIS_OFFSET,
+        Column("isis_line", padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
                meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
-        Column("isis_sample", padded(places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
+        Column("isis_sample", padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
                head="sample", page=".2f"),
         *of_ray(0, "line"), *of_ray(1, "sample"),
-        Column("range", padded(ranges.values[of_ranges], k, h), "m", "measured"),
-        Column("residual_before_range", padded(solution.range_residuals_before[of_ranges], k, h), "m",
+        Column("range", padded(ranges.values, k, h), "m", "measured"),
+        Column("residual_before_range", padded(solution.range_residuals_before, k, h), "m",
                "nominal orientation"),
-        Column("residual_range", padded(range_residuals, k, h), "m", "adjusted"),
-        Column("sigma_range", padded(range_sigmas, k, h), "m", "a priori"),
-        Column("normalised_range", padded(range_residuals / range_sigmas, k, h), meaning="residual over its sigma"),
+        Column("residual_range", padded(solution.range_residuals, k, h), "m", "adjusted"),
+        Column("sigma_range", padded(ranges.sigmas, k, h), "m", "a priori"),
+        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, h),
+               meaning="residual over its sigma"),
         Column("residual_height", padded(-heights, k + r, 0), "m", "adjusted, along the stereo surface's normal"),
         Column("sigma_height", padded(height_sigmas, k + r, 0), "m", "a priori"),
         Column("normalised_height", padded(-heights / height_sigmas, k + r, 0), meaning="residual over its sigma"),
     ))  # fmt: skip
 
 
-def residual_rows(solution: Solution) -> int:
-    """Rows of `residuals_table`: rays, ranges, heights above stereo surfaces."""
-    return solution.network.rays.point.size + solution.network.ranges.point.size + _stereo_heights(solution)[0].size
-
-
 def residual_points(solution: Solution) -> Index:
     """(m,) number of the ground point of each row of `residuals_table`."""
     network = solution.network
     return np.concatenate([network.rays.point, network.ranges.point, _stereo_heights(solution)[0]])
-
-
-def _parts(rows: slice, sizes: Sequence[int]) -> list[slice]:
-    """Which of several arrays' elements some rows are, where these stand one after another."""
-    first, last, _ = rows.indices(sum(sizes))
-    ends = np.cumsum([0, *sizes]).tolist()
-    return [slice(min(max(first - a, 0), b - a), min(max(last - a, 0), b - a)) for a, b in pairwise(ends)]
 
 
 def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:
@@ -226,3 +214,67 @@ def _shot_lines(solution: Solution) -> Array:
 
 def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> Sequence[str]:
     return picked([member.name.lower() for member in kind], codes)
+
+
+
+TableForm = Literal["csv", "parquet"]
+"""Form of the tables of points and residuals."""
+MOST_CSV_ROWS = 200_000
+"""Rows of the longer table up to which both are CSV, unless another form is asked for."""
+GEOMETRY = "geometry"
+"""Name of the column."""
+_VERSION = "1.1.0"
+_POINT = np.dtype([("order", "u1"), ("kind", "<u4"), ("place", "<f8", 2)])
+"""A point in the plane as OGC's well-known binary."""
+
+
+def form_of(solution: Solution, wanted: TableForm | None = None) -> TableForm:
+    """The form that is asked for, or else the one for tables of this length."""
+    network = solution.network
+    rows = max(len(network.points), network.rays.point.size + network.ranges.point.size)
+    return wanted or ("csv" if rows <= MOST_CSV_ROWS else "parquet")
+
+
+def write_large_tables(solution: Solution, folder: Path, wanted: TableForm | None = None) -> list[str]:
+    """Write points and residuals into a folder; the names of the two files."""
+    form = form_of(solution, wanted)
+    names = [f"points.{form}", f"residuals.{form}"]
+    if form == "csv":
+        points_table(solution).write_csv(folder / names[0])
+        residuals_table(solution).write_csv(folder / names[1])
+        return names
+    points = with_points(points_table(solution), solution.places)
+    write_geoparquet(folder / names[0], [points], solution.network.images[0].body)
+    write_parquet(folder / names[1], [residuals_table(solution)])
+    return names
+
+
+# --- rows with a place
+
+
+def with_points(table: Table, places: Array) -> Table:
+    """The table with a column of places (n, 3) in m, as longitude and planetocentric latitude; null where NaN."""
+    longitude, latitude, _ = planetocentric(places).T
+    east = longitude / DEG % 360.0
+    geometry = np.empty(len(places), dtype=_POINT)
+    geometry["order"], geometry["kind"] = 1, 1
+    geometry["place"][:, 0] = np.where(east > 180.0, east - 360.0, east)
+    geometry["place"][:, 1] = latitude / DEG
+    known = np.packbits(np.isfinite(longitude), bitorder="little")
+    buffers = [pa.py_buffer(known), pa.py_buffer(geometry)]
+    return with_shapes(table, pa.Array.from_buffers(pa.binary(_POINT.itemsize), len(places), buffers))
+
+
+def with_shapes(table: Table, shapes: Sequence[bytes | None] | pa.Array) -> Table:
+    """The table with a column of shapes (n,), in degrees, as well-known binary; null for None."""
+    column = shapes.cast(pa.large_binary()) if isinstance(shapes, pa.Array) else pa.array(shapes, pa.large_binary())
+    return replace(table, columns=(*table.columns, Column(GEOMETRY, column, meaning="WKB, degrees")))
+
+
+def write_geoparquet(path: Path, pieces: Iterable[Table], body: Ellipsoid) -> None:
+    """Write tables that `with_points` made, one after another, as one GeoParquet file of points on a body."""
+    about: dict[str, Any] = {
+        "encoding": "WKB", "geometry_types": ["Point"], "crs": geographic_crs(body), "edges": "planar",
+    }  # fmt: skip
+    geo = {"version": _VERSION, "primary_column": GEOMETRY, "columns": {GEOMETRY: about}}
+    write_parquet(path, pieces, {"geo": json.dumps(geo)})

@@ -31,8 +31,8 @@ def write_two_steps(
 ) -> None:
     """Write the results of step 2, as those of any adjustment, and what both steps did, to a folder.
 
-    Beside the files of `results.results` there are two_steps.txt, .json and .csv (figures of merit at all stages),
-    heights.csv (each point above the terrain), height_cells.csv, and height_map.png and .svg.
+    Beside the files of `results.results` there are two_steps.json and .csv (figures of merit at all stages),
+    heights.csv (each point above the terrain), height_cells.csv, and height_map_1.png and _2.png (before and after).
 
     Parameters
     ----------
@@ -53,7 +53,6 @@ def write_two_steps(
     with fresh_folder(folder) as aside:
         write_into(statistics.steps.fitted, aside, figures, networks=networks)
         section = two_steps_section(statistics)
-        (aside / "two_steps.txt").write_text(section.text(None) + "\n", encoding="utf-8", newline="\n")
         write_sections_into([section], section.numbers, aside, "two_steps.json", figures)
 
 
@@ -74,7 +73,7 @@ def two_steps_section(statistics: TwoStepStatistics) -> Section:
         "two_steps", short(statistics.steps.fitted.name, 60), two_steps_statements(statistics),
         [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
         sheets=None if found is None else
-        drawn("mgsgraph.results.figures.height_maps.height_map_sheet", statistics, found),
+        drawn("mgsgraph.results.figures.dem.height_map_sheets", statistics),
     )  # fmt: skip
 
 

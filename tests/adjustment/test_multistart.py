@@ -18,8 +18,7 @@ from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.network import TERRAIN, Network
 from mgsgraph.results.ground import minima_section
-from mgsgraph.results.results import solution_json
-from mgsgraph.results.summary import statements
+from mgsgraph.results.results import solution_json, statements
 
 TERRAIN_VARIABLE = 3
 """Two images, the profile, the terrain model."""

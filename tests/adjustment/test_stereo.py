@@ -23,7 +23,7 @@ from mgsgraph.geometry.stereo_surface import heights_above, packed
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
 from mgsgraph.planning.plan import Targets, TargetSigmas
 from mgsgraph.planning.state import CurrentState, state_of_solution
-from mgsgraph.results import archive_arrays
+from mgsgraph.results import archive as archive_arrays
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair

@@ -36,7 +36,7 @@ from mgsgraph.analysis.residual_tests import (
 from mgsgraph.errors import InputError
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
-from mgsgraph.results.figures.quantiles import quantile_sheet
+from mgsgraph.results.figures.analysis import quantile_sheet
 from mgsgraph.simulation.observations import NoiseSettings
 
 SETTINGS = SolverSettings()

@@ -14,9 +14,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import residual_tests as module
 from mgsgraph.analysis.residual_tests import group_fits
 from mgsgraph.network import ImageRays, Network, PointClass
-from mgsgraph.results.results import solution_json
+from mgsgraph.results.results import solution_json, statements, summary_table
 from mgsgraph.results.soundness import fits_section, group_fits_table, weight_unit
-from mgsgraph.results.summary import statements, summary_table
 
 PLAIN = SolverSettings(starts=0)
 TIES, CAUTIOUS = "tie image points, lines", "ground priors"

@@ -34,7 +34,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.network import Network
-from mgsgraph.results.reliability import reliability_table
+from mgsgraph.results.analysis import reliability_table
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)
 

@@ -18,9 +18,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.results.inventory import inventory
-from mgsgraph.results.results import solution_json
+from mgsgraph.results.results import solution_json, statements, summary_table
 from mgsgraph.results.soundness import soundness_section, state_of
-from mgsgraph.results.summary import statements, summary_table
 
 
 @pytest.fixture(scope="module")

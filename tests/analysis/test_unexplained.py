@@ -22,7 +22,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE, RANGE
 from mgsgraph.network import Network
-from mgsgraph.results.figures.unexplained import binned
+from mgsgraph.results.figures.analysis import binned
 from mgsgraph.simulation.files import write_site
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)

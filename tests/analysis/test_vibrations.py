@@ -15,7 +15,7 @@ from mgsgraph.analysis.residual_spectrum import Series, SeriesSpectrum, residual
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE
-from mgsgraph.results.figures.vibrations import vibrations_sheet
+from mgsgraph.results.figures.analysis import vibrations_sheet
 from mgsgraph.simulation.ctx import (
     PIXEL,
     ControlSettings,

@@ -31,8 +31,8 @@ def test_a_site_with_figures(demo: tuple[Path, subprocess.CompletedProcess[str]]
         assert word in done.stdout
     names = {path.name for path in out.iterdir()}
     assert {"summary.json", "solution.json", "registration.json", "points.csv", "discrepancy.csv"} <= names
-    assert {"disagreement.csv", "coregistration.json", "profiles.csv", "story.png", "costs.png"} <= names
-    assert {"overlay_1.png", "closeups.png", "discrepancy.png", "orientation.png", "map.png"} <= names
+    assert {"disagreement.csv", "coregistration.json", "profiles.csv", "costs.png"} <= names
+    assert {"overlay_1.png", "discrepancy.png", "orientation.png", "map.png"} <= names
     assert {"case.toml", "truth.json", "network.pvl", "mgs.tm"} <= {path.name for path in (out / "inputs").iterdir()}
     record = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert tuple(record["seconds"]) == STAGES

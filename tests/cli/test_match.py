@@ -203,5 +203,5 @@ def test_errors_are_one_line_on_standard_error(site: Path, tmp_path: Path) -> No
 def test_help_says_how_to_go_on() -> None:
     done = run("match", "--help")
     assert done.returncode == 0
-    for said in ("--search", "--height-sigma", "--per-cell", "--ties OUT/network.pvl", "goes on"):
+    for said in ("--search", "--height-sigma", "--per-cell", "--ties OUT/network.pvl"):
         assert said in done.stdout

@@ -82,7 +82,7 @@ def test_a_plan_on_the_terminal_and_in_files(
     said = capsys.readouterr().out
     for words in ("Each by itself", "Chosen one after the other", "bits", "control point", "mean sigma is", "first 2"):
         assert words in said
-    assert {path.name for path in out.iterdir()} == {"plan.json", "plan.csv", "plan.png"}
+    assert {path.name for path in out.iterdir()} == {"plan.json", "plan.csv"}
     record = json.loads((out / "plan.json").read_text(encoding="utf-8"))
     assert len(record["ranking"]) == 4
     assert [one["drop_percent"] for one in record["ranking"]] == sorted(

@@ -1,6 +1,5 @@
 """Noisy, doubled, uneven and hardly matched scenes, and odd choices."""
 
-import errno
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from mgsgraph.matching.match import finest_first, ground_cells, match_scene, one
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.patches import Links, Tile, blur_sigmas, ortho_patch
 from mgsgraph.matching.scene import Scene, pairs_of
-from mgsgraph.results.matching import KeptTiles, match_statements
+from mgsgraph.results.matching import match_statements
 
 STEP = 4.0
 """m, pixel of the ground grid."""
@@ -113,15 +112,6 @@ def test_an_image_twice(tmp_path: Path) -> None:
     case.write_text('format = 1\nname = "x"\n' + 2 * '[[images]]\nname = "A"\nisd = "a.isd"\n')
     with pytest.raises(InputError, match=r"'A' for a.isd and for a.isd"):
         read_scene(case)
-
-
-def test_where_nothing_may_be_written_more_space_is_no_help(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(self: Path, *_: object, **__: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system")
-
-    monkeypatch.setattr(Path, "mkdir", refuse)
-    with pytest.raises(InputError, match=r"Read-only file system.*choose another --out"):
-        KeptTiles(tmp_path / "out", "key").keep("tile", {})
 
 
 def test_the_finest_picture_is_the_reference() -> None:

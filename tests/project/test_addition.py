@@ -27,7 +27,7 @@ from mgsgraph.project.changes import put_in
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.results.archive_arrays import pack
+from mgsgraph.results.archive import pack
 
 
 def whole() -> Network:

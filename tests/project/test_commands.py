@@ -24,7 +24,7 @@ from mgsgraph.files.networks.network_file import read_network
 from mgsgraph.files.networks.pvl_writing import write_pvl_network
 from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.project.project import open_project
-from mgsgraph.results import large_tables
+from mgsgraph.results import tables as large_tables
 from mgsgraph.results.archive import read_solution
 
 
@@ -89,7 +89,7 @@ def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> No
     there = loaded("add", project, folder / "image_B.isd", *ties)
     assert {name.split(".")[0] for name in there} & (HEAVY | {"asyncio"}) == COMPILER | {"gtsam"}
     assert {name for name in there if name.startswith("mgsgraph.results")} == {
-        "mgsgraph.results", "mgsgraph.results.archive_arrays"
+        "mgsgraph.results", "mgsgraph.results.archive"
     }  # fmt: skip
     batch = ("adjust", "cluster", "solution", "multistart", "conditional", "linearity")
     assert not there & {f"mgsgraph.adjustment.{name}" for name in batch}

@@ -20,7 +20,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network.footprints import discrepancy, misregistration
 from mgsgraph.registration.case import CaseRegistration, register_case
-from mgsgraph.results.figures.overlay import averaged, pixels_of
+from mgsgraph.results.figures.registration import averaged, pixels_of
 from mgsgraph.results.registration import registration_section, write_registration
 from mgsgraph.simulation.files import write_pair
 
@@ -255,14 +255,14 @@ def test_figures_are_whole_with_and_without_a_solution(case: Case, solution: Sol
     sizes = {}
     for name, found in (("before", register_case(case)), ("both", register_case(case, solution))):
         names = write_registration(found, tmp_path / name)
-        kinds = ("overlay_1", "overlay_2", "closeups", "discrepancy")
+        kinds = ("overlay_1", "overlay_2", "discrepancy")
         drawn = [f"{kind}.png" for kind in kinds]
         assert names == [*OTHERS, *drawn]
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == sorted(names)
         for file in drawn:
             data = (tmp_path / name / file).read_bytes()
             assert data[-8:-4] == b"IEND"
-        sizes[name] = (tmp_path / name / "closeups.png").stat().st_size
+        sizes[name] = (tmp_path / name / "overlay_1.png").stat().st_size
     assert sizes["both"] > sizes["before"]
 
 

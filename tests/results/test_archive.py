@@ -28,8 +28,7 @@ from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.network import ImageRays
-from mgsgraph.results.archive import FORMAT, read_solution, write_archive
-from mgsgraph.results.archive_arrays import pack, unpack, unpack_parts
+from mgsgraph.results.archive import FORMAT, pack, read_solution, unpack, unpack_parts, write_archive
 from mgsgraph.results.results import solution_json
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -357,11 +356,6 @@ def test_records_that_do_not_fit(
     archive: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], says: str
 ) -> None:
     assert_refused(in_record(archive, tmp_path / "x.npz", change), says)
-
-
-def test_a_solver_that_had_a_choice_of_methods(archive: Path, tmp_path: Path) -> None:
-    path = in_record(archive, tmp_path / "x.npz", lambda record: record["settings"].update(method="dogleg"))
-    assert read_solution(path).settings == read_solution(archive).settings
 
 
 def test_members_that_the_record_does_not_name(archive: Path, tmp_path: Path) -> None:

@@ -12,9 +12,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.page import tables
-from mgsgraph.results.results import solution_json, write_results
+from mgsgraph.results.results import solution_json, solution_sections, statements, write_results
 from mgsgraph.results.soundness import drivers_section, drivers_table
-from mgsgraph.results.summary import solution_sections, statements
 
 
 @pytest.fixture(scope="module")

@@ -25,11 +25,10 @@ from mgsgraph.network import Network, Pass, PolynomialPrior
 from mgsgraph.network.joining import seconds
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.results.figures import write_figures
-from mgsgraph.results.figures.passes import drawn_strip
+from mgsgraph.results.figures.orientation import orientation_sheets, pass_curve
 from mgsgraph.results.inventory import bare_nodes, inventory
 from mgsgraph.results.passes import calendar, nodes_table, passes_table
-from mgsgraph.results.results import solution_json
-from mgsgraph.results.summary import statements, summary_table
+from mgsgraph.results.results import solution_json, statements, summary_table
 from mgsgraph.units import ARCSEC, MGON
 
 
@@ -232,19 +231,26 @@ def test_bare_nodes_are_counted() -> None:
 
 def test_the_curve_passes_through_its_nodes(solution: Solution, spline: Solution) -> None:
     for one in (solution, spline):
-        drawn = drawn_strip(one, 1)
-        assert drawn.nodes[0] == pytest.approx(0.0, abs=1e-6)
-        assert drawn.nodes[-1] == pytest.approx(drawn.places[-1])
-        for (curve, sigma), at in zip(drawn.curves, drawn.at_nodes, strict=True):
-            near = np.interp(drawn.nodes, drawn.places, curve)
+        drawn = pass_curve(one, 1)
+        assert drawn.node_shares[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-9)
+        assert np.all(drawn.sigmas > 0.0)
+        for curve, at in zip(drawn.values.T, drawn.node_values.T, strict=True):
+            near = np.interp(drawn.node_shares, drawn.shares, curve)
             np.testing.assert_allclose(near, at, atol=max(0.1 * float(np.ptp(curve)), 1e-6))
-            assert np.all(sigma > 0.0)
+
+
+def test_passes_are_on_one_sheet(mixed: Solution) -> None:
+    passes, images = orientation_sheets(mixed)
+    assert (passes.name, images.name) == ("passes", "orientation")
+    names = [text.get_text() for text in passes.figure.axes[-1].get_xticklabels()]
+    assert names == [one.name for one in mixed.network.passes]
+    labels = [axes.get_ylabel() for axes in passes.figure.axes]
+    assert labels == ["along (m)", "across (m)", "radial (m)", "roll (mgon)", "pitch (mgon)", "yaw (mgon)"]
 
 
 @pytest.mark.usefixtures("light_figures")
 def test_files(solution: Solution, mixed: Solution, tmp_path: Path) -> None:
     names = write_figures(solution, tmp_path / "block")
-    assert "passes.png" in names
     assert "passes.png" in names
     assert not any(name.startswith("orientation") for name in names)
     assert {"passes.png", "orientation.png"} <= set(write_figures(mixed, tmp_path / "mixed"))

@@ -26,13 +26,13 @@ from mgsgraph.results.comparison import compare, orientation_difference
 from mgsgraph.results.figures import page as report_figures
 from mgsgraph.results.page import tables as tables_of
 from mgsgraph.results.page import write_report
-from mgsgraph.results.summary import solution_sections
+from mgsgraph.results.results import solution_sections
 from mgsgraph.simulation.files import write_pair
 
 LINES, SAMPLES = (3000, 3400), (100, 250)
 """Of the bright field in the pictures."""
 FIGURES = {
-    "map", "connectivity", "overlay_1", "overlay_2", "discrepancy", "closeups", "orientation", "residuals", "sigma_map",
+    "map", "connectivity", "overlay_1", "overlay_2", "discrepancy", "orientation", "residuals",
     "comparison",
 }
 
@@ -79,7 +79,6 @@ def page(case: Case, solution: Solution, tmp_path_factory: pytest.TempPathFactor
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of other things: figures take most of the time."""
     monkeypatch.setattr(report_figures, "figure_tasks", lambda *_: [("map", list)])
-    monkeypatch.setattr(report_figures, "sigma_figures", lambda *_: ([], "none"))
 
 
 def text_of(solution: Solution, folder: Path, **wanted: Any) -> str:
@@ -100,7 +99,7 @@ def named(found: list[Table], name: str) -> Table:
 def test_it_is_one_file_without_an_outside_address(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     addresses = re.findall(r'(?:src|href|action|srcset|data|poster)="([^"]*)"', text)
-    assert len(addresses) > 20
+    assert len(addresses) > 15
     assert [one[:60] for one in addresses if not one.startswith(("data:", "#"))] == []
     assert re.findall(r"https?://|@import|url\((?!#)", text) == []
     assert set(re.findall(r'data-name="([a-z0-9_]+)"', text)) == FIGURES

@@ -19,8 +19,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.results.passes import shared_section, shared_table
-from mgsgraph.results.results import solution_json, write_results
-from mgsgraph.results.summary import statements, summary_table
+from mgsgraph.results.results import solution_json, statements, summary_table, write_results
 
 
 @cache

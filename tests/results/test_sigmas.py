@@ -16,8 +16,7 @@ from mgsgraph.analysis.places import BANDS, SigmaGrid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.results.answers import Questions, answered
-from mgsgraph.results.sigmas import write_sigma_raster
+from mgsgraph.results.answers import Questions, answered, write_sigma_raster
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 STEP = np.radians(0.01)

@@ -4,12 +4,8 @@ import re
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
-import pytest
-
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.spacing import Choice, choose_spacing
-from mgsgraph.results.figures.spacing import spacing_sheet
 from mgsgraph.results.spacing import node_statements, nodes_section
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
@@ -52,10 +48,3 @@ def test_rays_put_aside_are_said() -> None:
     said = " ".join(node_statements(found))
     assert re.search(r"\d+ rays rejected as blunders, with nodes every 4 s, took part with no candidate", said)
     assert nodes_section(found, "block").numbers["rays_rejected"] == found.rejected > 0.8 * made.blunders.sum()
-
-
-@pytest.mark.usefixtures("light_figures")
-def test_figure_shows_the_numbers() -> None:
-    spacings = spacing_sheet(choice(), "block")
-    rms = spacings.figure.axes[0].containers[0].lines[0].get_ydata()
-    np.testing.assert_allclose(rms, [one.rms for one in choice().candidates])

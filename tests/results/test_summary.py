@@ -14,9 +14,8 @@ from mgsgraph.analysis.statistics import worst_first
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges
-from mgsgraph.results.results import solution_json
+from mgsgraph.results.results import solution_json, statements, summary_table
 from mgsgraph.results.soundness import weight_unit
-from mgsgraph.results.summary import statements, summary_table
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 

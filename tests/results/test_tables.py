@@ -18,8 +18,7 @@ from mgsgraph.case.reading import Case
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import PointClass
 from mgsgraph.results.inventory import wild_ranges
-from mgsgraph.results.results import solution_json
-from mgsgraph.results.summary import statements
+from mgsgraph.results.results import solution_json, statements
 from mgsgraph.results.tables import orientation_table, points_table, residuals_table
 from mgsgraph.units import ARCSEC, DEG
 

@@ -10,14 +10,9 @@ from pathlib import Path
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.registration.case import CaseRegistration
-from mgsgraph.results.figures.closeups import closeup_sheets
 from mgsgraph.results.figures.connectivity import links_sheet
-from mgsgraph.results.figures.discrepancy import discrepancy_sheets
-from mgsgraph.results.figures.map import map_sheets
-from mgsgraph.results.figures.minima import minima_sheets
+from mgsgraph.results.figures.map import map_sheets, minima_sheets
 from mgsgraph.results.figures.orientation import orientation_sheets
-from mgsgraph.results.figures.overlay import overlay_sheets, pixels_of
 from mgsgraph.results.figures.residuals import residual_sheets
 from mgsgraph.results.figures.sheet import Sheet, save
 from mgsgraph.workers import called_in_workers
@@ -70,17 +65,3 @@ def write_figures(solution: Solution, folder: Path, connected: Connectivity | No
     """Draw an adjustment (`figure_tasks`), in worker processes; returns the names of the files."""
     with called_in_workers(figure_tasks(solution, folder, connected), *FIGURES_END) as drawn:
         return list(chain.from_iterable(drawn()))
-
-
-def write_registration_figures(registration: CaseRegistration, folder: Path) -> list[str]:
-    """Draw a registration: numbered footprints on each image with the heights beside it, close-ups of pairs of images,
-    and the discrepancies along the images; returns the names of the files.
-
-    Raises
-    ------
-    InputError
-        If the pixels of an image can't be read.
-    """
-    pixels = [pixels_of(path) for path in registration.pictures]
-    on_images = chain(overlay_sheets(registration, pixels), closeup_sheets(registration, pixels))
-    return save(chain(on_images, discrepancy_sheets(registration)), folder)

@@ -1,20 +1,36 @@
-"""A terrain model drawn: heights with shading, sigma, the laser shots that check it over the ortho image."""
+"""A terrain model drawn: heights with shading, sigma, the laser shots that check it over the ortho image; and points
+above a terrain model before and after two steps.
+"""
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from mgsgraph.analysis.two_step_statistics import TwoStepStatistics
 from mgsgraph.files.rasters.raster_file import open_raster, read_band
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.registration.dem.checking import check_figures
 from mgsgraph.registration.dem.model import Dem
-from mgsgraph.results.figures.sheet import AFTER, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style, short
+from mgsgraph.results.figures.map import outlines_of, points_window, window_sheet
+from mgsgraph.results.figures.sheet import (
+    INK,
+    MOST_MARKS,
+    Sheet,
+    limit,
+    new_sheet,
+    number,
+    plain_style,
+    sheet_name,
+    short,
+)
 from mgsgraph.text import many, some
 from mgsgraph.units import KM
 
@@ -22,8 +38,8 @@ _MOST_POSTS = 1200
 """Rows or columns that are drawn; of larger models every so many-th."""
 _TALL, _WIDE, _NARROW, _LOW = 7.0, 3.0, 1.45, 2.4
 """inch, height and width of a map at most, and at least."""
-_BESIDE, _LETTERS = 2.3, 3.2
-"""inch, width of the panel of differences, and of labels beside the panels in all."""
+_LETTERS = 2.4
+"""inch, width of labels beside the panels in all."""
 _SHOWN = (0.02, 0.98)
 """Quantiles to which colours reach."""
 
@@ -37,26 +53,21 @@ def read_ortho(path: Path) -> NDArray[np.uint8]:
 
 @plain_style()
 def dem_sheet(dem: Dem, ortho: NDArray[np.uint8]) -> Sheet:
-    """Shaded heights, sigma, and the laser shots: where they lie on the ortho image (0 where there is none), and by how
-    much the model is higher.
+    """Shaded heights, sigma, and over the ortho image (0 where there is none) laser shots by how much the model is
+    higher.
     """
     grid = dem.model.map
     height = float(np.clip(_WIDE * grid.rows / grid.columns, _LOW, _TALL))
     width = float(np.clip(height * grid.columns / grid.rows, _NARROW, _WIDE))
     sheet = new_sheet(
-        "dem", 3.0 * width + _BESIDE + _LETTERS, height + 1.3, f"Terrain model: {short(dem.name, 60)}", _caption(dem)
+        "dem", 3.0 * width + _LETTERS, height + 1.0, f"Terrain model: {short(dem.name, 60)}", _caption(dem), band=0.0
     )
-    where, sigma, checks, along = sheet.panels(1, 4, widths=[width] * 3 + [_BESIDE])[0]
+    where, sigma, checks = sheet.panels(1, 3)[0]
     step = max(1, -(-max(grid.rows, grid.columns) // _MOST_POSTS))
     heights = dem.heights[::step, ::step]
     _heights(sheet, where, dem, heights, step)
     _sigmas(sheet, sigma, dem, step)
     _shots(sheet, checks, dem, ortho)
-    _differences(along, dem)
-    sheet.legend([
-        Line2D([], [], color=AFTER, marker="o", ls="", ms=3.5, label="laser shots that took no part"),
-        Line2D([], [], color=SOFT, lw=1.0, label="stated sigma of a difference, once and three times"),
-    ])  # fmt: skip
     return sheet
 
 
@@ -102,7 +113,7 @@ def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> Non
     panel.imshow(grey, extent=_extent(dem), cmap="Greys_r", vmin=0, vmax=255, interpolation="nearest", aspect="equal")
     widest = float(np.quantile(np.abs(checks.differences), 0.98)) if len(checks) else 1.0
     norm = Normalize(-max(widest, 1e-9), max(widest, 1e-9))
-    some = _some(len(checks))
+    some = thinned(len(checks), MOST_MARKS)
     shown = panel.scatter(
         checks.plane[some, 0] / KM, checks.plane[some, 1] / KM, c=checks.differences[some], cmap="RdBu_r", norm=norm,
         s=9.0, edgecolors=INK, linewidths=0.2, zorder=3,
@@ -110,25 +121,6 @@ def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> Non
     if len(checks):
         sheet.colour_bar(shown, panel, "model minus shot (m)", MaxNLocator(2), "both")
     _axes(panel)
-
-
-def _differences(panel: Axes, dem: Dem) -> None:
-    checks = dem.checks
-    order = np.argsort(checks.plane[:, 1])
-    some = order[_some(order.size)]
-    for times in (-3.0, -1.0, 1.0, 3.0):
-        panel.plot(times * checks.sigmas[some], checks.plane[some, 1] / KM, color=SOFT, lw=0.8)
-    panel.plot(checks.differences[some], checks.plane[some, 1] / KM, "o", ms=2.2, color=AFTER)
-    _, _, south, north = _extent(dem)
-    panel.set_ylim(south, north)
-    if not len(checks):
-        panel.text(0.5, 0.5, "no laser shot\nto check by", ha="center", va="center", transform=panel.transAxes)
-    panel.xaxis.set_major_locator(MaxNLocator(4) if len(checks) else NullLocator())
-    panel.set_xlabel("model minus shot (m)")
-
-
-def _some(count: int) -> slice:
-    return slice(None, None, max(1, -(-count // MOST_MARKS)))
 
 
 def _axes(panel: Axes, north: str = "") -> None:
@@ -139,14 +131,11 @@ def _axes(panel: Axes, north: str = "") -> None:
 
 
 def _caption(dem: Dem) -> str:
-    grid, there, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
-    whole, matching, orientation = (
-        number(float(np.median(band[there]))) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
-    )
+    checks, there = dem.checks, np.isfinite(dem.heights)
     text = (
-        f"Heights every {number(grid.post)} m from {some([short(name, 30) for name in dem.images], len(dem.images))}, "
-        f"lit from the north-west; sigma {whole} m (median), of which {matching} m by matching and relief and "
-        f"{orientation} m by the orientation, common to neighbours"
+        f"Heights every {number(dem.model.map.post)} m from "
+        f"{some([short(name, 30) for name in dem.images], len(dem.images))}, lit from the north-west; sigma "
+        f"{number(float(np.median(dem.model.sigmas[there])))} m (median)"
     )
     if not len(checks):
         return f"{text}. No laser shot that took no part in the adjustment lies on it."
@@ -155,3 +144,19 @@ def _caption(dem: Dem) -> str:
         f"{text}. {many(len(checks), 'laser shot')} that took no part: model minus shot {number(off['mean_m'])} m on "
         f"the average, {number(off['rms_m'])} m rms, {number(off['rms_by_sigma'], 2)} times what is stated."
     )
+
+
+
+def height_map_sheets(statistics: TwoStepStatistics) -> Iterator[Sheet]:
+    """Heights above the terrain model where the rays alone put the points, before and after both steps, on one scale of
+    colors.
+    """
+    solution, mine = statistics.steps.fitted, statistics.points[statistics.used]
+    heights, centre = statistics.heights[:, statistics.used], centre_of(solution.places[mine])
+    places, most = east_north(solution.places[mine], centre), limit(heights)
+    outlines = outlines_of(solution, centre)
+    about = solution.name, centre, np.concatenate([places, *outlines.values()]), outlines
+    for k, (values, when) in enumerate(((heights[0], "before"), (heights[-1], "after step 2")), 1):
+        quantity, classes = (f"height above the terrain {when}", "m"), solution.network.points.classes[mine]
+        shown = points_window(about, places, values, quantity, classes, scale=(-most, most))
+        yield replace(window_sheet(shown), name=sheet_name("height_map", k, 2))

@@ -11,8 +11,7 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.figures.overlay import AFTER
-from mgsgraph.results.figures.sheet import BEFORE, INK, Sheet, new_sheet, number, plain_style, short
+from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, LIGHT, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.text import listed, many
 
 _TIE, _OUT, _ELLIPSE = "#F0E442", "#FF7A45", "#FFFFFF"
@@ -104,7 +103,7 @@ def _draw_shots(panel: Axes, view: ImageView) -> None:
         ends = np.stack([before, after], axis=1)
         panel.plot(ends[:, :, 1].T, ends[:, :, 0].T, color="white", alpha=0.4, lw=0.6, zorder=3)
         panel.plot(before[:, 1], before[:, 0], ls="", marker="o", ms=4.0, mfc="none", mec=BEFORE, mew=1.0, zorder=4)
-        panel.plot(after[:, 1], after[:, 0], ls="", marker="^", ms=4.0, mfc="none", mec=AFTER, mew=1.0, zorder=5)
+        panel.plot(after[:, 1], after[:, 0], ls="", marker="^", ms=4.0, mfc="none", mec=LIGHT, mew=1.0, zorder=5)
 
 
 def _draw_ties(panel: Axes, view: ImageView, factor: float) -> None:
@@ -130,7 +129,7 @@ def _handles(views: Sequence[ImageView], factor: float, adjusted: bool) -> list[
             found.append(Line2D([], [], color="#9A8F00", lw=1.0, label=f"residual × {number(factor)}"))
     if any(one.shots["profiles"] for one in views):
         before = Line2D([], [], ls="", marker="o", ms=5, mfc="none", mec=BEFORE, label="shot before")
-        found += [before, Line2D([], [], ls="", marker="^", ms=5, mfc="none", mec=AFTER, label="shot after")]
+        found += [before, Line2D([], [], ls="", marker="^", ms=5, mfc="none", mec=LIGHT, label="shot after")]
     if any(one.predicted is not None for one in views):
         found.append(Line2D([], [], ls="", marker="o", ms=7, mfc="none", mec=INK, label="predicted place"))
     return found
@@ -138,22 +137,43 @@ def _handles(views: Sequence[ImageView], factor: float, adjusted: bool) -> list[
 
 def _caption(views: Sequence[ImageView], factor: float, adjusted: bool) -> str:
     first = views[0]
-    line0, line1, sample0, sample1 = first.window
-    text = (
-        f"Lines {number(line0, 6)} to {number(line1, 6)} and samples {number(sample0, 6)} to {number(sample1, 6)} of "
-        f"{first.name} (first pixel's centre at 0.5)"
-    )
-    if len(views) > 1:
-        text += f", and the same ground in {many(len(views) - 1, 'other image')}"
+    line0, line1, sample0, sample1 = (number(one, 6) for one in first.window)
     shots = sum(len(profile["names"]) for profile in first.shots["profiles"])
-    text += f"; {many(len(first.ties['measured']), 'tie')} and {many(shots, 'laser shot')} in {first.name}"
+    text = (
+        f"Lines {line0} to {line1} and samples {sample0} to {sample1} of {first.name} (first pixel's centre at 0.5), "
+        f"{many(len(first.ties['measured']), 'tie')} and {many(shots, 'laser shot')} in it, and the same ground in "
+        f"{many(len(views) - 1, 'other image')}"
+    )
     if factor and adjusted:
         text += f"; residuals, measured minus predicted, are drawn {number(factor)} times as long"
     if any(one.predicted is not None for one in views):
-        known = "posterior" if adjusted else "a-priori"
-        text += (
-            "; ellipses (white on the pictures, with a dot) hold the place of the first image's middle with a "
-            f"probability of 95 %, by the {known} "
-            "covariance of both orientations and the sigma of the ground's height"
-        )
+        text += "; ellipses hold the place of the first image's middle with a probability of 95 %"
     return text + ("." if adjusted else "; the block has not been adjusted.")
+
+
+
+
+
+def known(values: Any) -> Array:
+    """Numbers, of any shape, in which None stands for what is not known; NaN for these."""
+    return np.array(values, dtype=object).astype(np.float64)
+
+
+@plain_style()
+def footprints_sheet(record: Mapping[str, Any]) -> Sheet:
+    """Laser shots in an image before and after the adjustment; the image lies on its side."""
+    caption = f"{record['sentence']} The image lies on its side, lines to the right."
+    sheet = new_sheet("footprints", 9.4, 2.9, f"Laser shots in {short(record['image'], 60)}", caption)
+    panel: Axes = sheet.panels()[0, 0]
+    for profile in record["profiles"]:
+        pairs = zip(profile["before"], profile["after"], strict=True)
+        ends = np.array([[one or (np.nan, np.nan) for one in pair] for pair in pairs], dtype=np.float64)
+        panel.plot(ends[:, :, 0].T, ends[:, :, 1].T, color=SOFT, lw=0.6, zorder=2)
+        panel.plot(ends[:, 0, 0], ends[:, 0, 1], ls="", marker="o", ms=4.0, mfc="none", mec=BEFORE, mew=0.9, zorder=3)
+        panel.plot(ends[:, 1, 0], ends[:, 1, 1], ls="", marker="o", ms=2.8, mew=0.0, color=AFTER, zorder=4)
+    panel.set(xlim=(0, record["lines"]), ylim=(0, record["samples"]), xlabel="line (px)", ylabel="sample (px)")
+    sheet.legend([
+        Line2D([], [], ls="", marker="o", ms=5, mfc="none", mec=BEFORE, label="before: archived, nominal orientation"),
+        Line2D([], [], ls="", marker="o", ms=4, color=AFTER, label="after: both adjusted"),
+    ])  # fmt: skip
+    return sheet

@@ -5,7 +5,7 @@ figure. A block that is far longer than wide has a scale of its own in each dire
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,24 +13,29 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
+from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.analysis.statistics import medians, solution_connectivity, span
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.map_plane import centre_of, east_north, error_ellipses
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.results.figures.aggregate import cell_numbers
 from mgsgraph.results.figures.sheet import (
+    AFTER,
+    BEFORE,
     CLASS_MARKER,
     CLASS_NAME,
     INK,
     MOST_MARKS,
     SOFT,
     Sheet,
+    cell_numbers,
     new_sheet,
     number,
     plain_style,
@@ -42,8 +47,8 @@ from mgsgraph.units import DEG, KM
 
 _MOST = 150
 """Ellipses and corrections that are drawn, evenly chosen: more hide the points."""
-_FEW = 12
-"""Images up to which outlines bear names."""
+_FEWEST, _FEW = 3, 12
+"""Points of which a comparison is drawn; images up to which outlines bear names."""
 CELLS = 100
 """Cells along the longer side of a block of many points."""
 _LONG = 8.0
@@ -98,27 +103,56 @@ def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Ite
 def block_window(solution: Solution, connected: Connectivity | None = None) -> MapWindow:
     """The whole block: 3-D sigmas of its points, or of cells, and their corrections."""
     centre = centre_of(solution.places)
-    footprints = (connected or solution_connectivity(solution)).footprints
-    outlines = {
-        image.name: east_north(one.outline, centre)
-        for image, one in zip(solution.network.images, footprints, strict=True)
-    }
+    outlines = outlines_of(solution, centre, connected)
     known = np.flatnonzero(solution.determined)
     places, covariances = east_north(solution.places[known], centre), solution.covariances[known]
     axes = east_north_up(solution.places[known])
     sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[known])
+    flat = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
     corners = np.concatenate([places, *outlines.values()])
-    box = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)])
-    about = (solution.name, centre, box, outlines)
-    quantity, scale = ("3-D sigma", "m"), span(sigmas)
-    if known.size <= MOST_MARKS:
-        flat = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
-        classes = solution.network.points.classes[known]
-        return MapWindow(*about, places, sigmas, quantity, scale, known.size, classes, flat, moved, None, 0.0)
-    middles, (values, east, north) = cell_medians(box, places, sigmas, *moved.T)
-    arrows = np.column_stack([east.ravel(), north.ravel()])
-    return MapWindow(*about, middles, values, quantity, scale, known.size, None, None, arrows, None, 0.0)
+    about = (solution.name, centre, corners, outlines)
+    return points_window(about, places, sigmas, ("3-D sigma", "m"), solution.network.points.classes[known], flat, moved)
+
+
+def points_window(
+    about: tuple[str, Array, Array, dict[str, Array]], places: Array, values: Array, quantity: tuple[str, str],
+    classes: Index, covariances: Array | None = None, moved: Array | None = None,
+    scale: tuple[float, float] | None = None,
+) -> MapWindow:  # fmt: skip
+    """Points (n, 2), or cells of many, with a quantity (n,) and movements (n, 2); `about`: name, centre, places (k, 2)
+    that the map holds, and outlines.
+    """
+    name, centre, corners, outlines = about
+    box, scale = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)]), scale or span(values)
+    if len(places) <= MOST_MARKS:
+        return MapWindow(name, centre, box, outlines, places, values, quantity, scale, len(places), classes,
+                         covariances, moved, None, 0.0)  # fmt: skip
+    middles, (cells, *ways) = cell_medians(box, places, values, *(() if moved is None else moved.T))
+    arrows = np.column_stack([one.ravel() for one in ways]) if ways else None
+    return MapWindow(name, centre, box, outlines, middles, cells, quantity, scale, len(places), None, None, arrows,
+                     None, 0.0)  # fmt: skip
+
+
+def outlines_of(solution: Solution, centre: Array, connected: Connectivity | None = None) -> dict[str, Array]:
+    """(k, 2) m of each image."""
+    footprints = (connected or solution_connectivity(solution)).footprints
+    return {
+        image.name: east_north(one.outline, centre)
+        for image, one in zip(solution.network.images, footprints, strict=True)
+    }
+
+
+def comparison_sheet(points: CommonPoints, labels: tuple[str, str]) -> Sheet | None:
+    """By how much the common points of two solutions moved, later minus earlier; None of fewer than three."""
+    if len(points.places) < _FEWEST:
+        return None
+    centre = centre_of(points.places)
+    places, (here, _) = east_north(points.places, centre), points.rows
+    about = (f"{labels[1]} minus {labels[0]}", centre, places, dict[str, Array]())
+    classes, size = points.solution.network.points.classes[here], np.linalg.norm(points.moved, axis=1)
+    shown = points_window(about, places, size, ("3-D movement", "m"), classes, moved=points.moved[:, :2])
+    return replace(window_sheet(shown), name="comparison")
 
 
 def cell_medians(box: Array, places: Array, *values: Array) -> tuple[Array, list[Array]]:
@@ -188,7 +222,7 @@ def window_sheet(shown: MapWindow) -> Sheet:
         handles.append(Line2D([], [], ls="", marker="o", ms=8, mfc="none", mec=INK, label=label))
     if shown.moved is not None:
         _arrows(panel, shown, factors[1])
-        handles.append(Line2D([], [], color=INK, label=f"corrections × {factors[1]:g}"))
+        handles.append(Line2D([], [], color=INK, label=f"movements × {factors[1]:g}"))
     place = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
     bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=place, extend="both", ticks=MaxNLocator(5))
     bar.set_label(f"{title} ({unit})")
@@ -295,7 +329,60 @@ def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
     if shown.moved is not None:
         what = "cell" if shown.classes is None else "point"
         of = many(_some(shown.moved).size, what)
-        words.append(f"Corrections of {of}, east and north, {factors[1]:g} times enlarged.")
+        words.append(f"Movements of {of}, east and north, {factors[1]:g} times enlarged.")
     if shown.relief is not None:
         words.append("Shaded relief of the terrain model, light from the north-west.")
     return " ".join(words)
+
+
+
+_SHOWN = 0.001
+"""Weight from which a minimum is drawn."""
+
+
+def minima_sheets(solution: Solution) -> Iterator[Sheet]:
+    """One sheet where a second minimum is worth a word; else none."""
+    if solution.minima is not None and solution.minima.several:
+        yield _sheet(solution, solution.minima)
+
+
+@plain_style()
+def _sheet(solution: Solution, found: Minima) -> Sheet:
+    surface = solution.network.surface
+    assert surface is not None
+    shown = [one for one in found.each if one.weight >= _SHOWN]
+    caption = (
+        f"Where the terrain model lies by {found.starts} starts over its shift: minima of the cost with one sigma and "
+        "their probability, the mixture's mean and sigma, and one a-priori sigma about zero."
+    )
+    sheet = new_sheet("minima", 6.4, 5.6, f"Several minima: {solution.name}", caption)
+    panel: Axes = sheet.panels()[0, 0]
+    draw_ellipse(panel, np.zeros(2), np.eye(2) * surface.shift_sigma**2, ":", SOFT)
+    for k, one in enumerate(shown):
+        draw_ellipse(panel, one.shift[:2], one.spread[:2, :2], "-", AFTER if k == 0 else BEFORE)
+        panel.plot(*one.shift[:2], "X" if k == 0 else "o", ms=7, mfc="white", mec=INK, mew=0.9, zorder=8)
+        place = float(one.shift[0]), float(one.shift[1])
+        panel.annotate(f"{one.weight:.0%}", place, (7, 5), textcoords="offset points", size=9.0, zorder=9)
+    draw_ellipse(panel, found.mean[:2], found.covariance[:2, :2], "--", INK)
+    panel.plot(*found.mean[:2], "+", ms=9, color=INK, zorder=8)
+    panel.set(aspect="equal", xlabel="shift east (m)", ylabel="shift north (m)")
+    panel.autoscale_view()
+    reach = np.abs([panel.get_xlim(), panel.get_ylim()]).max()
+    panel.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    sheet.legend([
+        Line2D([], [], color=AFTER, marker="X", mfc="white", mec=INK, label="solution"),
+        Line2D([], [], color=BEFORE, marker="o", mfc="white", mec=INK, label="other minima"),
+        Line2D([], [], color=INK, ls="--", marker="+", label="mixture"),
+        Line2D([], [], color=SOFT, ls=":", label="a priori"),
+    ])  # fmt: skip
+    return sheet
+
+
+def draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str, colour: str = BEFORE) -> None:
+    """One standard deviation about a position, in the units of the panel."""
+    values, ways = np.linalg.eigh(covariance)
+    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0))
+    angle = float(np.degrees(np.arctan2(ways[1, 0], ways[0, 0])))
+    panel.add_patch(
+        Ellipse((middle[0], middle[1]), width, height, angle=angle, fill=False, ls=stroke, lw=1.1, ec=colour, zorder=7)
+    )

@@ -1,103 +1,165 @@
-"""Corrections of the exterior orientation along the images, with their 1-sigma bands, all images on one sheet."""
+"""Corrections of the exterior orientation with their 1-sigma bands: a sheet of all passes over time, one of all images
+that have an orientation of their own, along their lines.
+"""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
+from mgsgraph.analysis.statistics import node_times, strip_corrections
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.figures.passes import largest_correlation, pass_sheets
-from mgsgraph.results.figures.sheet import (
-    AFTER,
-    MOST_SHEETS,
-    SOFT,
-    Sheet,
-    new_sheet,
-    number,
-    plain_style,
-    short,
-)
+from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.text import many
-from mgsgraph.units import ARCSEC
+from mgsgraph.units import ARCSEC, MGON
 
-_PLACES = 800
-"""Places along all images together; each has three at least."""
+_PLACES, _FEWEST, _PER_INTERVAL = 800, 3, 6
+"""Places along all curves together; of each at least, and between two nodes."""
 _NAMED = 12
-"""Images up to which their names stand below the panels."""
-_ROWS = ("X (m)", "Y (m)", "Z (m)", "about x\n(arcsec)", "about y\n(arcsec)", "about z\n(arcsec)")
+"""Curves up to which their names stand below the panels."""
+_MARK = 3.0
+"""pt of a node's mark."""
+_IMAGES = ("X (m)", "Y (m)", "Z (m)", "about x\n(arcsec)", "about y\n(arcsec)", "about z\n(arcsec)")
+_PASSES = ("along (m)", "across (m)", "radial (m)", "roll (mgon)", "pitch (mgon)", "yaw (mgon)")
 
 
-def orientation_sheets(solution: Solution, most_passes: int = MOST_SHEETS) -> Iterator[Sheet]:
-    """Sheets of passes (`figures.passes`), then one sheet of all images with an orientation of their own."""
-    yield from pass_sheets(solution, most_passes)
-    own = np.flatnonzero(solution.network.pass_of < 0).tolist()
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """Corrections along one image, or of one pass."""
+
+    name: str
+    """Of the image or pass."""
+    shares: Array
+    """(n,) places, 0 at the beginning and 1 at the end."""
+    values: Array
+    """(n, 6) in the units of the panels: three of position, three of attitude."""
+    sigmas: Array
+    """(n, 6) of these, for sigma0 = 1."""
+    coupling: float
+    """Largest correlation between a position and a rotation, in the middle."""
+    node_shares: Array
+    """(k,) places of orientation images; none of an image."""
+    node_values: Array
+    """(k, 6) corrections there."""
+
+
+def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
+    """A sheet of all passes, then one of all images outside of passes; each where there are any."""
+    network = solution.network
+    if count := len(network.passes):
+        curves = [pass_curve(solution, k, count) for k in range(count)]
+        pictures = sum(len(one.images) for one in network.passes)
+        seconds = sum(float(np.ptp(node_times(solution, k))) for k in range(count))
+        nodes = sum(one.node_shares.size for one in curves)
+        head = (
+            f"{count} {'pass' if count == 1 else 'passes'} of {many(pictures, 'image')}, "
+            f"{many(nodes, 'orientation image')} over {number(seconds, 4)} s, without unknowns that images share"
+        )
+        yield _sheet("passes", curves, _PASSES, head, "passes, each from its first orientation image to its last")
+    own = np.flatnonzero(network.pass_of < 0).tolist()
     if own:
-        yield orientation_sheet(solution, own)
+        held = int(np.count_nonzero(network.held[own]))
+        head = f"{many(len(own), 'image')}{f', of which {held} are held at nominal' if held else ''}"
+        curves = [image_curve(solution, j, len(own)) for j in own]
+        yield _sheet("orientation", curves, _IMAGES, head, "images, each from its first line to its last")
+
+
+def image_curve(solution: Solution, image: int, curves: int = 1) -> Curve:
+    """Position along the body-fixed axes in m, rotations about the camera's own axes in arcsec."""
+    places, none = max(_PLACES // curves, _FEWEST), np.zeros(0)
+    values, sigmas = components(orientation_profile(solution, image, places))
+    return Curve(
+        solution.network.images[image].name, np.linspace(0.0, 1.0, places), values, sigmas,
+        largest_correlation(solution.image_covariance(image)[:6, :6]), none, np.zeros((0, 6)),
+    )  # fmt: skip
+
+
+def pass_curve(solution: Solution, strip: int, curves: int = 1) -> Curve:
+    """Corrections along, across and radially in m, of roll, pitch and yaw in mgon."""
+    one, nodes = solution.network.passes[strip], node_times(solution, strip)
+    start, stop = np.array(one.nodes.coverage) + one.nodes.epoch
+    times = np.linspace(start, stop, max(_PLACES // curves, _PER_INTERVAL * nodes.size + 1))
+    along, at_nodes = strip_corrections(solution, strip, times), strip_corrections(solution, strip, nodes)
+    units, middle = np.repeat([1.0, MGON], 3), int(solution.network.first_of_passes[strip]) + len(one.nodes) // 2
+    return Curve(
+        one.name, (times - start) / (stop - start), along.values / units, along.sigmas / units,
+        largest_correlation(solution.joint_covariance.block(middle, middle)),
+        (nodes - start) / (stop - start), at_nodes.values / units,
+    )  # fmt: skip
+
+
+def components(profile: OrientationProfile) -> tuple[Array, Array]:
+    """Corrections and sigmas (n, 6) of X, Y, Z in m and of the rotations about the camera's x, y, z in arcsec."""
+    shift = profile.position_after - profile.position_before
+    return (
+        np.hstack([shift, profile.rotation / ARCSEC]),
+        np.hstack([profile.position_sigma, profile.rotation_sigma / ARCSEC]),
+    )
+
+
+def largest_correlation(covariance: Array) -> float:
+    """Between one of the first three unknowns, a position's, and one of the others; 0 where one has no sigma."""
+    sigmas = np.sqrt(np.diagonal(covariance))
+    if not np.all(sigmas > 0.0):
+        return 0.0
+    return float(np.abs(covariance / np.outer(sigmas, sigmas))[:3, 3:].max())
 
 
 @plain_style()
-def orientation_sheet(solution: Solution, images: Sequence[int]) -> Sheet:
-    """Six panels; each image takes one unit of the horizontal axis, from its first line to its last."""
-    places = max(_PLACES // len(images), 3)
-    curves = np.array([components(orientation_profile(solution, j, places)) for j in images])  # (m, 6, 2, places)
-    at = (np.arange(len(images))[:, None] + np.linspace(0.02, 0.98, places)).ravel()
-    at[places - 1 :: places] = np.nan  # no line from one image to the next
+def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, across: str) -> Sheet:
+    """Six panels; each curve takes one unit of the horizontal axis."""
+    count, gap = len(curves), [np.nan]  # no line from one curve to the next
+    at = np.concatenate([np.append(k + 0.02 + 0.96 * one.shares, gap) for k, one in enumerate(curves)])
+    values, sigmas = (
+        np.concatenate([np.vstack([getattr(one, part), np.full((1, 6), np.nan)]) for one in curves])
+        for part in ("values", "sigmas")
+    )
+    dots = np.concatenate([k + 0.02 + 0.96 * one.node_shares for k, one in enumerate(curves)])
+    heights = np.concatenate([one.node_values for one in curves])
     sheet = new_sheet(
-        "orientation", 11.0 if len(images) > 4 else 7.2, 8.4, "Corrections of the exterior orientation",
-        _caption(solution, images, curves),
+        name, 11.0 if count > 4 or dots.size else 7.2, 8.4, "Corrections of the exterior orientation",
+        _caption(head, curves, rows),
     )  # fmt: skip
     grid = sheet.panels(6, 1, sharex="col")[:, 0]
     for n, panel in enumerate(grid):
-        value, sigma = curves[:, n, 0].ravel(), curves[:, n, 1].ravel()
+        value, sigma = values[:, n], sigmas[:, n]
         panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
         panel.fill_between(at, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
         panel.plot(at, value, color=AFTER)
-        low, high = np.quantile(np.concatenate([value - sigma, value + sigma]), [0.01, 0.99]).tolist()
+        panel.plot(dots, heights[:, n], color=INK, ls="", marker="o", ms=_MARK if dots.size < 60 else 0.5 * _MARK)
+        low, high = np.nanquantile(np.concatenate([value - sigma, value + sigma]), [0.01, 0.99]).tolist()
         room = 0.12 * max(high - low, 1e-9)
-        panel.set(ylabel=_ROWS[n], ylim=(low - room, high + room), xlim=(0.0, len(images)))
+        panel.set(ylabel=rows[n], ylim=(low - room, high + room), xlim=(0.0, count))
         panel.locator_params(axis="y", nbins=5)
-    if len(images) <= _NAMED:
-        names = [short(solution.network.images[j].name, 60 // len(images) + 6) for j in images]
-        grid[-1].set_xticks(np.arange(len(images)) + 0.5, names)
+    if count <= _NAMED:
+        grid[-1].set_xticks(np.arange(count) + 0.5, [short(one.name, 60 // count + 6) for one in curves])
         for panel in grid:
-            panel.set_xticks(np.arange(len(images) + 1), minor=True)
+            panel.set_xticks(np.arange(count + 1), minor=True)
             panel.grid(visible=False, axis="x", which="major")
             panel.grid(visible=True, axis="x", which="minor")
-    grid[-1].set_xlabel("images in the order of the case, each from its first line to its last")
-    sheet.legend([
+    grid[-1].set_xlabel(across)
+    handles: list[Artist] = [
         Line2D([], [], color=AFTER, label="adjusted minus nominal"),
         Patch(color=AFTER, alpha=0.22, lw=0.0, label="± 1 sigma (sigma0 = 1)"),
-    ])  # fmt: skip
+    ]
+    nodes = Line2D([], [], color=INK, ls="", marker="o", ms=_MARK, label="orientation images")
+    sheet.legend([*handles, nodes] if dots.size else handles)
     return sheet
 
 
-def components(profile: OrientationProfile) -> list[tuple[Array, Array]]:
-    """Correction and sigma (n,) of X, Y, Z in m and of the rotations about the camera's x, y, z in arcsec."""
-    shift = profile.position_after - profile.position_before
-    position = [(shift[:, k], profile.position_sigma[:, k]) for k in range(3)]
-    rotation = [(profile.rotation[:, k] / ARCSEC, profile.rotation_sigma[:, k] / ARCSEC) for k in range(3)]
-    return position + rotation
-
-
-def coupling(solution: Solution, image: int) -> float:
-    """Largest correlation between a constant position correction and a constant rotation of an image; 0 when held."""
-    return largest_correlation(solution.image_covariance(image)[:6, :6])
-
-
-def _caption(solution: Solution, images: Sequence[int], curves: Array) -> str:
-    """What one sees, with figures; `curves` (m, 6, 2, n) are corrections and sigmas."""
-    held = int(np.count_nonzero(solution.network.held[list(images)]))
-    if held == len(images):
-        return "All images are held: their orientation is the nominal one and has no sigma."
-    size = np.abs(curves).max(axis=(0, 3))
-    (shift, spread), (turn, twist) = size[:3].max(axis=0), size[3:].max(axis=0)
-    most = max(coupling(solution, j) for j in images)
-    kept = f" Held at nominal: {held}." if held else ""
+def _caption(head: str, curves: Sequence[Curve], rows: Sequence[str]) -> str:
+    """What one sees, with figures."""
+    (shift, turn), (spread, twist) = (
+        np.max([np.abs(getattr(one, part)).max(axis=0).reshape(2, 3).max(axis=1) for one in curves], axis=0).tolist()
+        for part in ("values", "sigmas")
+    )
+    unit = "mgon" if rows is _PASSES else "arcsec"
     return (
-        f"{many(len(images), 'image')}: positions (body-fixed X, Y, Z) moved by up to {number(float(shift))} m, the "
-        f"cameras turned by up to {number(float(turn))} arcsec about their own axes; sigmas reach "
-        f"{number(float(spread))} m and {number(float(twist))} arcsec. Position and rotation correlate "
-        f"by up to {most:.3f}.{kept}"
+        f"{head}: positions moved by up to {number(shift)} m, attitudes turned by up to {number(turn)} {unit}; sigmas "
+        f"reach {number(spread)} m and {number(twist)} {unit}. Position and rotation correlate by up to "
+        f"{max(one.coupling for one in curves):.3f}."
     )

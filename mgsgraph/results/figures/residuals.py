@@ -2,8 +2,6 @@
 share a row.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +11,20 @@ from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import medians, used_rays
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
-from mgsgraph.results.figures.aggregate import Rows, limit, means
-from mgsgraph.results.figures.sheet import AFTER, CLASS_NAME, Sheet, new_sheet, number, plain_style
+from mgsgraph.results.figures.sheet import (
+    AFTER,
+    CLASS_NAME,
+    Sheet,
+    image_rows,
+    limit,
+    means,
+    new_sheet,
+    number,
+    plain_style,
+    short,
+)
 from mgsgraph.text import many
 
 _PER_BIN = 25
@@ -24,72 +32,60 @@ _PER_BIN = 25
 _BINS = 6, 60
 """Least and most bins of lines."""
 _SHOWN = (PointClass.TIE, PointClass.LASER, PointClass.CONTROL)
+_NAMED = 12
+"""Rows that have their image's name beside them."""
 _EMPTY = "#D9D9D9"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ResidualMatrix:
-    """Residuals of one class of points by image and line."""
-
-    point_class: PointClass
-    """Of the points."""
-    medians: Array
-    """(2, rows, bins) px, of the line residuals and of the sample residuals; NaN where nothing was measured."""
-
-
-def residual_matrix(solution: Solution, rows: Rows, point_class: PointClass) -> ResidualMatrix | None:
-    """Medians of the residuals of the rays that took part, by row and bin of lines; None where there are none."""
-    rays = solution.network.rays
+def residual_matrix(solution: Solution, point_class: PointClass) -> Array | None:
+    """(2, rows, bins) px, medians of the line and the sample residuals of the rays to one class of points that took
+    part, by row of images and bin of lines; NaN where nothing was measured. None where there are none.
+    """
+    rays, images = solution.network.rays, solution.network.images
     mine = np.flatnonzero(used_rays(solution) & (solution.network.points.classes[rays.point] == point_class))
-    mine = mine[rows.row[rays.image[mine]] >= 0]
     if not mine.size:
         return None
-    image = rays.image[mine]
+    image, row = rays.image[mine], image_rows(len(images))
     middle = float(np.median(np.bincount(image)[np.unique(image)]))
-    bins = int(np.clip(middle / _PER_BIN, *_BINS))
-    lengths = np.array([one.lines for one in solution.network.images], dtype=np.float64)
+    bins, rows = int(np.clip(middle / _PER_BIN, *_BINS)), int(row[-1]) + 1
+    lengths = np.array([one.lines for one in images], dtype=np.float64)
     along = np.clip(rays.places[mine, 0] / lengths[image] * bins, 0.0, bins - 1.0).astype(np.int64)
-    cells, size = rows.row[image] * bins + along, rows.number * bins
-    found = [medians(solution.residuals[mine, k], cells, size).reshape(rows.number, bins) for k in range(2)]
-    return ResidualMatrix(point_class, np.stack(found))
-
-
-def residual_sheets(solution: Solution) -> list[Sheet]:
-    """The sheet of the residuals."""
-    return [residual_sheet(solution)]
+    cells = row[image] * bins + along
+    found = [medians(solution.residuals[mine, k], cells, rows * bins).reshape(rows, bins) for k in range(2)]
+    return np.stack(found)
 
 
 @plain_style()
-def residual_sheet(solution: Solution) -> Sheet:
+def residual_sheets(solution: Solution) -> list[Sheet]:
     """Medians of the residuals of all images along their lines, and rms beside robust sigma of each image."""
-    rows = Rows.of(solution)
-    found = [one for c in _SHOWN if (one := residual_matrix(solution, rows, c)) is not None]
-    spreads = _spreads(solution, rows)
+    names, row = [one.name for one in solution.network.images], image_rows(len(solution.network.images))
+    found = [(c, one) for c in _SHOWN if (one := residual_matrix(solution, c)) is not None]
+    spreads = _spreads(solution, row)
+    count, several = spreads.size, -(-len(names) // spreads.size)
     widths = [1.25] * (2 * len(found)) + [1.0]
     sheet = new_sheet(
-        "residuals", max(7.2, 1.6 + 1.9 * len(widths)), min(2.0 + 0.35 * rows.number, 7.0), "Image residuals",
-        _residual_caption(solution, found, spreads), vector=False,
+        "residuals", max(7.2, 1.6 + 1.9 * len(widths)), min(2.0 + 0.35 * count, 7.0), "Image residuals",
+        _residual_caption(solution, spreads),
     )  # fmt: skip
     panels = sheet.panels(1, len(widths), widths=widths, sharey="all")[0]
-    for n, one in enumerate(found):
-        pair = panels[2 * n : 2 * n + 2]
-        _draw_matrix(sheet, list(pair), one)
-    panels[-1].barh(np.arange(rows.number), spreads, height=0.7, color=AFTER, lw=0.0)
+    for n, (point_class, one) in enumerate(found):
+        _draw_matrix(sheet, panels[2 * n : 2 * n + 2].tolist(), point_class, one)
+    panels[-1].barh(np.arange(count), spreads, height=0.7, color=AFTER, lw=0.0)
     panels[-1].set(xlabel="px", title="rms of an image")
-    panels[0].set_ylabel(rows.words)
-    panels[0].set_ylim(rows.number - 0.5, -0.5)
-    rows.name(panels[0])
+    ticks = np.unique(np.linspace(0, count - 1, min(count, _NAMED)).round().astype(int)).tolist()
+    panels[0].set_yticks(ticks, [short(names[int(np.searchsorted(row, k))], 20) for k in ticks], size=7.0)
+    panels[0].set(ylabel="image" if several == 1 else f"images, up to {several} in a row", ylim=(count - 0.5, -0.5))
     for panel in panels[1:]:
         panel.tick_params(labelleft=False)
     sheet.legend([Patch(color=_EMPTY, lw=0.0, label="no measurement")])
-    return sheet
+    return [sheet]
 
 
-def _draw_matrix(sheet: Sheet, panels: list[Axes], one: ResidualMatrix) -> None:
+def _draw_matrix(sheet: Sheet, panels: list[Axes], point_class: PointClass, found: Array) -> None:
     """Line and sample residuals side by side, on one scale."""
-    most = limit(one.medians)
+    most = limit(found)
     shown: ScalarMappable
-    for panel, values, what in zip(panels, one.medians, ("line", "sample"), strict=True):
+    for panel, values, what in zip(panels, found, ("line", "sample"), strict=True):
         panel.set_facecolor(_EMPTY)
         panel.grid(visible=False)
         rows = values.shape[0]
@@ -98,31 +94,24 @@ def _draw_matrix(sheet: Sheet, panels: list[Axes], one: ResidualMatrix) -> None:
             interpolation="nearest", extent=(0.0, 100.0, rows - 0.5, -0.5),
         )  # fmt: skip
         panel.set(xlabel="% of the lines", title=what)
-    name = CLASS_NAME[one.point_class]
-    sheet.colour_bar(shown, panels, f"{name}: median residual (px)", MaxNLocator(4), extend="both")
+    sheet.colour_bar(shown, panels, f"{CLASS_NAME[point_class]}: median residual (px)", MaxNLocator(4), extend="both")
 
 
-def _spreads(solution: Solution, rows: Rows) -> Array:
+def _spreads(solution: Solution, row: Index) -> Array:
     """(rows,) px, rms of the residuals of line and sample together, of tie points where there are any."""
     rays, used = solution.network.rays, used_rays(solution)
     ties = used & (solution.network.points.classes[rays.point] == PointClass.TIE)
     mine = np.flatnonzero(ties if np.any(ties) else used)
-    return np.sqrt(means(np.mean(solution.residuals[mine] ** 2, axis=1), rows.row[rays.image[mine]], rows.number))
+    return np.sqrt(means(np.mean(solution.residuals[mine] ** 2, axis=1), row[rays.image[mine]], int(row[-1]) + 1))
 
 
-def _residual_caption(solution: Solution, found: Sequence[ResidualMatrix], spreads: Array) -> str:
+def _residual_caption(solution: Solution, spreads: Array) -> str:
     """What one sees, with figures."""
-    parts = []
-    for one in found:
-        line, sample = (limit(values) for values in one.medians)
-        parts.append(f"{number(line)} and {number(sample)} px for {CLASS_NAME[one.point_class]}")
-    worst = int(np.nanargmax(spreads)) if np.any(np.isfinite(spreads)) else 0
-    middle, largest = float(np.nanmedian(spreads)), float(spreads[worst])
     rejected = int(np.count_nonzero(~solution.rays_used & np.all(np.isfinite(solution.residuals), axis=1)))
+    middle, largest = (number(float(value)) for value in (np.nanmedian(spreads), np.nanmax(spreads)))
     return (
         f"Median residual (measured minus predicted) along the lines of {many(len(solution.network.images), 'image')}. "
-        f"98 % of the medians are below {'; '.join(parts) or 'nothing'} (line and sample), where the colors end. "
-        f"The rms of an image is {number(middle)} px (median); the largest, {number(largest)} px, is in row "
-        f"{worst + 1}. Rejected measurements: {rejected}. Stripes over many images come from the camera, single rows "
-        "from an image's orientation."
+        f"Colors end where 98 % of the medians lie. The rms of an image is {middle} px (median), {largest} px at most. "
+        f"Rejected measurements: {rejected}. Stripes over many images come from the camera, single rows from the "
+        "orientation of an image."
     )

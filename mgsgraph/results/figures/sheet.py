@@ -5,7 +5,6 @@ stand to matplotlib's constrained layout. No pyplot, and the user's matplotlib s
 """
 
 import math
-import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,6 +27,8 @@ from matplotlib.ticker import Locator, LogLocator
 from numpy.typing import NDArray
 from PIL import Image
 
+from mgsgraph.analysis.statistics import SHARE, counts
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 
 MOST_SHEETS = 4
@@ -36,6 +37,8 @@ MOST_MARKS = 2000
 """Marks of one kind in a panel; more make an SVG slow and a panel black."""
 
 BEFORE, AFTER, INK, SOFT = "#E69F00", "#0072B2", "#222222", "#8A8A8A"
+LIGHT = "#56B4E9"
+"""In place of AFTER on images, where that dark blue can't be seen."""
 CLASS_COLOUR = {PointClass.TIE: "#0072B2", PointClass.LASER: "#D55E00", PointClass.CONTROL: "#009E73",
                 PointClass.POST: "#CC79A7"}  # fmt: skip
 """Okabe & Ito's palette, which colour-blind readers can tell apart; each class has a marker of its own as well."""
@@ -71,8 +74,6 @@ _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "mgsgraph",
 }
 _DPI = 150
-_POINTS = 72.0
-"""SVG units in an inch."""
 _MARGIN, _TITLE, _BAND, _CAPTION_LINE = 0.12, 0.33, 0.27, 0.165
 """inch: white border, heights of the title, the legend band and a line of the caption."""
 _INCH_PER_LETTER = 0.0672
@@ -100,8 +101,6 @@ class Sheet:
     """The sentence under it."""
     figure: Figure
     """What is drawn."""
-    vector: bool = True
-    """False for a picture of cells, which a page takes as pixels."""
     above: float = 0.0
     """inch, height of the title."""
     below: float = 0.0
@@ -141,8 +140,7 @@ class Sheet:
 
 
 def new_sheet(
-    name: str, width: float, height: float, title: str, caption: str, band: float = _BAND, gap: float = 0.04,
-    vector: bool = True,
+    name: str, width: float, height: float, title: str, caption: str, band: float = _BAND, gap: float = 0.04
 ) -> Sheet:
     """A sheet with title, caption and a legend band (inch), and `height` inches for panels with their labels, `gap`
     inches above and below each.
@@ -157,28 +155,21 @@ def new_sheet(
     engine.set(rect=inside, w_pad=0.06, h_pad=gap, hspace=0.5 * gap)
     figure.text(left, 1.0 - _MARGIN / total, title, va="top", size=12.0, weight="bold")
     figure.text(left, _MARGIN / total, "\n".join(lines), va="bottom", size=8.5, color="#333333", linespacing=1.35)
-    return Sheet(name, title, caption, figure, vector, _MARGIN + _TITLE, below - _MARGIN)
+    return Sheet(name, title, caption, figure, _MARGIN + _TITLE, below - _MARGIN)
 
 
 @plain_style()
 def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> bytes:
     """A sheet as png, jpg, svg or pdf; the same sheet gives the same bytes. Without `words`, for a page that says title
-    and caption itself, they are cut off, and what an SVG says is text that can be selected.
+    and caption itself, these are cut off a png or jpg.
     """
     file = BytesIO()
     drawn_by = {"svg": FigureCanvasSVG, "pdf": FigureCanvasPdf}.get(kind, FigureCanvasAgg)
     canvas: Any = drawn_by(sheet.figure)  # savefig would draw twice
-    _align_labels(sheet.figure)
     _lay_out(sheet.figure)
     if words:
         getattr(canvas, f"print_{kind}")(file, **options)
         return file.getvalue()
-    for text in sheet.figure.texts:
-        text.set_visible(False)
-    if kind == "svg":
-        mpl.rcParams["svg.fonttype"] = "none"
-        canvas.print_svg(file, **options)
-        return _cut_svg(file.getvalue().decode(), sheet).encode()
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     rows = round(sheet.above * _DPI), picture.height - round(sheet.below * _DPI)
@@ -186,43 +177,18 @@ def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> byte
     return file.getvalue()
 
 
-def _cut_svg(text: str, sheet: Sheet) -> str:
-    """The `svg` element of an SVG file between title and caption, its size left to the page; every id has the sheet's
-    name before it, for a page holds several.
-    """
-    width, height = (_POINTS * float(inch) for inch in sheet.figure.get_size_inches())
-    top, left = _POINTS * sheet.above, height - _POINTS * (sheet.above + sheet.below)
-    text = text[text.index("<svg") :]
-    head, body = text[: text.index(">") + 1], text[text.index(">") + 1 :]
-    head = re.sub(r' (width|height|viewBox|version|xmlns|xmlns:xlink)="[^"]*"', "", head)
-    head = head.replace("<svg", f'<svg viewBox="0 {top:.2f} {width:.2f} {left:.2f}"', 1)
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    return head + re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{sheet.name}-", body)
-
-
-def _align_labels(figure: Figure) -> None:
-    """As `Figure.align_labels`, of axes that have a label. Matplotlib looks for the place of each label at the ticks of
-    all axes that it is aligned with, four times in a drawing and for empty labels, too: these get a place at once.
+def _lay_out(figure: Figure) -> None:
+    """Align labels, and put panels where constrained layout wants them, once; to a millionth of the sheet, for the last
+    digits of its solver differ from run to run.
     """
     figure.align_xlabels([axes for axes in figure.axes if axes.get_xlabel()])
     figure.align_ylabels([axes for axes in figure.axes if axes.get_ylabel()])
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            if not axis.get_label_text():
-                axis.set_label_coords(0.5, 0.5)
-
-
-def _lay_out(figure: Figure) -> None:
-    """Put panels where constrained layout wants them, once; to a millionth of the sheet, for the last digits of its
-    solver differ from run to run.
-    """
     engine = figure.get_layout_engine()
-    if not isinstance(engine, ConstrainedLayoutEngine):
-        return
-    engine.execute(figure)
-    figure.set_layout_engine("none")
-    for axes in figure.axes:
-        axes.set_position(np.round(axes.get_position(original=True).bounds, 6).tolist())
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+        for axes in figure.axes:
+            axes.set_position(np.round(axes.get_position(original=True).bounds, 6).tolist())
 
 
 def save(sheets: Iterable[Sheet], folder: Path) -> list[str]:
@@ -269,3 +235,36 @@ def short(name: str, letters: int = 40) -> str:
         return name
     half = (letters - 1) // 2
     return f"{name[:half]}…{name[-half:]}"
+
+
+
+MOST_ROWS = 500
+"""Rows of a picture; a block of more images has several in a row."""
+
+
+def means(values: Array, groups: Index, number: int) -> Array:
+    """(number,) mean of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
+    sound = np.isfinite(values)
+    values, groups = values[sound], groups[sound]
+    of = counts(groups, number)
+    total = np.bincount(groups, weights=values, minlength=number)
+    return np.where(of > 0, total / np.maximum(of, 1), np.nan)
+
+
+def cell_numbers(places: Array, size: Array | tuple[float, float], cells: tuple[int, int]) -> Index:
+    """(n,) number of the cell, row by row, in which each place (n, 2) of a rectangle from zero to `size` lies; places
+    outside belong to the nearest.
+    """
+    along, across = np.clip(places * (np.array(cells) / size), 0.0, np.array(cells) - 1.0).astype(np.int64).T
+    return np.asarray(along * cells[1] + across)
+
+
+def limit(values: Array) -> float:
+    """Half the width of a colour scale about zero that covers 98 % of the values; 1 where nothing is finite."""
+    sound = np.abs(values[np.isfinite(values)])
+    return (float(np.quantile(sound, SHARE)) if sound.size else 0.0) or 1.0
+
+
+def image_rows(images: int, most: int = MOST_ROWS) -> Index:
+    """(images,) row of each of so many images in a picture of at most `most` rows, from 0, none of them empty."""
+    return np.arange(images) * min(images, most) // max(images, 1)

@@ -86,23 +86,8 @@ def write_demo(
             write_into(demo.solution, folder, figures)
         write_registration_into(demo.registration, folder, figures)
         disagreement_table(demo.disagreements).write_csv(folder / "disagreement.csv")
-        if figures:
-            _draw_story(demo, folder)
     write_json(folder / SUMMARY, summary_json(demo))
     return demo.solution, closing_lines(demo)
-
-
-def _draw_story(demo: Demonstration, folder: Path) -> None:
-    if isinstance(demo.relief, str):
-        return
-    from mgsgraph.results.figures.sheet import save  # only those who draw wait for matplotlib
-    from mgsgraph.results.figures.story import story_sheet
-
-    profiles = [one for one in demo.relief.profiles if not one.of_posts]
-    one = max(profiles, key=lambda one: int(one.taken.sum()))
-    known, ids = true_points(demo), demo.solution.network.points.ids
-    truth = np.array([known[ids[i]] for i in one.mine.tolist()])
-    save([story_sheet(demo.relief, one, truth, demo.simulated.terrain.ground_radius, headline(demo))], folder)
 
 
 def closing_lines(demo: Demonstration) -> list[str]:

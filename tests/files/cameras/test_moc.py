@@ -17,7 +17,7 @@ from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.rasters.pictures import PixelArea, pixel_area, read_moc_pixels, read_picture, require_fragments
 from mgsgraph.files.spice.kernels import clock_time, loaded
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.results.figures.overlay import pixels_of
+from mgsgraph.results.figures.registration import pixels_of
 
 PITCH, FOCAL = 0.0131240578522949e-3, 3.5
 """m, of the ISIS addendum."""

@@ -46,7 +46,7 @@ def test_every_kind_of_figure_is_known() -> None:
         and isinstance(node.args[0], ast.Constant)
     }
     assert found <= set(FIGURES)
-    assert {"residuals", "map", "spacings"} <= found
+    assert {"residuals", "map", "quantiles"} <= found
 
 
 def test_a_file_that_could_not_be_replaced_is_told_of(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.labels.image_kinds import image_kind, image_name
 from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.results.archive_arrays import pack, unpack
+from mgsgraph.results.archive import pack, unpack
 
 HEAD = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
 NODES = 40

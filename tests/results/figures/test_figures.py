@@ -19,7 +19,7 @@ from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.results.figures import solution_sheets, write_figures
 from mgsgraph.results.figures.map import block_window, map_sheets
-from mgsgraph.results.figures.orientation import components, coupling
+from mgsgraph.results.figures.orientation import components, image_curve
 from mgsgraph.results.figures.sheet import encoded
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -67,14 +67,13 @@ def captions(solution: Solution) -> dict[str, str]:
 def test_orientation_components_are_the_coefficients(solution: Solution) -> None:
     """At the image's middle u = 0: position and rotation corrections are the constant coefficients there."""
     profile = orientation_profile(solution, 0, 101)
-    shown = [value[50] for value, _ in components(profile)]
-    spread = [sigma[50] for _, sigma in components(profile)]
+    shown, spread = (values[50] for values in components(profile))
     unit = np.array([1.0, 1.0, 1.0, ARCSEC, ARCSEC, ARCSEC])
-    assert np.abs(np.array(shown) * unit - solution.coefficients[0][0])[:3].max() < 1e-6
-    assert np.abs(np.array(shown) * unit - solution.coefficients[0][0])[3:].max() < 1e-9
+    assert np.abs(shown * unit - solution.coefficients[0][0])[:3].max() < 1e-6
+    assert np.abs(shown * unit - solution.coefficients[0][0])[3:].max() < 1e-9
     want = np.sqrt(np.diagonal(solution.image_covariance(0))[:6])
-    assert np.allclose(np.array(spread) * unit, want, rtol=1e-3)
-    assert 0.5 < coupling(solution, 0) <= 1.0
+    assert np.allclose(spread * unit, want, rtol=1e-3)
+    assert 0.5 < image_curve(solution, 0).coupling <= 1.0
 
 
 def test_points_lie_inside_the_footprints_of_the_images_that_measure_them(solution: Solution) -> None:
@@ -138,7 +137,7 @@ def test_held_images(case_file: Path, tmp_path: Path) -> None:
     for which in (1, 2):
         found = adjust_text(case_file, f"held{which}.toml", hold(which))
         assert found.network.held.sum() == which
-        assert coupling(found, 0) == 0.0
+        assert image_curve(found, 0).coupling == 0.0
         require_files(tmp_path / str(which), write_figures(found, tmp_path / str(which)))
 
 

@@ -1,0 +1,249 @@
+"""What an analysis draws: normal quantiles of residuals, residuals of named effects, spectra of residuals, and sigmas
+of new points over the overlap of images.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+
+from mgsgraph.analysis.places import SigmaGrid
+from mgsgraph.analysis.residual_spectrum import FALSE_ALARMS, TURNS, ImageSpectrum, ResidualVibrations
+from mgsgraph.analysis.residual_tests import ResidualStatistics
+from mgsgraph.analysis.systematic import EffectKind
+from mgsgraph.analysis.unexplained import Pattern, Unexplained
+from mgsgraph.geometry.records import Array
+from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
+from mgsgraph.text import many
+from mgsgraph.units import DEG
+
+_ACROSS = 4
+"""Panels in a row."""
+_SIDE = 2.75
+"""inch, of a panel with its labels."""
+
+
+@plain_style()
+def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet:
+    """A panel for each group that has residuals which other rows control."""
+    shown = [one for one in statistics if one.values.size]
+    across = min(max(len(shown), 1), _ACROSS)
+    down = -(-max(len(shown), 1) // across)
+    title = f"Normalised residuals against the normal law: {short(name)}"
+    sheet = new_sheet("quantiles", max(6.0, _SIDE * across + 0.6), _SIDE * down, title, _caption(shown))
+    drawn = sheet.panels(down, across).ravel().tolist()
+    for k, (panel, one) in enumerate(zip(drawn, shown, strict=False)):
+        _draw(panel, one)
+        panel.set_title(short(one.name, 38))
+        panel.set_xlabel("promised by a normal law (sigmas)" if k + across >= len(shown) else "")
+        panel.set_ylabel("found (sigmas)" if k % across == 0 else "")
+    for panel in drawn[len(shown) :]:
+        panel.set_axis_off()
+    sheet.legend([
+        Line2D([], [], ls="", marker="o", ms=3.5, mew=0.0, color=AFTER, label="normalised residuals"),
+        Line2D([], [], color=INK, lw=1.0, label="honest sigmas, normal errors"),
+        Patch(color=SOFT, alpha=0.3, lw=0.0, label="pointwise 95% band"),
+    ])  # fmt: skip
+    return sheet
+
+
+def _draw(panel: Axes, one: ResidualStatistics) -> None:
+    plot = one.quantiles()
+    ends = np.array([min(-2.5, plot.promised[0]), max(2.5, plot.promised[-1])])
+    panel.fill_between(plot.promised, plot.low, plot.high, color=SOFT, alpha=0.3, lw=0.0)
+    panel.plot(ends, ends, color=INK, lw=1.0)
+    panel.plot(plot.promised, plot.found, ls="", marker="o", ms=2.6, mew=0.0, color=AFTER)
+    panel.locator_params(nbins=6)
+    panel.text(
+        0.05, 0.95, f"rms {number(one.rms)}\n{one.values.size} residuals\nworth {number(one.effective)}",
+        transform=panel.transAxes, va="top", size=7.5, linespacing=1.35,
+    )  # fmt: skip
+
+
+def _caption(shown: Sequence[ResidualStatistics]) -> str:
+    """What one sees, with figures."""
+    if not shown:
+        return "No residual is controlled by other rows."
+    off = [one.name for one in shown if one.as_promised is False]
+    return (
+        "Residuals over their own sigmas should lie on the line: steeper means sigmas that are too small, flatter too "
+        f"large ones, bent ends long tails; law or rms not as promised (1% tests): {', '.join(off) or 'no group'}; "
+        "bands count correlated residuals as the number of independent ones that they are worth."
+    )
+
+
+
+_MOST_IMAGES = 4
+"""That are drawn: those with the clearest vibrations first."""
+_ABOVE = 1.3
+"""Times its amplitude, where a vibration's mark stands."""
+
+
+@plain_style()
+def vibrations_sheet(found: ResidualVibrations, name: str) -> Sheet:
+    """A row of panels per image, a column per turn."""
+    named = [one.image for one in found.vibrations]
+    images = list(dict.fromkeys([*named, *(one.image for one in found.spectra)]))
+    drawn = images[:_MOST_IMAGES]
+    sheet = new_sheet(
+        "vibrations", 9.6, 1.4 + 1.9 * len(drawn), f"Vibrations in residuals: {short(name, 50)}",
+        _vibration_caption(found, len(images) - len(drawn)),
+    )  # fmt: skip
+    grid = sheet.panels(len(drawn), len(TURNS), sharex="col")
+    for row, image in enumerate(drawn):
+        for column, turn in enumerate(TURNS):
+            panel: Axes = grid[row, column]
+            one = next(each for each in found.spectra if (each.image, each.turn) == (image, turn))
+            _draw_spectrum(panel, one)
+            if row == 0:
+                panel.set_title(turn)
+            panel.set(
+                xlabel="frequency (Hz)" if row == len(drawn) - 1 else "",
+                ylabel=f"{short(image, 18)} (px)" if column == 0 else "",
+            )
+    sheet.legend([
+        Line2D([], [], color=AFTER, label="amplitude"),
+        Patch(color=SOFT, alpha=0.45, lw=0.0, label="noise floor (rms)"),
+        Line2D([], [], color=INK, ls="--", lw=1.0, label=f"{100.0 - 100.0 * FALSE_ALARMS:g} % level, all frequencies"),
+        Line2D([], [], color=BEFORE, marker="v", ls="", ms=6.0, label="vibration"),
+    ])  # fmt: skip
+    return sheet
+
+
+def _draw_spectrum(panel: Axes, one: ImageSpectrum) -> None:
+    panel.set_xscale("log")
+    panel.set_xlim(one.frequencies[0], one.frequencies[-1])
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.xaxis.set_minor_formatter(NullFormatter())
+    if one.blind:
+        panel.set_yticks([])
+        panel.text(
+            0.5, 0.5, f"not seen: residuals show\n{_percent(one.share)} of it", transform=panel.transAxes,
+            ha="center", va="center", color=INK,
+        )  # fmt: skip
+        return
+    bottom = 0.1 * float(np.median(one.floor))
+    panel.fill_between(one.frequencies, bottom, one.floor, color=SOFT, alpha=0.45, lw=0.0)
+    panel.plot(one.frequencies, one.level, color=INK, ls="--", lw=0.7)
+    panel.plot(one.frequencies, np.maximum(one.amplitudes, bottom), color=AFTER, lw=0.8)
+    panel.set_yscale("log")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter(NullFormatter())
+    top = max(float(one.amplitudes.max()), float(np.quantile(one.level, 0.9)))
+    for peak in one.peaks:
+        height = _ABOVE * peak.amplitude
+        panel.plot([peak.frequency], [height], color=BEFORE, marker="v", ms=6.0)
+        panel.annotate(f"   {number(peak.frequency)} Hz, {number(peak.amplitude, 2)} px", (peak.frequency, height),
+                       va="center", size=8.0)  # fmt: skip
+        top = max(top, height)
+    panel.set_ylim(bottom, 3.0 * top)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1g} %" if share > 1e-4 else "less than 0.01 %"
+
+
+def _vibration_caption(found: ResidualVibrations, left_out: int) -> str:
+    return (
+        f"{many(len(found.vibrations), 'vibration')} above the noise, which crosses the dashed level somewhere in "
+        f"{100.0 * FALSE_ALARMS:g} % of such panels; marks say Hz and px. Panels without a curve: points take such "
+        f"turns up as heights. {many(left_out, 'more image')} not drawn."
+    )
+
+
+
+_MOST_PANELS = 4
+"""Named effects that are drawn."""
+_BINS = 24
+_FEWEST_IN_BIN = 5
+_WIDTH = 3.1
+"""inch, of a panel with its labels."""
+
+
+def unexplained_sheets(found: Unexplained, name: str) -> Iterator[Sheet]:
+    """Up to four panels of what is named; no sheet where nothing is."""
+    if found.patterns:
+        yield _pattern_sheet(found, name)
+
+
+@plain_style()
+def _pattern_sheet(found: Unexplained, name: str) -> Sheet:
+    drawn = found.patterns[:_MOST_PANELS]
+    title = f"What the adjustment cannot explain: {short(name)}"
+    sheet = new_sheet("unexplained", 1.0 + _WIDTH * max(len(drawn), 2), 3.4, title, _pattern_caption(found, len(drawn)))
+    for panel, one in zip(sheet.panels(1, len(drawn))[0], drawn, strict=True):
+        _draw_pattern(panel, one)
+    sheet.legend([
+        Line2D([], [], ls="", marker="o", ms=4, mew=0.0, color=AFTER, label="residuals, medians"),
+        Patch(color=AFTER, alpha=0.2, lw=0.0, label="middle half of them"),
+        Line2D([], [], color=INK, lw=1.2, label="as the effect has it"),
+    ])  # fmt: skip
+    return sheet
+
+
+def _draw_pattern(panel: Axes, one: Pattern) -> None:
+    effect = one.effect
+    unit = "m" if effect.kind is not EffectKind.CORRELATION and effect.unit != "px" else effect.unit
+    panel.axhline(0.0, color=SOFT, lw=0.8)
+    if effect.kind is EffectKind.CORRELATION:
+        panel.errorbar(one.along, one.residuals, 2.0 * one.shown, color=AFTER, ls="", marker="o", ms=4, capsize=2)
+        panel.set(xlabel=f"points within ({unit})", ylabel="correlation and 2 sigma")
+    else:
+        middles, quartiles, shown = binned(one)
+        panel.fill_between(middles, quartiles[:, 0], quartiles[:, 2], color=AFTER, alpha=0.2, lw=0.0)
+        panel.plot(middles, quartiles[:, 1], ls="", marker="o", ms=4, mew=0.0, color=AFTER)
+        panel.plot(middles, shown, color=INK, lw=1.2)
+        timed = effect.kind in (EffectKind.JITTER, EffectKind.TREND)
+        phase = f"time within {number(effect.period, 2)} s (s)" if np.isfinite(effect.period) else "time (s)"
+        panel.set(xlabel=phase if timed else f"effect ({unit})", ylabel=f"residual ({unit})")
+    panel.set_title(f"{effect.kind}: {short(effect.where, 30)}")
+
+
+def binned(one: Pattern) -> tuple[Array, Array, Array]:
+    """(b,) medians of what residuals vary with, (b, 3) their quartiles, and (b,) means of the effect, in bins of equal
+    numbers.
+    """
+    order = np.argsort(one.along, kind="stable")
+    bins = np.array_split(order, max(1, min(_BINS, order.size // _FEWEST_IN_BIN)))
+    quartiles = np.array([np.quantile(one.residuals[mine], [0.25, 0.5, 0.75]) for mine in bins])
+    middles, shown = (np.array([function(values[mine]) for mine in bins])
+                      for function, values in ((np.median, one.along), (np.mean, one.shown)))  # fmt: skip
+    return middles, quartiles, shown
+
+
+def _pattern_caption(found: Unexplained, drawn: int) -> str:
+    """What one sees, with figures."""
+    return (
+        f"{len(found.effects)} effects are named by {found.tests} tests, {drawn} are drawn; clearest: "
+        f"{found.effects[0].sentence}. Residuals show of an effect what the adjustment did not absorb."
+    )
+
+
+
+
+
+@plain_style()
+def raster_sheet(grid: SigmaGrid, name: str) -> Sheet:
+    """Maps of the sigmas that new points would have."""
+    _, rows, columns = grid.values.shape
+    ratio = rows / columns  # cells are square on the ground
+    height = float(np.clip(2.4 * ratio, 1.6, 6.0)) + 1.2
+    statement = grid.sentence[0].upper() + grid.sentence[1:]
+    sheet = new_sheet(name, 9.4, height, "Sigmas of new points over the overlap", f"{statement}.")
+    west, north = grid.west / DEG, grid.north / DEG
+    extent = (west, west + columns * grid.steps[0] / DEG, north - rows * grid.steps[1] / DEG, north)
+    for k, (panel, what) in enumerate(zip(sheet.panels(1, 3)[0], ("east", "north", "up"), strict=True)):
+        band = np.ma.masked_invalid(grid.values[k])
+        low, high = float(band.min()), float(band.max())
+        norm = LogNorm(low, high) if high > 5.0 * low else None
+        shown = panel.imshow(band, extent=extent, aspect="auto", cmap="viridis", norm=norm, interpolation="nearest")
+        ticks = LogLocator(subs=(1.0, 2.0, 5.0)) if norm is not None else MaxNLocator(4)
+        sheet.colour_bar(shown, panel, f"sigma {what} (m)", ticks)
+        panel.grid(visible=False)
+        panel.locator_params(axis="both", nbins=4)
+        panel.set(xlabel="east longitude (deg)", ylabel="latitude (deg)" if k == 0 else "")
+    return sheet
