@@ -10,7 +10,7 @@ any earlier one, with their measures in all of these; measures in image k of poi
 its laser shots. What is drawn for a step knows nothing of later ones: a shorter strip is the longer one's beginning.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,6 @@ from mgsgraph.simulation.observations import require_count, require_seed
 from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
 from mgsgraph.simulation.pair import PairSettings
 from mgsgraph.simulation.strip_steps import Step, Steps, merged_profiles, merged_ties
-from mgsgraph.simulation.world import STRIP_EFFECTS, World
 from mgsgraph.units import DEG, KM
 
 MOST = 500
@@ -52,8 +51,6 @@ class StripSettings(PairSettings):
     """Number of images, 2 to 500; an odd number leaves the last nadir image without its partner."""
     ties: int = 2000
     """Number of new tie points that each image after the first brings."""
-    world: World = field(default_factory=World)
-    """What the world does besides: orbit, jitter, matching."""
     overlap: float = 0.4
     """Share of its length that a nadir image has in common with the next one of its track, 0.05 to 0.9."""
 
@@ -62,8 +59,6 @@ class StripSettings(PairSettings):
         require_count("strip settings, images", self.images, 2)
         require(self.images <= MOST, "strip settings, images", f"{self.images}", f"2 .. {MOST}")
         expected = "a share of the length, 0.05 .. 0.9"
-        for name in self.world.effects:
-            require(name in STRIP_EFFECTS, "strip settings, world", repr(name), f"some of {', '.join(STRIP_EFFECTS)}")
         require(0.05 <= self.overlap <= 0.9, "strip settings, overlap", f"{self.overlap}", expected)
 
     @property
@@ -165,7 +160,7 @@ def simulate_strip(settings: StripSettings | None = None, seed: int = 1) -> Simu
     """
     settings = settings or StripSettings()
     require_seed("simulated strip", seed)
-    steps = Steps(settings.ties, settings.shots, settings.relief, settings.noise, settings.world, seed)
+    steps = Steps(settings.ties, settings.shots, settings.relief, settings.noise)
     streams = np.random.default_rng(seed).spawn(settings.images)
     for image, rng in zip(_images(settings), streams, strict=True):
         steps.add(image, rng)

@@ -26,8 +26,6 @@ from mgsgraph.simulation.observations import (
     shots_along,
     well_inside,
 )
-from mgsgraph.simulation.orbit import orbit_axes
-from mgsgraph.simulation.world import World, common_errors, drawn_vibration
 
 _DEGREE = 5
 """Of the polynomials, all three directions together."""
@@ -168,10 +166,6 @@ class Steps:
     """m, amplitude of the ground's largest sine."""
     noise: NoiseSettings
     """Sigmas."""
-    world: World = field(default_factory=World)
-    """What the world does besides."""
-    seed: int = 0
-    """Of that."""
     taken: list[Step] = field(default_factory=list)
     """Steps so far."""
     _images: list[TrueImage] = field(default_factory=list)
@@ -181,7 +175,7 @@ class Steps:
     def add(self, image: PushbroomImage, rng: np.random.Generator) -> None:
         """Take the next image of the strip."""
         of_orientation, of_ties, of_shots = rng.spawn(3)
-        true = self._wrong_alike(image, self.noise.correction(of_orientation))
+        true = self.noise.correction(of_orientation)
         new = true_image(image, true, self.relief)
         neighbours = [j for j, other in enumerate(self._images) if new.may_overlap(other)]
         self._images.append(new)
@@ -206,37 +200,10 @@ class Steps:
             tuple(f"T{i // self.ties + 1:03d}-{i % self.ties + 1:05d}" for i in numbers.tolist()),
             local,
             self._names(image),
-            pixels + self._shaken(image, pixels) + self._tie_errors(image, pixels, rng),
+            pixels + self.noise.tie * rng.standard_normal(pixels.shape),
             self.noise.tie,
         )
         return ties, points
-
-    def _wrong_alike(self, image: PushbroomImage, true: OrientationCorrection) -> OrientationCorrection:
-        """A true correction with the position error that all images have in common."""
-        if not self.world.orbit:
-            return true
-        pose = image.pose(np.array([0.5 * image.lines]))
-        common = self.world.orbit * self.world.stream("orbit", self.seed).standard_normal(3)
-        added = np.zeros_like(true.coefficients)
-        added[0, :3] = common @ orbit_axes(pose.position, pose.velocity)[0]
-        return replace(true, coefficients=true.coefficients + added)
-
-    def _shaken(self, image: Index, pixels: Array) -> Array:
-        """(k, 2) by which measures in images (k,) are off as these vibrate."""
-        off = np.zeros_like(pixels)
-        for j in np.unique(image).tolist() if self.world.jitter else ():
-            mine, taken = image == j, self._images[j].image
-            vibration = drawn_vibration(self.world, taken, self.world.stream("jitter", self.seed, j))
-            off[mine] = vibration.pixels(taken, pixels[mine, 0])
-        return off
-
-    def _tie_errors(self, image: Index, pixels: Array, rng: np.random.Generator) -> Array:
-        """(k, 2) pixels."""
-        errors = self.noise.tie * rng.standard_normal(pixels.shape)
-        if not self.world.matching or not image.size:
-            return errors
-        stream = self.world.stream("matching", self.seed, len(self._images))
-        return common_errors(self.world, errors, image, pixels, stream)
 
     def _new_points(self, neighbours: list[int], visible: Visible, rng: np.random.Generator) -> Array:
         """True points (ties, 3) in m of new ties of the last image, at random where an earlier one sees them, too."""

@@ -37,7 +37,6 @@ from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
 from mgsgraph.simulation.three_sites import simulate_three_sites
-from mgsgraph.simulation.world import EFFECTS, STRIP_EFFECTS, World
 
 PAIR = "pair"
 """The small pair of synthetic images, beside the study sites."""
@@ -60,30 +59,21 @@ def simulation_options(
     attitude_time_bias: float | None = None,
     pictures: bool = True,
     known: Sequence[str] = SIMULATED,
-    effects: str | None = None,
 ) -> SimulationOptions:
-    """Options of a simulation; InputError unless the site is among the `known` ones, and can have them. `effects` are
-    those of `World`, with commas between, or "all".
-    """
+    """Options of a simulation; InputError unless the site is among the `known` ones, and can have them."""
     if site not in known:
         raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
-    able = STRIP_EFFECTS if site == STRIP else EFFECTS if site in SITE_NAMES else ()
-    expected = f"one of {', '.join(able)}" if able else "a site or a strip"
-    world = World.of(able if effects == "all" else effects.split(",") if effects is not None else ())
-    for name in world.effects:
-        if name not in able:
-            raise InputError("world", f"{name!r} for {site}", expected, "leave it out")
-    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures, world=world)
+    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
 
 
-def strip_settings(site: str, images: int | None, ties: int | None, steps: bool, world: World) -> StripSettings:
+def strip_settings(site: str, images: int | None, ties: int | None, steps: bool) -> StripSettings:
     """Settings of a strip, the default ones of what isn't given; InputError where another site is given any."""
     given: dict[str, Any] = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
     for name in (*(given if site != ARCHIVE else ()), *(["steps"] if steps else [])) if site != STRIP else ():
         raise InputError(name, f"given for {site}", f"the site {STRIP}", "leave it out")
-    return replace(StripSettings(), world=world, **given) if site == STRIP else StripSettings()
+    return replace(StripSettings(), **given) if site == STRIP else StripSettings()
 
 
 def chosen_archive(site: str, kind: str | None, images: int | None, ties: int | None) -> ArchiveSettings | None:
