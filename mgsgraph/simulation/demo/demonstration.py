@@ -24,11 +24,10 @@ from mgsgraph.simulation.demo.truth import (
     BY_RELIEF,
     KERNELS,
     TIES,
-    AgainstTruth,
     BeforeAfter,
     Disagreement,
-    against_truth,
     disagreements,
+    orientation_errors,
     true_shots,
 )
 from mgsgraph.simulation.files import write_pair, write_site, write_strip, write_three_sites
@@ -154,8 +153,8 @@ class Demonstration:
     """Footprints in images before and after."""
     disagreements: tuple[Disagreement, ...]
     """Between footprints and images, against the truth, after each step."""
-    truth: AgainstTruth
-    """What is left of the errors of the images."""
+    orientation: tuple[BeforeAfter, ...]
+    """By how much each image misplaces the true ground under each profile, by the kernels and as adjusted."""
     stages: Stages
     """Seconds that it took."""
 
@@ -163,15 +162,6 @@ class Demonstration:
     def solution(self) -> Solution:
         """What the last step made of it."""
         return self.adjusted if isinstance(self.relief, str) else self.relief.solution
-
-    @property
-    def discrepancies(self) -> tuple[BeforeAfter, ...]:
-        """By how much the images contradict each other about footprints, as their tie points tell, for each profile."""
-        return tuple(
-            BeforeAfter(before.name, one, two)
-            for before, after in zip(self.registration.before, self.registration.after, strict=True)
-            for one, two in zip(before.discrepancies, after.discrepancies, strict=True)
-        )
 
     def __repr__(self) -> str:
         return f"Demonstration({self.simulated!r}; {self.solution!r})"
@@ -230,8 +220,8 @@ def demonstrate(
     with stages.stage("comparing"):
         registration = register_case(case, solution)
         apart = disagreements(simulated, case, steps)
-        truth = against_truth(simulated, case, solution, registration)
-    return Demonstration(simulated, case, adjusted, found, registration, apart, truth, stages)
+        errors = orientation_errors(simulated, case, solution, registration)
+    return Demonstration(simulated, case, adjusted, found, registration, apart, errors, stages)
 
 
 def _registered_by_relief(case: Case, before: Solution, stages: Stages) -> ReliefRegistration | str:
