@@ -26,9 +26,8 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.simulation.mgs_files import grid_file, moc_file, pedr_file
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.site import SimulatedSite
+from mgsgraph.simulation.site import BRIDGE_PRIOR, SimulatedSite, SimulatedThreeSites
 from mgsgraph.simulation.sites import SHIFT_SIGMA, SiteSettings
-from mgsgraph.simulation.three_sites import BRIDGE_PRIOR, SimulatedThreeSites
 from mgsgraph.units import ARCMIN, DEG, ISIS_OFFSET, KM, MRAD
 
 _WRITTEN = "2000-01-01T00:00:00"

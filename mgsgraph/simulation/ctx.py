@@ -25,11 +25,10 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, block_grid, make_terrain
-from mgsgraph.simulation.mars import GRAVITY, MARS, body_matrix
+from mgsgraph.simulation.hrsc_flight import strip_correction
 from mgsgraph.simulation.observations import MARGIN, project, tie_network
-from mgsgraph.simulation.orbit import HEADING, CentralBody, CircularPass
+from mgsgraph.simulation.orbit import GRAVITY, HEADING, MARS, CentralBody, CircularPass, body_matrix
 from mgsgraph.simulation.rig import MountedCamera
-from mgsgraph.simulation.strip_truth import strip_correction
 from mgsgraph.units import DEG, MM
 
 _NODES_PER_WAVE = 24

@@ -42,10 +42,9 @@ from mgsgraph.simulation.mgs_files import (
 )
 from mgsgraph.simulation.mola_files import write_pedr
 from mgsgraph.simulation.pair import SimulatedPair
-from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
+from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulatedThreeSites
 from mgsgraph.simulation.spice_files import write_kernels
 from mgsgraph.simulation.strip import SimulatedStrip
-from mgsgraph.simulation.three_sites import SimulatedThreeSites
 
 Weighting = Literal["rigorous", "papers"]
 """Which observations and sigmas a site's case has: this project's, or Yoon & Shan's (2005) for comparison."""

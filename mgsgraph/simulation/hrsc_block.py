@@ -24,15 +24,16 @@ from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_grid, block_terrain
 from mgsgraph.simulation.hrsc_flight import (
     FlownStrip,
+    Jitter,
     PericentrePass,
     PointMatching,
     Readout,
     matched_points,
     strip_images,
+    true_correction,
 )
-from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import Visible, tie_network
-from mgsgraph.simulation.strip_truth import Jitter, true_correction
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, MGON
 
 _SHORTEST, _LONGEST = 50e3, 4500e3

@@ -32,10 +32,9 @@ from mgsgraph.simulation.demo.truth import (
 )
 from mgsgraph.simulation.files import write_pair, write_site, write_strip, write_three_sites
 from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
-from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site, simulate_three_sites
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
-from mgsgraph.simulation.three_sites import simulate_three_sites
 
 PAIR = "pair"
 """The small pair of synthetic images, beside the study sites."""
