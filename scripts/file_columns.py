@@ -41,7 +41,7 @@ from mgsgraph.results.tables import connectivity_table, orientation_table, point
 from mgsgraph.results.terrain_model import shots_table
 from mgsgraph.simulation.demo.truth import disagreement_table
 from mgsgraph.simulation.files import write_pair, write_site
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 

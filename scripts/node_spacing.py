@@ -16,7 +16,7 @@ from study import DOCS, at_least, command, show, table, write_page
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.spacing import Choice, choose_spacing
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.strip_truth import Jitter
+from mgsgraph.simulation.hrsc_flight import Jitter
 from mgsgraph.units import MGON
 
 SPACINGS = (2.0, 4.0, 8.0, 16.0, 32.0)

@@ -34,8 +34,7 @@ from mgsgraph.registration.relief import registered
 from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of
 from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.ground import make_terrain
-from mgsgraph.simulation.relief import PeriodicSurface, add_craters, fractal
+from mgsgraph.simulation.ground import PeriodicSurface, add_craters, fractal, make_terrain
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES, site_settings
 from mgsgraph.units import DEG

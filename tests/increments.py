@@ -19,11 +19,9 @@ from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
 from mgsgraph.simulation.camera import narrow_image
-from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
-from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
-from mgsgraph.simulation.strip_steps import Steps, merged_profiles, merged_ties
+from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass, ground_track, site_at
+from mgsgraph.simulation.strip import SimulatedStrip, Steps, StripSettings, merged_profiles, merged_ties, simulate_strip
 from mgsgraph.units import DEG
 
 NOISE = NoiseSettings()

@@ -21,8 +21,8 @@ from mgsgraph.network import (
     Surface,
 )
 from mgsgraph.simulation.ground import sine_height
-from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 
 

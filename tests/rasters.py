@@ -9,7 +9,7 @@ import pytest
 
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG
 
 RADIUS = 3396190.0

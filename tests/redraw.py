@@ -19,7 +19,7 @@ from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKind, Surface
 from mgsgraph.network.corrections import adjusted_image
 from mgsgraph.network.shared import image_effect
-from mgsgraph.simulation.strip_truth import drawn_nodes, strip_correction
+from mgsgraph.simulation.hrsc_flight import drawn_nodes, strip_correction
 
 _HEIGHT_STEPS = 20
 

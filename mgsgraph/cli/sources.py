@@ -84,10 +84,6 @@ def demo(
 @click.option("--out", type=PATH, required=True, help="Folder for the files; absent or empty.")
 @_SEED
 @_ATTITUDE_TIME_BIAS
-@click.option(
-    "--world", "effects", metavar="EFFECT,...",
-    help="What the world does besides: beam, drift, pulse, tracks, orbit, jitter, matching; or all of them: all.",
-)  # fmt: skip
 @click.option("--no-pictures", is_flag=True, help="Uniform grey images, which are enough for geometry.")
 @click.option(
     "--kind", metavar="NAME", help="Of an archive: kaguya, ctx, moc, dense or block (see below).  [default: kaguya]"
@@ -106,7 +102,6 @@ def simulate(
     out: Path,
     seed: int,
     attitude_time_bias: float | None,
-    effects: str | None,
     no_pictures: bool,
     kind: str | None,
     images: int | None,
@@ -126,10 +121,6 @@ def simulate(
     case.toml in it is what `mgsgraph adjust`, `mgsgraph register` and `mgsgraph coregister` take; truth.json says what
     they should find. Errors are drawn from the sigmas that case.toml states; an attitude time bias, which it doesn't
     know of, comes on top: 0.95 s move the nadir image by the 325 m of the papers' text.
-
-    --world adds errors of the real world: beams that point elsewhere than their attitude says, shifts of profiles that
-    drift, pulses broadened by slopes, terrain models interpolated between tracks, orbits wrong alike, cameras that
-    vibrate (1.5 pixels), matches that err together. What can be known of them by a sigma, case.toml states.
     """
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.simulation.demo.demonstration import (
@@ -139,8 +130,8 @@ def simulate(
         write_simulation,
     )
 
-    options = simulation_options(site, attitude_time_bias, not no_pictures, effects=effects)
-    strip = strip_settings(site, images, ties, steps, options.world)
+    options = simulation_options(site, attitude_time_bias, not no_pictures)
+    strip = strip_settings(site, images, ties, steps)
     archive = chosen_archive(site, kind, images, ties)
     with stage_bar(2) as stages:
         case = write_simulation(site, out, seed, options, strip, steps, stages, archive)

@@ -9,7 +9,7 @@ import shapely
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profiles
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.errors import InputError, library
-from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers
+from mgsgraph.export.gis import Layer, ellipse_layers, footprint_layers
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
 from mgsgraph.record import meanings

@@ -7,23 +7,362 @@ but a GeoPackage defines its systems in a language (WKT 1) that has no word for 
 geodetic ones (3.6 and 3.12, tried). Heights are given above the body's ellipsoid, not above the sphere, in columns.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.places import SigmaGrid
+from mgsgraph.analysis.statistics import adjusted_points, local_sigmas, ray_statistics, rejected_points
 from mgsgraph.atomic_write import made_beside
 from mgsgraph.errors import InputError, library
-from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
+from mgsgraph.files.output.csv_json import columns, picked
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.rasters.coordinate_systems import authority_code, geographic_crs, wkt2
 from mgsgraph.files.writing import fresh_file
+from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.footprint import Footprint, Shapes, areas, map_lines, map_points, map_polygon, map_polygons
+from mgsgraph.geometry.map_plane import PROBABILITY, error_ellipses
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.results.answers import write_sigma_raster
+from mgsgraph.results.tables import points_table
+from mgsgraph.units import DEG, ISIS_OFFSET, KM
+
+_CORNERS = 48
+"""Places on an ellipse."""
+_SHOWN = 0.05
+"""Share of the points' extent that an exaggerated vector or semi-major axis has at most, but for the largest ones."""
+_LARGEST = 0.1
+"""Share of them that may be larger: blunders, and tie points among laser points, which hardly move."""
+_MOST = 1e6
+"""Exaggeration at most: beyond it is rounding."""
+_REACH = 5 * KM
+"""m around an image's footprint within which laser points are projected into it: relief seen obliquely."""
+
+Fields = Mapping[str, Any]
+"""Columns (n,) by name; names end in their unit."""
+
+
+class Layer(NamedTuple):
+    """One layer of a GeoPackage."""
+
+    name: str
+    """Of its table."""
+    about: str
+    """What it shows, in a sentence or two."""
+    geometry: str
+    """Point, MultiLineString or MultiPolygon."""
+    shapes: Shapes
+    """(n) shapes in degrees; None where a row has no place."""
+    fields: Fields
+    """Columns (n,): numbers, truth values or text."""
+
+
+class Vectors(NamedTuple):
+    """Arrows on the ground."""
+
+    starts: Array
+    """(n, 3) m, body-fixed."""
+    steps: Array
+    """(n, 3) m, from start to end."""
+    typical: Mask
+    """(n,) those whose length counts when an exaggeration is chosen."""
+    fields: Fields
+    """Columns (n,)."""
+
+
+def exaggeration(lengths: Array, extent: float) -> float:
+    """The largest of 1, 2, 5, 10, 20, ... with which 90 % of lengths (m) are at most 5 % of an extent (m).
+
+    At least 1, at most a million; 1 where there is nothing to show.
+    """
+    sound = lengths[np.isfinite(lengths) & (lengths > 0.0)]
+    wanted = _SHOWN * extent / float(np.quantile(sound, 1.0 - _LARGEST)) if sound.size else 1.0
+    steps = np.array([1.0, 2.0, 5.0])[:, None] * 10.0 ** np.arange(7)
+    return float(steps[steps <= max(min(wanted, _MOST), 1.0)].max())
+
+
+def extent(places: Array) -> float:
+    """m, diameter of places (n, 3) about their mean; 0 where none is known."""
+    sound = places[np.isfinite(places).all(axis=1)]
+    return 2.0 * float(np.linalg.norm(sound - sound.mean(axis=0), axis=1).max()) if sound.size else 0.0
+
+
+# --- footprints
+
+
+def footprint_layers(solution: Solution) -> list[Layer]:
+    """Footprints of the images with the nominal and with the adjusted orientation."""
+    network = solution.network
+    before = network_footprints(network, solution.places_before)
+    after = _adjusted_footprints(solution)
+    said = "at the middle height of the points that each one measures"
+    return [
+        _footprints(solution, before, "footprints_nominal", f"Images with their nominal orientation, {said}."),
+        _footprints(solution, after, "footprints_adjusted", f"Images with their adjusted orientation, {said}."),
+    ]
+
+
+def _adjusted_footprints(solution: Solution) -> tuple[Footprint, ...]:
+    """With adjusted focal lengths, too."""
+    images = tuple(solution.image(j) for j in range(len(solution.network.images)))
+    return network_footprints(replace(solution.network, images=images), solution.places, solution.correction)
+
+
+def _footprints(solution: Solution, footprints: tuple[Footprint, ...], name: str, about: str) -> Layer:
+    network, rays = solution.network, ray_statistics(solution)
+    owners = ["", *(one.name for one in network.passes)]
+    edges = np.array([image.span for image in network.images])
+    heights = [geodetic(one.outline, one.body)[:, 2] for one in footprints]
+    fields = {
+        "image": [image.name for image in network.images],
+        "pass": picked(owners, network.pass_of + 1),
+        "held": network.held,
+        "whole": np.array([one.whole for one in footprints]),
+        "lines": np.array([image.lines for image in network.images]),
+        "samples": np.array([image.samples for image in network.images]),
+        **columns(["first_line_et_s", "last_line_et_s"], edges),
+        "area_km2": areas(footprints) / KM**2,
+        "height_m": np.array([float(one.mean()) if one.size else np.nan for one in heights]),
+        "rays": rays.total,
+        "rays_used": rays.count.sum(axis=1),
+        **columns(["residual_rms_line_px", "residual_rms_sample_px"], rays.rms_of_images),
+    }
+    shapes = np.empty(len(footprints), dtype=object)
+    shapes[:] = [map_polygon(one.outline) for one in footprints]
+    return Layer(name, about, "MultiPolygon", shapes, fields)
+
+
+# --- points
+
+
+_CLASSES = {
+    PointClass.TIE: "tie points", PointClass.LASER: "laser points", PointClass.CONTROL: "control points",
+    PointClass.POST: "posts of terrain models",
+}  # fmt: skip
+_POINT_COLUMNS = ("id", "kind", "rejected", "rays", "rays_used", "lon_deg", "lat_deg", "radius_m", "height_m",
+                  "height_above_areoid_m")  # fmt: skip
+"""Of points.csv that layers of points have."""
+
+
+def point_layers(solution: Solution) -> list[Layer]:
+    """Ground points, a layer for each class, those of none too."""
+    fields = _point_fields(solution)
+    classes = solution.network.points.classes
+    return [
+        Layer(
+            f"{one.name.lower()}_points", f"Adjusted places of {what}; no shape where nothing determines one.", "Point",
+            map_points(solution.places[mine]), _rows(fields, mine),
+        )
+        for one, what in _CLASSES.items() if one in solution.network.classes
+        for mine in [np.flatnonzero(classes == one)]
+    ]  # fmt: skip
+
+
+def _point_fields(solution: Solution) -> dict[str, Any]:
+    """Columns of points.csv without the body-fixed ones, what moved and sigmas towards east, north and up."""
+    places, ways = solution.places, ("east", "north", "up")
+    moved = _components(east_north_up(places), places - solution.places_before)
+    sigmas = local_sigmas(solution.covariances, places)
+    table = {part.name(): part.scaled for column in points_table(solution).columns for part in column.split}
+    return {
+        **{name: table[name] for name in _POINT_COLUMNS if name in table},
+        **columns([f"correction_{way}_m" for way in ways], moved),
+        **columns([f"sigma_{way}_m" for way in ways], sigmas),
+        **columns([f"scaled_sigma_{way}_m" for way in ways], sigmas * solution.sigma0),
+        **_residual_fields(solution),
+    }
+
+
+def _residual_fields(solution: Solution) -> dict[str, Array]:
+    """Root mean squares of each point's residuals that took part; NaN where it has none."""
+    network, count = solution.network, len(solution.network.points)
+    rays, ranges = solution.rays_used, solution.ranges_used
+
+    def rms(point: Index, residuals: Array) -> Array:
+        squares = np.bincount(point, residuals**2, count)
+        number = np.bincount(point, minlength=count)
+        return np.where(number > 0, np.sqrt(squares / np.maximum(number, 1)), np.nan)
+
+    line, sample = (rms(network.rays.point[rays], solution.residuals[rays, c]) for c in range(2))
+    distance = rms(network.ranges.point[ranges], solution.range_residuals[ranges])
+    return {"residual_rms_line_px": line, "residual_rms_sample_px": sample, "residual_rms_range_m": distance}
+
+
+def _components(frame: Array, vectors: Array) -> Array:
+    """Vectors (n, 3) along the axes (n, 3, 3)."""
+    return np.asarray(np.einsum("nij,nj->ni", frame, vectors))
+
+
+def _rows(fields: Fields, rows: Index) -> dict[str, Any]:
+    """Some rows of columns."""
+    return {name: one[rows] if isinstance(one, np.ndarray) else picked(one, rows) for name, one in fields.items()}
+
+
+# --- error ellipses
+
+
+def ellipse_layers(solution: Solution) -> list[Layer]:
+    """Error ellipses of the adjusted points towards east and north, true and exaggerated."""
+    mine = np.flatnonzero(adjusted_points(solution))
+    places, frame = solution.places[mine], east_north_up(solution.places[mine])
+    covariances = frame @ solution.covariances[mine] @ np.swapaxes(frame, 1, 2)
+    semi_axes, axes = error_ellipses(covariances[:, :2, :2])  # minor first
+    factor = exaggeration(semi_axes[:, 1], extent(solution.places))
+    azimuth = np.arctan2(axes[:, 0, 1], axes[:, 1, 1]) / DEG % 180.0
+    fields = _point_names(solution, mine) | {
+        **columns(["semi_minor_m", "semi_major_m"], semi_axes),
+        **columns(["scaled_semi_minor_m", "scaled_semi_major_m"], semi_axes * solution.sigma0),
+        "azimuth_deg": azimuth,
+        "sigma_up_m": np.sqrt(np.maximum(covariances[:, 2, 2], 0.0)),
+    }
+    offsets = _rings(np.swapaxes(frame[:, :2], 1, 2) @ (axes * semi_axes[:, None, :]))
+    about = (
+        f"Ellipses in which the true places lie with {PROBABILITY:.0%} probability, for sigma0 = 1 (scaled: times "
+        "sigma0); azimuth of the major axis from north over east."
+    )
+    return [
+        Layer(name, words, "MultiPolygon", map_polygons(places[:, None] + scale * offsets), _stated(fields, scale))
+        for name, words, scale in _both("error_ellipses", about, factor)
+    ]
+
+
+def _rings(semi_axes: Array) -> Array:
+    """Places (n, k, 3) on ellipses about the origin with semi-axes (n, 3, 2), the last one the first again."""
+    turn = np.linspace(0.0, 2.0 * np.pi, _CORNERS + 1)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    circle[:, -1] = circle[:, 0]
+    return np.asarray(np.swapaxes(semi_axes @ circle, 1, 2))
+
+
+def _point_names(solution: Solution, points: Index) -> dict[str, Any]:
+    """Names and classes of points, one for each row."""
+    network = solution.network
+    names = [one.name.lower() for one in PointClass]
+    return {"point": picked(network.points.ids, points), "class": picked(names, network.points.classes[points])}
+
+
+def _both(name: str, about: str, factor: float) -> list[tuple[str, str, float]]:
+    """Name, words and factor of a layer and of its exaggerated fellow."""
+    more = f"{about} Shapes are exaggerated {factor:g} times, figures are not."
+    return [(name, about, 1.0), (f"{name}_exaggerated", more, factor)]
+
+
+def _stated(fields: Fields, factor: float) -> dict[str, Any]:
+    count = len(next(iter(fields.values())))
+    return {**fields, "exaggeration": np.full(count, factor)}
+
+
+# --- vectors
+
+
+def vector_layers(solution: Solution) -> list[Layer]:
+    """Corrections of points, misregistration of laser points and residuals of rays, true and exaggerated."""
+    size = extent(solution.places)
+    return [
+        *_arrows("corrections", "Ground points: from their places before to the adjusted ones.",
+                 _corrections(solution), size),
+        *_arrows("misregistration", "Laser points in images: from where the nominal orientation puts the pixel that "
+                 "shows the point after the adjustment to the adjusted point; moved: its places in the image, after "
+                 "minus before.", _misregistration(solution), size),
+        *_arrows("residuals", "Rays: from the adjusted point to where the measured place is on the ground at its "
+                 "height; residuals are measured minus predicted.", _residuals(solution), size),
+    ]  # fmt: skip
+
+
+def _arrows(name: str, about: str, found: Vectors, size: float) -> list[Layer]:
+    frame = east_north_up(found.starts)
+    parts, length = _components(frame, found.steps), np.linalg.norm(found.steps, axis=1)
+    factor = exaggeration(np.linalg.norm(parts[found.typical, :2], axis=1), size)
+    fields = {**found.fields, **columns(["east_m", "north_m", "up_m"], parts), "length_m": length}
+    ends, level = found.starts + found.steps, np.einsum("nij,ni->nj", frame[:, :2], parts[:, :2])
+    return [
+        Layer(one, words, "MultiLineString", map_lines(found.starts, ends + (scale - 1.0) * level),
+              _stated(fields, scale))
+        for one, words, scale in _both(name, about, factor)
+    ]  # fmt: skip
+
+
+def _corrections(solution: Solution) -> Vectors:
+    """All adjusted points that had a place before."""
+    step = solution.places - solution.places_before
+    mine = np.flatnonzero(adjusted_points(solution) & np.isfinite(step).all(axis=1))
+    fields = {**_point_names(solution, mine), "rejected": rejected_points(solution)[mine]}
+    return Vectors(solution.places_before[mine], step[mine], ~fields["rejected"], fields)
+
+
+def _misregistration(solution: Solution) -> Vectors:
+    """Laser points in every image that they fall into with the adjusted orientation."""
+    parts = [_in_image(solution, j, one) for j, one in enumerate(_adjusted_footprints(solution))]
+    points, starts, ends, before, after = (np.concatenate(column) for column in zip(*parts, strict=True))
+    images = [name for part, name in zip(parts, (image.name for image in solution.network.images), strict=True)
+              for _ in range(part[0].size)]  # fmt: skip
+    fields = {
+        **_point_names(solution, points),
+        "image": images,
+        **columns(["isis_line", "isis_sample"], after + ISIS_OFFSET),
+        **columns(["moved_line_px", "moved_sample_px"], after - before),
+    }
+    return Vectors(starts, ends - starts, np.ones(points.size, dtype=bool), fields)
+
+
+def _in_image(solution: Solution, j: int, seen: Footprint) -> tuple[Index, Array, Array, Array, Array]:
+    """Laser points (k,) in an image, where its nominal orientation puts them and where they are (k, 3), and their
+    places (k, 2) in it before and after.
+    """
+    mine = _near(seen, solution.places, solution.members(PointClass.LASER))
+    nominal, adjusted = solution.network.images[j], solution.image(j)
+    points, known = solution.places[mine], solution.places_before[mine]
+    after, _ = adjusted.ground_to_image(points, solution.correction(j))
+    before, _ = nominal.ground_to_image(known)
+    with np.errstate(invalid="ignore"):
+        inside = np.all((after >= 0.0) & (after <= [nominal.lines, nominal.samples]), axis=1)
+    height = geodetic(points[inside], nominal.body)[:, 2]
+    starts, _ = nominal.image_to_ground(after[inside, 0], after[inside, 1], height)
+    there = np.isfinite(starts).all(axis=1)
+    kept = np.flatnonzero(inside)[there]
+    return mine[kept], starts[there], points[kept], before[kept], after[kept]
+
+
+def _near(seen: Footprint, places: Array, points: Index) -> Index:
+    """Those of some points that are near a footprint; all of them where it has no outline."""
+    if seen.outline.shape[0] == 0:
+        return points
+    reach = np.linalg.norm(seen.outline - seen.centre, axis=1).max() + _REACH
+    return np.asarray(points[np.linalg.norm(places[points] - seen.centre, axis=1) < reach])
+
+
+def _residuals(solution: Solution) -> Vectors:
+    """Rays of determined points, rejected ones too."""
+    rays, steps = solution.network.rays, np.full((solution.network.rays.point.size, 3), np.nan)
+    heights = geodetic(solution.places, solution.network.images[0].body)[:, 2]
+    for j in np.unique(rays.image).tolist():
+        mine = np.flatnonzero((rays.image == j) & np.isfinite(solution.residuals).all(axis=1))
+        line, sample = (rays.places[mine] - solution.residuals[mine]).T
+        _, rate = solution.image(j).image_to_ground(line, sample, heights[rays.point[mine]], solution.correction(j))
+        steps[mine] = np.einsum("nij,nj->ni", rate, solution.residuals[mine])
+    starts = solution.places[rays.point]
+    kept = np.flatnonzero(np.isfinite(starts + steps).all(axis=1))
+    names = [image.name for image in solution.network.images]
+    fields = {
+        **_point_names(solution, rays.point[kept]),
+        "image": picked(names, rays.image[kept]),
+        "used": solution.rays_used[kept],
+        **columns(["isis_line", "isis_sample"], rays.places[kept] + ISIS_OFFSET),
+        **columns(["residual_line_px", "residual_sample_px"], solution.residuals[kept]),
+        **columns(["normalised_line", "normalised_sample"], solution.residuals[kept] / rays.sigmas[kept]),
+    }
+    return Vectors(starts[kept], steps[kept], solution.rays_used[kept], fields)
+
+
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""

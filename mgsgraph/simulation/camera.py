@@ -23,8 +23,7 @@ from mgsgraph.geometry.distortion import NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.simulation.mars import MARS
-from mgsgraph.simulation.orbit import CircularPass, circular_trajectory
+from mgsgraph.simulation.orbit import MARS, CircularPass, circular_trajectory
 from mgsgraph.simulation.sites import ImageSettings
 from mgsgraph.units import MM
 

@@ -26,10 +26,8 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.simulation.mgs_files import grid_file, moc_file, pedr_file
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.site import SimulatedSite
+from mgsgraph.simulation.site import BRIDGE_PRIOR, SimulatedSite, SimulatedThreeSites
 from mgsgraph.simulation.sites import SHIFT_SIGMA, SiteSettings
-from mgsgraph.simulation.three_sites import BRIDGE_PRIOR, SimulatedThreeSites
-from mgsgraph.simulation.world import World
 from mgsgraph.units import ARCMIN, DEG, ISIS_OFFSET, KM, MRAD
 
 _WRITTEN = "2000-01-01T00:00:00"
@@ -138,16 +136,16 @@ Tables = list[str]
 """Lines of a case file."""
 
 
-def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings, world: World) -> str:
+def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings) -> str:
     """Case of simulated images beside network.pvl and lidar.json, with the sigmas of the simulation."""
     lines = [line for image in images for line in _table("[[images]]", name=image.name, isd=image_file(image))]
     lines += _table("[orientation]", degree=noise.prior.degree, **_orientation(noise))
-    lines += _ties(world, noise.tie)
+    lines += _ties(noise.tie)
     lines += _table(
         "[laser]", file="lidar.json", image_sigma_px=float(noise.shot_image), range_sigma_m=float(noise.range),
         ground_sigma_m=float(noise.ground),
     )  # fmt: skip
-    return _case(name, lines + _orbit(world))
+    return _case(name, lines)
 
 
 def site_case(simulated: SimulatedSite) -> str:
@@ -155,12 +153,12 @@ def site_case(simulated: SimulatedSite) -> str:
     of which the errors are drawn.
     """
     settings, grid = simulated.settings, simulated.grid
-    world, sigma = simulated.options.world, simulated.options.tie_noise
-    lines = _images(simulated, settings) + _ties(world, sigma) + _profiles(simulated, "", **_drawn_sigmas(simulated))
+    lines = _images(simulated, settings) + _ties(simulated.options.tie_noise)
+    lines += _profiles(simulated, "", **_drawn_sigmas(simulated))
     radius, topography = (f"{grid_file(simulated, kind)}.lbl" for kind in ("r", "t"))
     sigmas = {"vertical_sigma_m": grid.vertical_sigma or 0.0, "planimetric_sigma_m": grid.planimetric_sigma or 0.0}
     lines += _table("[terrain]", radius=radius, topography=topography, **sigmas)
-    return _case(settings.title, lines + _orbit(world))
+    return _case(settings.title, lines)
 
 
 def papers_case(simulated: SimulatedSite) -> str:
@@ -168,7 +166,7 @@ def papers_case(simulated: SimulatedSite) -> str:
     settings = simulated.settings
     trend = _EOS_TREND if settings.name == "eos" else _TREND
     lines = _images(simulated, replace(settings, angle_sigmas=(ARCMIN,) * 3, trend=trend))
-    lines += _ties(simulated.options.world, simulated.options.tie_noise)
+    lines += _ties(simulated.options.tie_noise)
     sigmas = {**_PAPERS_SIGMAS, "image_sigma_px": _IMAGE_SIGMA[settings.name]}
     lines += _profiles(simulated, "", image_rows="back-projected", **sigmas)
     return _case(f"{settings.title}, papers", lines + _table("[solver]", line="measured", angles="opk-paper"))
@@ -195,25 +193,17 @@ def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") 
     return lines
 
 
-def _ties(world: World, sigma: float) -> Tables:
-    """Ties, whose errors are as much in common as those of windows that overlap: as the world's are correlated."""
-    window = round(world.window * float(np.sqrt(np.pi * world.matching)), 1)
-    return _table("[ties]", network="network.pvl", sigma_px=float(sigma), **({"window_px": window} if window else {}))
-
-
-def _orbit(world: World) -> Tables:
-    """What the world's orbits have in common, where it is anything."""
-    return _table("[[shared]]", kind="orbit position", sigma_m=world.orbit) if world.orbit else []
+def _ties(sigma: float) -> Tables:
+    return _table("[ties]", network="network.pvl", sigma_px=float(sigma))
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
-    lines, world = Tables(), simulated.options.world
-    drawn: dict[str, Value] = {"beam_sigma_mrad": round(world.beam / MRAD, 6), "pulse_share": world.pulse}
-    drawn |= {"drift_sigma_m": world.drift} if world.drift and "shift_sigma_m" in sigmas else {}
+    known: dict[str, Value] = {"beam_sigma_mrad": 0.0, "pulse_share": 0.0}  # of the instrument nothing is drawn
+    lines = Tables()
     for image in simulated.images:
         name = image.settings.name
-        lines += _table("[[shots]]", file=folder + pedr_file(image), image=name, **drawn, **sigmas)
+        lines += _table("[[shots]]", file=folder + pedr_file(image), image=name, **known, **sigmas)
     return lines
 
 

@@ -21,16 +21,14 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, block_grid, make_terrain
-from mgsgraph.simulation.mars import GRAVITY, MARS, body_matrix
+from mgsgraph.simulation.hrsc_flight import strip_correction
 from mgsgraph.simulation.observations import MARGIN, project, tie_network
-from mgsgraph.simulation.orbit import HEADING, CentralBody, CircularPass
+from mgsgraph.simulation.orbit import GRAVITY, HEADING, MARS, CentralBody, CircularPass, body_matrix
 from mgsgraph.simulation.rig import MountedCamera
-from mgsgraph.simulation.strip_truth import strip_correction
-from mgsgraph.simulation.world import World, common_errors
 from mgsgraph.units import DEG, MM
 
 _NODES_PER_WAVE = 24
@@ -115,6 +113,8 @@ SOURCE = "simulated CTX pair"
 _EPOCHS = (300_000_000.0, 302_400_000.0)
 """s TDB past J2000 of the images' middles; whole numbers, so that table times are exact in files."""
 _MARS = CentralBody(MARS, GRAVITY, body_matrix)
+_WAVES = 200
+"""Of which a random function consists."""
 _ROUNDS = 8
 """Of drawing ties, before images count as sharing too little ground."""
 
@@ -298,10 +298,43 @@ def _measured(settings: CtxSettings, pixels: Array, seed: int, rng: np.random.Ge
     exact, image = pixels.reshape(-1, 2), np.tile(np.arange(2), pixels.shape[0])
     errors = settings.tie_noise * rng.standard_normal(exact.shape)
     if settings.matching:
-        world = World(matching=settings.matching, window=settings.window)
-        errors = common_errors(world, errors, image, exact, world.stream("matching", seed, 17))
+        errors = _common_errors(settings, errors, image, exact, np.random.default_rng([seed, 17, 71, 6]))
     sigmas = np.full(exact.shape, settings.tie_noise)
     return ImageRays(np.repeat(np.arange(pixels.shape[0]), 2), image, exact + errors, sigmas)
+
+
+def _common_errors(
+    settings: CtxSettings, errors: Array, image: Index, places: Array, rng: np.random.Generator
+) -> Array:
+    """Errors (k, 2) of measures of which a share of the variance (`matching`) is common to those within the window.
+
+    Parameters
+    ----------
+    errors : (k, 2)
+        Pixels, independent, of the measures' sigmas.
+    image : (k,)
+        In which they are.
+    places : (k, 2)
+        Lines and samples there.
+    """
+    scale = np.sqrt(np.mean(errors**2))
+    common = np.empty_like(errors)
+    for j in np.unique(image):
+        mine = image == j
+        common[mine] = scale * _smooth(places[mine], settings.window, rng)
+    return np.asarray(np.sqrt(1.0 - settings.matching) * errors + np.sqrt(settings.matching) * common)
+
+
+def _smooth(places: Array, window: float, rng: np.random.Generator) -> Array:
+    """(n, 2) values at places (n, 2) of two random functions of unit variance, whose correlation falls as a Gaussian
+    to 1/e at a window's distance: sums of waves (Rahimi & Recht 2007).
+    """
+    values = np.empty_like(places)
+    for column in range(2):
+        waves = rng.standard_normal((_WAVES, 2)) * np.sqrt(2.0) / window
+        phases = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
+        values[:, column] = np.sqrt(2.0 / _WAVES) * np.cos(places @ waves.T + phases).sum(axis=1)
+    return values
 
 
 def _surface(

@@ -42,11 +42,9 @@ from mgsgraph.simulation.mgs_files import (
 )
 from mgsgraph.simulation.mola_files import write_pedr
 from mgsgraph.simulation.pair import SimulatedPair
-from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
+from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulatedThreeSites
 from mgsgraph.simulation.spice_files import write_kernels
 from mgsgraph.simulation.strip import SimulatedStrip
-from mgsgraph.simulation.three_sites import SimulatedThreeSites
-from mgsgraph.simulation.world import World
 
 Weighting = Literal["rigorous", "papers"]
 """Which observations and sigmas a site's case has: this project's, or Yoon & Shan's (2005) for comparison."""
@@ -78,7 +76,7 @@ def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
 
 def write_pair(pair: SimulatedPair, folder: Path) -> Path:
     """Write a simulated pair, its case file and its truth; returns the path of ``case.toml``."""
-    texts = _campaign(pair, "simulated pair", (pair.laser,), (pair.true_footprints,), World())
+    texts = _campaign(pair, "simulated pair", (pair.laser,), (pair.true_footprints,))
     write_texts(folder, texts | {"network.pvl": tie_network_text(pair.ties)})
     return folder / "case.toml"
 
@@ -91,7 +89,7 @@ def write_strip(strip: SimulatedStrip, folder: Path, steps: bool = False) -> Pat
     measure in the new image and without a simultaneous one. A network of a hundred thousand points takes seconds to
     write and to read, one of a million some minutes.
     """
-    texts = _campaign(strip, "simulated strip", strip.lasers, strip.true_footprints, strip.settings.world)
+    texts = _campaign(strip, "simulated strip", strip.lasers, strip.true_footprints)
     texts["network.pvl"] = tie_network_text(strip.ties, *_STRIP_NETWORK)
     for k in range(len(strip.images)) if steps else ():
         _, ties, laser = strip.addition(k)
@@ -172,12 +170,10 @@ def _campaign(
     name: str,
     lasers: Sequence[LaserProfile],
     footprints: Sequence[Array],
-    world: World,
 ) -> dict[str, str]:
     """Files but for the network; `footprints` are the true ones (m, 3) of each profile."""
     truth = {
         "seed": made.seed,
-        "world": list(world.effects),
         "coefficients": {
             image.name: true.coefficients.tolist()
             for image, true in zip(made.images, made.true_corrections, strict=True)
@@ -192,7 +188,7 @@ def _campaign(
     return {image_file(image): json_text(support_data(image)) for image in made.images} | {
         "lidar.json": laser_text(lasers),
         "truth.json": json_text(truth),
-        "case.toml": campaign_case(name, made.images, made.settings.noise, world),
+        "case.toml": campaign_case(name, made.images, made.settings.noise),
     }
 
 
@@ -211,7 +207,6 @@ def _site_truth(simulated: SimulatedSite) -> dict[str, Any]:
     return {
         "site": simulated.settings.name,
         "seed": simulated.seed,
-        "world": list(simulated.options.world.effects),
         "images": {image.true.name: _image_truth(image) for image in images},
         "ties": dict(zip(simulated.ties.ids, simulated.true_ties.tolist(), strict=True)),
         "footprints": {
@@ -239,17 +234,10 @@ def _image_truth(image: SimulatedImage) -> dict[str, Any]:
         "profile": {
             "pedr": pedr_file(image),
             "shift_east_north_m": profile.shift.tolist(),
-            "drift_east_north_m": profile.drift.tolist(),
-            "beam_x_y_rad": profile.beam.tolist(),
             "ground_shots_inside": image.settings.shots,
         },
-        "vibration": None if image.vibration is None else {
-            "period_s": image.vibration.period,
-            "amplitudes_pitch_roll_rad": list(image.vibration.amplitudes),
-            "phases_rad": list(image.vibration.phases),
-        },
         "sun": image.sun.tolist(),
-    }  # fmt: skip
+    }
 
 
 def _poses(image: PushbroomImage) -> dict[str, Any]:

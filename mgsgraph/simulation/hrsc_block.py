@@ -10,7 +10,7 @@ With the truth on the adjustment's own nodes and without jitter and blunders an 
 statistics: neighbouring points share posts of the terrain model and so their error, which their sigmas count with.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,23 +18,22 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
-from mgsgraph.geometry.terrain_grids import track_gaps
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_grid, block_terrain
 from mgsgraph.simulation.hrsc_flight import (
     FlownStrip,
+    Jitter,
     PericentrePass,
     PointMatching,
     Readout,
     matched_points,
     strip_images,
+    true_correction,
 )
-from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import Visible, tie_network
-from mgsgraph.simulation.strip_truth import Jitter, true_correction
-from mgsgraph.simulation.world import World, common_errors, drawn_period, of_tracks
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, MGON
 
 _SHORTEST, _LONGEST = 50e3, 4500e3
@@ -140,8 +139,6 @@ class BlockSettings(Record):
     """Of all strips, on top; no prior knows it."""
     terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
     """Of the terrain model; None for a network without."""
-    world: World = field(default_factory=World)
-    """What the world does besides: tracks, jitter, matching."""
     ground: int = 1
     """Seed of the true ground, which blocks of several seeds share."""
 
@@ -212,7 +209,7 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
     relief, prior = block_terrain(*settings.centre, settings.ground), settings.errors.prior
     flown, nodes = list[FlownStrip](), list[OrientationImages]()
-    passes, world = _passes(settings), settings.world
+    passes = _passes(settings)
     for k, (orbit, rng) in enumerate(zip(passes, of_orientation.spawn(len(passes)), strict=True)):
         images = strip_images(
             f"HRSC/{k:02d}", orbit, orbit.interval(settings.length, settings.pericentre), settings.readout
@@ -220,12 +217,11 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
         edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
         coverage = min(float(one[0]) for one in edges), max(float(one[1]) for one in edges)
         nodes.append(evenly_spaced(settings.basis, orbit.epoch, coverage, settings.spacing))
-        jitter = settings.jitter or _drawn_jitter(world, seed, k)
-        true = true_correction(prior, nodes[k], settings.true_spacing, jitter, rng)
+        true = true_correction(prior, nodes[k], settings.true_spacing, settings.jitter, rng)
         flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
-    rays, blunders = _rays(visible, settings.matches, world, seed, of_points)
-    surface, shifts = _surface(settings.terrain, relief, points, world, seed, of_terrain)
+    rays, blunders = _rays(visible, settings.matches, of_points)
+    surface, shifts = _surface(settings.terrain, relief, points, of_terrain)
     trajectories = [
         Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
     ]
@@ -262,23 +258,10 @@ def _abreast(altitudes: Array, overlap: float) -> Array:
     return np.asarray(angles - 0.5 * (angles[:1] + angles[-1:]))
 
 
-def _drawn_jitter(world: World, seed: int, strip: int) -> Jitter | None:
-    """Of one strip, of the world's amplitude in pixels; None where it has none."""
-    if not world.jitter:
-        return None
-    rng = world.stream("jitter", seed, strip)
-    return Jitter(world.jitter * _PIXEL, 1.0 / drawn_period(rng), "pitch")
-
-
-def _rays(
-    visible: Visible, matches: PointMatching, world: World, seed: int, rng: np.random.Generator
-) -> tuple[ImageRays, Mask]:
+def _rays(visible: Visible, matches: PointMatching, rng: np.random.Generator) -> tuple[ImageRays, Mask]:
     """Image rays as measured, by point and image, and which of them are blunders."""
     point, image, exact = visible.ordered()
-    errors = matches.sigma * rng.standard_normal(exact.shape)
-    if world.matching:
-        errors = common_errors(world, errors, image, exact, world.stream("matching", seed))
-    noisy = exact + errors
+    noisy = exact + matches.sigma * rng.standard_normal(exact.shape)
     blunders = rng.random(point.size) < matches.blunders
     size, direction = rng.uniform(*_BLUNDER, point.size), rng.uniform(0.0, 2.0 * np.pi, point.size)
     off = np.where(blunders, size, 0.0)[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
@@ -286,24 +269,12 @@ def _rays(
 
 
 def _surface(
-    errors: TerrainErrors | None,
-    relief: SiteTerrain,
-    points: Array,
-    world: World,
-    seed: int,
-    rng: np.random.Generator,
+    errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
 ) -> tuple[Surface | None, Array]:
     """Terrain model as control, and what it lacks of the truth, (1, 2) m east and north; no rows where posts miss."""
     if errors is None:
         return None, np.zeros((0, 2))
     shift = errors.planimetric * rng.standard_normal(2)
     grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
-    if world.tracks:
-        sides = grid.latitude_step * relief.metres_per_radian[1], grid.longitude_step * relief.metres_per_radian[0]
-        given, stream = np.asarray(grid.radii, dtype=np.float64), world.stream("tracks", seed)
-        radii, measured = of_tracks(given, sides, world.tracks, stream)
-        grid = replace(grid, radii=radii)
-        counts = replace(grid, radii=measured.astype(np.float64), kind="counts", vertical_sigma=None)
-        grid = replace(grid, gaps=track_gaps(grid, counts))
     sigmas = np.nan_to_num(grid.control_sigmas(points), nan=np.inf)
     return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]

@@ -188,17 +188,15 @@ def label_time(time: datetime) -> str:
 
 
 def write_grids(simulated: SimulatedSite, folder: Path) -> None:
-    """Planetary radius and topography as MEGDR products with labels; and shots in each cell, where some have none."""
+    """Planetary radius and topography as MEGDR products with labels."""
     grid = simulated.grid
     radii = np.asarray(grid.radii, dtype=np.float64)
     heights = radii - areoid_under(simulated.terrain, grid)
-    products = [("r", REFERENCE_RADIUS, radii), ("t", 0.0, heights)]
-    products += [("c", 0.0, simulated.counts)] if simulated.counts is not None else []
-    for letter, offset, posts in products:
+    for letter, offset, posts in (("r", REFERENCE_RADIUS, radii), ("t", 0.0, heights)):
         layout = MegdrLayout(posts.shape, grid.first_longitude, grid.first_latitude, grid.longitude_step, offset)
         write_megdr(folder, grid_file(simulated, letter), layout, [posts])
 
 
 def grid_file(simulated: SimulatedSite, kind: str) -> str:
-    """Name, without suffix, of a site's grid: of radii (kind "r"), of topography ("t") or of counts ("c")."""
+    """Name, without suffix, of a site's grid: of radii (kind "r") or of topography ("t")."""
     return f"meg{kind}_{simulated.settings.name}"

@@ -6,7 +6,7 @@ differs from truth by `sites.KernelErrors` (kernels), one horizontal shift of ea
 and noise (tie points, ranges, pictures). Each is drawn from the sigma that the case states (`case_files`).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,16 +17,34 @@ from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.record import Record
-from mgsgraph.simulation.camera import InstrumentErrors, displaced_footprints, moc_image
+from mgsgraph.simulation.camera import interior_orientation, line_image, moc_image, one_rate
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain, terrain_grid
 from mgsgraph.simulation.imagery import Picture, render
-from mgsgraph.simulation.mars import sun_direction
 from mgsgraph.simulation.mola_files import PedrFrames
-from mgsgraph.simulation.observations import MARGIN, project, require_positive, require_seed, shared_ties
-from mgsgraph.simulation.orbit import SitePass, nominal_trajectory, site_pass, true_trajectory
+from mgsgraph.simulation.observations import (
+    MARGIN,
+    NoiseSettings,
+    free_points,
+    require_positive,
+    require_seed,
+    shared_ties,
+    well_inside,
+)
+from mgsgraph.simulation.orbit import (
+    HEADING,
+    CircularPass,
+    SitePass,
+    circular_trajectory,
+    nominal_trajectory,
+    site_at,
+    site_pass,
+    sun_direction,
+    true_trajectory,
+)
 from mgsgraph.simulation.sites import (
     SHIFT_SIGMA,
     SITE_NAMES,
@@ -37,7 +55,7 @@ from mgsgraph.simulation.sites import (
     site_settings,
 )
 from mgsgraph.simulation.spice_files import clock_count, ephemeris_time
-from mgsgraph.simulation.world import Vibration, World, common_errors, drawn_vibration, of_tracks, vibrating
+from mgsgraph.units import ARCMIN, DEG
 
 _NODES = 91
 """Rays of equal energy in a spot: 15 m apart on the ground."""
@@ -87,8 +105,6 @@ _MOLA_ORBIT = 10_000
 """What MOLA adds to MGS's mapping orbit."""
 _SHOT_INTERVAL = 0.1
 """s between two shots."""
-_SHOT_SPACING = 300.0
-"""m between two shots on the ground, about."""
 _BEYOND = 6.0
 """s, at least, by which a profile is longer than its image at either end."""
 _ALTIMETER_AXIS = np.array([4e-4, -6e-4, 1.0])
@@ -125,8 +141,6 @@ class SimulationOptions(Record):
     """posts per degree of the terrain grid."""
     pictures: bool = True
     """Render the images; otherwise they are of one grey, which is enough for geometry."""
-    world: World = field(default_factory=World)
-    """What the world does besides."""
 
     def __post_init__(self) -> None:
         if self.errors not in get_args(Errors):
@@ -151,11 +165,6 @@ class SimulatedProfile(PedrFrames):
     """(n, 2, 2) line and sample of these in each of the two images; NaN where unseen."""
     shift: Array
     """(2,) m east and north, by which all given footprints lie off."""
-    drift: Array
-    """(2,) m east and north, by how much more they do at the profile's end than in its middle."""
-    beam: Array
-    """(2,) rad about the axes x and y of the camera beside it, by which the beam is turned from where its attitude has
-    it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,8 +187,6 @@ class SimulatedImage(Record):
     """(lines, samples) grey values."""
     profile: SimulatedProfile
     """Shots of the simultaneous profile."""
-    vibration: Vibration | None = None
-    """Of the camera; None for none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,8 +203,6 @@ class SimulatedSite(Record):
     """True ground."""
     grid: TerrainGrid
     """The ground as a grid of radii has it, shifted and with noise."""
-    counts: Array | None
-    """(rows, columns) shots in each of the grid's cells; None where all were measured."""
     images: tuple[SimulatedImage, SimulatedImage]
     """Left and right as in PE&RS."""
     ties: TiePoints
@@ -248,62 +253,25 @@ def simulate_site(
     require_seed("simulated site", seed)
     terrain = terrain or make_terrain(settings.name, seed)
     streams = np.random.default_rng([seed, 3, SITE_NAMES.index(settings.name)]).spawn(9)
-    world, mine = options.world, (seed, SITE_NAMES.index(settings.name))
-    orbit = world.orbit * world.stream("orbit", *mine).standard_normal(3)
     flights = [
-        _flight(settings, image, options, terrain, orbit, rng)
+        _flight(settings, image, options, terrain, rng)
         for image, rng in zip(settings.images, streams[7:], strict=True)
     ]
     pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
-    shaken = world.stream("jitter", *mine)
-    vibrations = [drawn_vibration(world, one, shaken) if world.jitter else None for one, _ in pairs]
-    first, second = (
-        vibrating(one, vibration) if vibration else one for (one, _), vibration in zip(pairs, vibrations, strict=True)
-    )
-    true = (first, second)
+    true = (pairs[0][0], pairs[1][0])
     drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
     ground = terrain.intersect(*true[0].rays(drawn[:, 0], drawn[:, 1])[:2])
     ties, points = shared_ties(SOURCE, true, (None, None), ground, settings.ties, options.tie_noise, streams[2])
-    ties = _matched_together(ties, true, points, world, world.stream("matching", *mine))
     images = []
     for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):
         sun = sun_direction(true[k].trajectory.epoch)
         pixels = np.full((image.lines, image.samples), 120, dtype=np.uint8)
         if options.pictures:
             pixels = render(true[k], terrain, None, sun, streams[3 + k])
-        profile = _profile(k, true, image, terrain, options, (*mine, k), streams[5 + k])
-        images.append(SimulatedImage(image, errors, count, true[k], pairs[k][1], sun, pixels, profile, vibrations[k]))
+        profile = _profile(k, true, image, terrain, options, streams[5 + k])
+        images.append(SimulatedImage(image, errors, count, true[k], pairs[k][1], sun, pixels, profile))
     grid = terrain_grid(terrain, options.resolution, _GRID_REACH)
-    grid, counts = _between_tracks(grid, terrain, world, world.stream("tracks", *mine))
-    return SimulatedSite(settings, options, seed, terrain, grid, counts, (images[0], images[1]), ties, points)
-
-
-def _matched_together(
-    ties: TiePoints,
-    images: tuple[PushbroomImage, PushbroomImage],
-    points: Array,
-    world: World,
-    rng: np.random.Generator,
-) -> TiePoints:
-    """Tie points at true places (n, 3) in m, each measured in both images, with errors in common as the world has
-    them.
-    """
-    if not world.matching:
-        return ties
-    exact = project(images, (None, None), points)[0].reshape(-1, 2)
-    errors = common_errors(world, ties.measures - exact, np.arange(len(exact)) % 2, exact, rng)
-    return replace(ties, measures=exact + errors)
-
-
-def _between_tracks(
-    grid: TerrainGrid, terrain: SiteTerrain, world: World, rng: np.random.Generator
-) -> tuple[TerrainGrid, Array | None]:
-    """A grid that is interpolated between the world's tracks, and its shots in each cell; as it is without tracks."""
-    if not world.tracks:
-        return grid, None
-    sides = grid.latitude_step * terrain.metres_per_radian[1], grid.longitude_step * terrain.metres_per_radian[0]
-    radii, measured = of_tracks(np.asarray(grid.radii, dtype=np.float64), sides, world.tracks, rng)
-    return replace(grid, radii=radii), np.where(measured, float(max(1, round(sides[0] / _SHOT_SPACING))), 0.0)
+    return SimulatedSite(settings, options, seed, terrain, grid, (images[0], images[1]), ties, points)
 
 
 def _flight(
@@ -311,12 +279,9 @@ def _flight(
     image: ImageSettings,
     options: SimulationOptions,
     terrain: SiteTerrain,
-    orbit: Array,
     rng: np.random.Generator,
 ) -> tuple[SitePass, KernelErrors, float, str]:
-    """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count; `orbit` (3,)
-    m is wrong with both images' positions, radial, along and across the flight.
-    """
+    """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count."""
     count, start = clock_count(ephemeris_time(image.start))
     middle = terrain.on_ground(np.array([site.longitude]), np.array([site.latitude]))[0]
     emission = options.emission if image.held else None
@@ -324,8 +289,6 @@ def _flight(
     errors = image.errors
     if options.errors == "drawn":
         errors = drawn_errors(site.prior(image), errors.noise, rng)
-    if np.any(orbit):
-        errors = replace(errors, position=errors.position + np.eye(len(errors.position), 1) * orbit)
     if options.attitude_time_bias is not None and not image.held:
         errors = replace(errors, attitude_time_bias=options.attitude_time_bias)
     return flown, errors, start, count
@@ -348,15 +311,13 @@ def _profile(
     settings: ImageSettings,
     terrain: SiteTerrain,
     options: SimulationOptions,
-    seed: tuple[int, ...],
     rng: np.random.Generator,
 ) -> SimulatedProfile:
-    """Shots along with one of the images, by its number, at ten a second in whole frames; `seed` is of the world's.
+    """Shots along with one of the images, by its number, at ten a second in whole frames.
 
-    Where the file says that a footprint is, lacks its jitter and the beam's pointing error, and has the profile's shift
-    and a height of its own.
+    Where the file says that a footprint is, lacks its jitter, and has the profile's shift and a height of its own.
     """
-    image, world = images[number], options.world
+    image = images[number]
     epoch, edges = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
     frames = int(np.ceil((edges[1] - edges[0] + 2.0 * _BEYOND) / (_SHOT_INTERVAL * SHOTS_PER_FRAME)))
     count = frames * SHOTS_PER_FRAME
@@ -369,7 +330,6 @@ def _profile(
     beams = aimed + np.einsum("nk,nkj->nj", jitter, east_north(aimed)) - pose.position
     beams /= np.linalg.norm(beams, axis=1, keepdims=True)
     ranges, spread = ranges_over_spots(terrain, pose.position, beams)
-    broad = world.pulse * spread * world.stream("pulse", *seed).standard_normal(count)
     points = pose.position + ranges[:, None] * beams
     pixels = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
     ground = _ground_returns(pixels[:, number], image, settings, rng)
@@ -377,14 +337,7 @@ def _profile(
     cloud *= np.linalg.norm(pose.position, axis=1)
     met = points - cloud[:, None] * beams  # where the pulse came back from
     common = SHIFT_SIGMA * rng.standard_normal(2)
-    beam = world.beam * world.stream("beam", *seed).standard_normal(2)
-    drift = world.drift * world.stream("drift", *seed).standard_normal(2)
-    rays = met - pose.position
-    farther = met + (broad / np.linalg.norm(rays, axis=1))[:, None] * rays
-    turned = InstrumentErrors(altimeter_boresight=np.append(beam, 0.0))
-    believed = displaced_footprints(image, times - epoch, farther, turned)
-    off = common + np.linspace(-1.0, 1.0, count)[:, None] * drift - jitter
-    given = _displaced(believed, np.column_stack([off, options.height_noise * rng.standard_normal(count)]))
+    given = _displaced(met, np.column_stack([common - jitter, options.height_noise * rng.standard_normal(count)]))
     longitude, latitude, _ = planetocentric(given).T
     nadir = -pose.position / np.linalg.norm(pose.position, axis=1, keepdims=True)
     return SimulatedProfile(
@@ -396,11 +349,9 @@ def _profile(
         spacecraft=pose.position,
         off_nadir=np.arccos(np.einsum("ni,ni->n", beams, nadir)),
         shift=common,
-        drift=drift,
-        beam=beam,
         spread=spread,
         footprints=given,
-        ranges=np.linalg.norm(met - pose.position, axis=1) + broad + options.range_noise * rng.standard_normal(count),
+        ranges=np.linalg.norm(met - pose.position, axis=1) + options.range_noise * rng.standard_normal(count),
         areoid_radii=terrain.areoid_radius(longitude, latitude),
     )
 
@@ -430,3 +381,110 @@ def _displaced(points: Array, by: Array) -> Array:
     longitude, latitude, radius = planetocentric(points).T
     longitude = longitude + by[:, 0] / (radius * np.cos(latitude))
     return from_planetocentric(np.column_stack([longitude, latitude + by[:, 1] / radius, radius + by[:, 2]]))
+
+
+
+_CAMPAIGN = "simulated three-site campaign"
+BRIDGE = "BRIDGE"
+"""Name of the bridge image."""
+BRIDGE_PRIOR = NoiseSettings(tie=0.3, position=100.0, angle=ARCMIN)
+"""Sigma of a tie's measure in the bridge image, pixels, and a-priori sigmas of its orientation: a nadir image's."""
+
+_EPOCH = 41_000_000.0
+"""s TDB past J2000, in April 2001, when none of the sites' images was taken."""
+_CROSSING = 202.45 * DEG
+"""rad, longitude where the orbit crosses the equator northward at the epoch: it then passes within 0.5 deg of all."""
+_SPAN = (-28_500.0, 28_330.0)
+"""s past the epoch, of the first line and the last: a minute before Eos and a minute after Isidis."""
+_PASSED = {"eos": -28_440.0, "gusev": 6_760.0, "isidis": 28_268.0}
+"""s past the epoch, when the sites are passed."""
+_ALTITUDE = 380e3
+"""m above the ellipsoid at the equator."""
+_FOCAL_LENGTH, _PITCH, _SAMPLES = 11.08e-3, 7e-6, 1024
+"""m, m, and the samples used, about the axis: MOC-WA's red camera has 11.1 mm and 3456 (Malin et al. 1992)."""
+_PERIOD = 0.08
+"""s per line: 240 m at 3.0 km/s, as much as a sample."""
+_TABLE_STEP = 10.0
+"""s between samples of the orientation; what lies between is the nominal orientation, for truth too."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedThreeSites:
+    """Three simulated sites and their bridge: what an adjustment is given, and the truth it should find."""
+
+    seed: int
+    """Of the random generator; each site has it, too."""
+    sites: tuple[SimulatedSite, ...]
+    """Eos, Gusev, Isidis, with their images, kernels' errors and profiles."""
+    bridge: PushbroomImage
+    """Nominal."""
+    true_bridge: OrientationCorrection
+    """True orientation of the bridge = nominal (+) this."""
+    ties: TiePoints
+    """Tie points of all sites, named after them, each measured in both of its site's images and in the bridge."""
+    true_ties: Array
+    """(n, 3) m, body-fixed, in the order of `ties.ids`."""
+
+    def __repr__(self) -> str:
+        names = ", ".join(site.settings.name for site in self.sites)
+        return f"SimulatedThreeSites({names}; {self.ties!r}; seed {self.seed})"
+
+
+def simulate_three_sites(seed: int = 1, options: SimulationOptions | None = None) -> SimulatedThreeSites:
+    """Simulate the three-site campaign; the same seed and options give the same campaign.
+
+    Parameters
+    ----------
+    seed : int
+        zero or positive.
+    options : SimulationOptions, optional
+        What differs from the published sites, alike for all three.
+
+    Raises
+    ------
+    InputError
+        As `simulate_site` does, or if the bridge does not show all tie points.
+    """
+    sites = tuple(simulate_site(name, seed, options) for name in SITE_NAMES)
+    rng = np.random.default_rng([seed, 33])
+    bridge, true = bridge_image(), BRIDGE_PRIOR.correction(rng)
+    ties = _all_ties(sites, bridge, true, rng)
+    return SimulatedThreeSites(seed, sites, bridge, true, ties, np.concatenate([site.true_ties for site in sites]))
+
+
+def bridge_image() -> PushbroomImage:
+    """The bridge image, nominal: a nadir swath of eight revolutions."""
+    first, last = _SPAN
+    flown = CircularPass(_EPOCH, site_at(_CROSSING, 0.0), HEADING, _ALTITUDE)
+    interior = interior_orientation(_FOCAL_LENGTH, _PITCH, 0.5 * _SAMPLES)
+    trajectory = circular_trajectory(flown, max(-first, last), _TABLE_STEP)
+    size = round((last - first) / _PERIOD), _SAMPLES
+    return line_image(BRIDGE, size, interior, one_rate(first, _PERIOD), trajectory)
+
+
+def _all_ties(
+    sites: tuple[SimulatedSite, ...], bridge: PushbroomImage, true: OrientationCorrection, rng: np.random.Generator
+) -> TiePoints:
+    """Tie points of the sites with a measure in the bridge image after those in the sites' own."""
+    noise, count = BRIDGE_PRIOR.tie, 0
+    point, names, measures, sigmas = list[Index](), list[str](), list[Array](), list[Array]()
+    for site in sites:
+        n = len(site.ties.ids)
+        start = np.full(n, float(bridge.timing.lines(np.array([_PASSED[site.settings.name]]))[0]))
+        pixels, _ = bridge.ground_to_image(site.true_ties, true, start)
+        if not np.all(well_inside(bridge, pixels)):
+            raise InputError(_CAMPAIGN, f"a tie point of {site.settings.title} that the bridge does not show")
+        point += [count + site.ties.measure_point, count + np.arange(n)]
+        names += [*site.ties.measure_image, *(bridge.name,) * n]
+        measures += [site.ties.measures, pixels + noise * rng.standard_normal((n, 2))]
+        sigmas += [site.ties.measure_sigmas, np.full((n, 2), noise)]
+        count += n
+    order = np.argsort(np.concatenate(point), kind="stable")
+    return free_points(
+        _CAMPAIGN,
+        tuple(f"{site.settings.name}-{name}" for site in sites for name in site.ties.ids),
+        np.concatenate(point)[order],
+        tuple(names[k] for k in order.tolist()),
+        np.concatenate(measures)[order],
+        np.concatenate(sigmas)[order],
+    )

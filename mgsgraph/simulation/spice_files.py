@@ -15,8 +15,7 @@ import spiceypy
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.camera import BORESIGHT_SAMPLE, FOCAL_LENGTH_MM, PITCH_MM
-from mgsgraph.simulation.mars import MARS, MERIDIAN, POLE_DEC, POLE_RA, mars_about_sun
-from mgsgraph.simulation.orbit import MOUNT_ANGLES
+from mgsgraph.simulation.orbit import MARS, MERIDIAN, MOUNT_ANGLES, POLE_DEC, POLE_RA, mars_about_sun
 from mgsgraph.simulation.sites import ARCHIVE_ATTITUDE_BIAS
 from mgsgraph.units import KM
 

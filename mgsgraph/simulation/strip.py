@@ -10,7 +10,8 @@ any earlier one, with their measures in all of these; measures in image k of poi
 its laser shots. What is drawn for a step knows nothing of later ones: a shorter strip is the longer one's beginning.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,16 +21,364 @@ from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import narrow_image
-from mgsgraph.simulation.mars import MARS
-from mgsgraph.simulation.observations import require_count, require_seed
-from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
+from mgsgraph.simulation.ground import on_sines
+from mgsgraph.simulation.observations import (
+    MARGIN,
+    NoiseSettings,
+    Shots,
+    Visible,
+    free_points,
+    profile,
+    require_count,
+    require_seed,
+    shots_along,
+    well_inside,
+)
+from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass, ground_track, site_at
 from mgsgraph.simulation.pair import PairSettings
-from mgsgraph.simulation.strip_steps import Step, Steps, merged_profiles, merged_ties
-from mgsgraph.simulation.world import STRIP_EFFECTS, World
 from mgsgraph.units import DEG, KM
+
+_DEGREE = 5
+"""Of the polynomials, all three directions together."""
+_NODES = (11, 8, 5)
+"""Lines, samples and heights of the rays fitted to; as many again, half a step on, check."""
+_TOLERANCE = 1e-4
+"""pixels: a ten-thousandth of a tie's default sigma; default images reach 1e-6."""
+_SLACK = 0.02
+"""Share of an image's length by which ground may lie beyond it and still be looked for in it."""
+_DEGREES = np.array([
+    (i, j, k) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i) for k in range(_DEGREE + 1 - i - j)
+])
+"""(terms, 3) degrees in the three directions."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueImage:
+    """An image as it was truly taken, with the polynomials that project into it."""
+
+    image: PushbroomImage
+    """Nominal."""
+    true: OrientationCorrection
+    """True orientation = nominal (+) this."""
+    middle: Array
+    """(3,) m, body-fixed, of its ground."""
+    axes: Array
+    """(3, 3) unit rows, body-fixed: along from the first line to the last, across, up."""
+    half_size: Array
+    """(3,) m, half of the ground's size in these directions."""
+    coefficients: Array
+    """(terms, 2) pixels, line and sample."""
+    error: float
+    """pixels, largest error of these between the rays fitted to."""
+
+    def project(self, points: Array) -> tuple[Index, Array]:
+        """Which of points (n, 3) in m, body-fixed, it shows well inside its edges, (k,); lines and samples (k, 2).
+
+        The polynomials serve, or the image itself where they are not good enough.
+        """
+        scaled = (points - self.middle) @ self.axes.T / self.half_size
+        near = np.flatnonzero(np.all(np.abs(scaled[:, :2]) < 1.0 + _SLACK, axis=1))
+        pixels = np.einsum("ni,ij->nj", _terms(scaled[near]), self.coefficients)
+        if self.error > _TOLERANCE:
+            pixels, _ = self.image.ground_to_image(points[near], self.true, pixels[:, 0])
+        inside = well_inside(self.image, pixels)
+        return near[inside], pixels[inside]
+
+    def may_overlap(self, other: "TrueImage") -> bool:
+        """Whether the two may show the same ground."""
+        distance = np.linalg.norm(other.middle - self.middle)
+        return bool(distance < (1.0 + _SLACK) * (self.half_size[0] + other.half_size[0]))
+
+    def lines_over(self, other: "TrueImage") -> tuple[float, float]:
+        """The lines between which it may show ground of another image; they may lie outside."""
+        ends = other.middle + np.outer([-1.0 - _SLACK, 1.0 + _SLACK], other.half_size[0] * other.axes[0])
+        lines = 0.5 * self.image.lines * (1.0 + (ends - self.middle) @ self.axes[0] / self.half_size[0])
+        return float(lines.min()), float(lines.max())
+
+
+def true_image(image: PushbroomImage, true: OrientationCorrection, relief: float) -> TrueImage:
+    """An image as truly taken over ground whose heights stay within 2 `relief` (m) of the ellipsoid."""
+    centre = np.array([0.5 * image.lines, 0.5 * image.samples])
+    lines = np.array([0.0, centre[0], image.lines])
+    (first, middle, last), _ = image.image_to_ground(lines, np.full(3, centre[1]), 0.0, true)
+    along, up = (last - first) / np.linalg.norm(last - first), middle / np.linalg.norm(middle)
+    across = np.cross(up, along) / np.linalg.norm(np.cross(up, along))
+    axes = np.stack([along, across, np.cross(along, across)])
+    highest = 2.0 * relief + 1.0
+    spread = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in _NODES]  # Chebyshev's nodes: no error at the ends
+    fitted, points = _rays(image, true, spread, highest)
+    half_size = np.abs((points - middle) @ axes.T).max(axis=0)
+    terms = _terms((points - middle) @ axes.T / half_size)
+    # the terms are next to orthogonal, so normal equations lose nothing; einsum, for threads of BLAS that wait for each
+    # other on a busy machine take seconds over such small products
+    normal, right = np.einsum("ni,nj->ij", terms, terms), np.einsum("ni,nj->ij", terms, fitted)
+    coefficients = np.linalg.solve(normal, right)
+    between, others = _rays(image, true, [0.5 * (nodes[1:] + nodes[:-1]) for nodes in spread], highest)
+    again = np.einsum("ni,ij->nj", _terms((others - middle) @ axes.T / half_size), coefficients)
+    error = np.abs(again - between).max()
+    return TrueImage(image, true, middle, axes, half_size, coefficients, float(error))
+
+
+def _rays(
+    image: PushbroomImage, true: OrientationCorrection, spread: list[Array], highest: float
+) -> tuple[Array, Array]:
+    """Lines and samples (n, 2), and points (n, 3) in m on their rays; `spread` has lines, samples and heights, from
+    -1 to 1 each over the image, and over the heights up to the highest ground.
+    """
+    lines, samples, heights = (grid.ravel() for grid in np.meshgrid(*spread, indexing="ij"))
+    pixels = 0.5 * np.column_stack([(lines + 1.0) * image.lines, (samples + 1.0) * image.samples])
+    points, _ = image.image_to_ground(pixels[:, 0], pixels[:, 1], highest * heights, true)
+    return pixels, points
+
+
+def _terms(scaled: Array) -> Array:
+    """(n, terms) products of Chebyshev's polynomials of coordinates (n, 3)."""
+    values = np.polynomial.chebyshev.chebvander(scaled, _DEGREE)
+    i, j, k = _DEGREES.T
+    return np.asarray(values[:, 0, i] * values[:, 1, j] * values[:, 2, k])
+
+
+
+SOURCE = "simulated strip"
+"""What messages call observations that were not read from a file."""
+
+_DRAWS = 12
+"""Rounds of drawing before an image counts as sharing no ground."""
+_NO_OVERLAP = "take longer images, more overlap, a smaller off_nadir or smaller position and angle sigmas"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step(Record):
+    """An image, as taken and as known, and what it brings."""
+
+    image: PushbroomImage
+    """Nominal."""
+    true: OrientationCorrection
+    """True orientation = nominal (+) this."""
+    ties: TiePoints
+    """New points with all their measures, and measures in this image of known ones."""
+    true_ties: Array
+    """(n, 3) m, body-fixed, of the new points."""
+    laser: LaserProfile | None
+    """New shots with all their measures, and measures in this image of known ones."""
+    true_footprints: Array
+    """(m, 3) m, body-fixed, of the new shots."""
+
+
+@dataclass(slots=True, eq=False)
+class Steps:
+    """A strip while it grows."""
+
+    ties: int
+    """New tie points of each image after the first."""
+    shots: int
+    """Laser shots of each nadir image; every second image is one."""
+    relief: float
+    """m, amplitude of the ground's largest sine."""
+    noise: NoiseSettings
+    """Sigmas."""
+    taken: list[Step] = field(default_factory=list)
+    """Steps so far."""
+    _images: list[TrueImage] = field(default_factory=list)
+    _shots: list[Shots] = field(default_factory=list)
+    """As given, of each nadir image."""
+
+    def add(self, image: PushbroomImage, rng: np.random.Generator) -> None:
+        """Take the next image of the strip."""
+        of_orientation, of_ties, of_shots = rng.spawn(3)
+        true = self.noise.correction(of_orientation)
+        new = true_image(image, true, self.relief)
+        neighbours = [j for j, other in enumerate(self._images) if new.may_overlap(other)]
+        self._images.append(new)
+        ties, true_ties = self._tie_points(neighbours, of_ties)
+        laser, true_footprints = self._laser_shots(neighbours, of_shots)
+        self.taken.append(Step(image, true, ties, true_ties, laser, true_footprints))
+
+    def _tie_points(self, neighbours: list[int], rng: np.random.Generator) -> tuple[TiePoints, Array]:
+        """Ties of the last image, and the true points (n, 3) in m of the new ones among them."""
+        k = len(self._images) - 1
+        visible, points = Visible(), np.zeros((0, 3))
+        known = list(range(max(min(neighbours, default=0), 1), k))
+        if known:
+            shown, pixels = self._images[k].project(np.concatenate([self.taken[i].true_ties for i in known]))
+            visible.add(shown + (known[0] - 1) * self.ties, k, pixels)
+        if k > 0:
+            points = self._new_points(neighbours, visible, rng)
+        point, image, pixels = visible.ordered()
+        numbers, local = np.unique(point, return_inverse=True)
+        ties = free_points(
+            SOURCE,
+            tuple(f"T{i // self.ties + 1:03d}-{i % self.ties + 1:05d}" for i in numbers.tolist()),
+            local,
+            self._names(image),
+            pixels + self.noise.tie * rng.standard_normal(pixels.shape),
+            self.noise.tie,
+        )
+        return ties, points
+
+    def _new_points(self, neighbours: list[int], visible: Visible, rng: np.random.Generator) -> Array:
+        """True points (ties, 3) in m of new ties of the last image, at random where an earlier one sees them, too."""
+        k, wanted = len(self._images) - 1, self.ties
+        new = self._images[k]
+        if not neighbours:
+            raise _unshared(new.image, 0, wanted)
+        first, last = self._shared_lines(neighbours)
+        kept, offset = list[Array](), (k - 1) * wanted
+        found = 0
+        for _ in range(_DRAWS):
+            count = int(1.15 * (wanted - found)) + 20
+            drawn = rng.uniform([first, MARGIN], [last, new.image.samples - MARGIN], (count, 2))
+            level, _ = new.image.image_to_ground(drawn[:, 0], drawn[:, 1], 0.0, new.true)
+            points = on_sines(level, self.relief)
+            seen = [(j, *self._images[j].project(points)) for j in [*neighbours, k]]
+            rays = np.bincount(np.concatenate([shown for _, shown, _ in seen]), minlength=count)
+            shared = np.intersect1d(np.flatnonzero(rays > 1), seen[-1][1])[: wanted - found]
+            number = np.full(count, -1)
+            number[shared] = np.arange(shared.size) + offset + found
+            for j, shown, pixels in seen:
+                mine = number[shown] >= 0
+                visible.add(number[shown[mine]], j, pixels[mine])
+            kept.append(points[shared])
+            found += shared.size
+            if found == wanted:
+                return np.concatenate(kept)
+        raise _unshared(new.image, found, wanted)
+
+    def _shared_lines(self, neighbours: list[int]) -> tuple[float, float]:
+        """First and last line of the last image between which ground is worth a draw."""
+        new = self._images[-1]
+        spans = [new.lines_over(self._images[j]) for j in neighbours]
+        least, most = MARGIN, new.image.lines - MARGIN
+        first, last = (float(np.clip(f([span[i] for span in spans]), least, most)) for i, f in ((0, min), (1, max)))
+        return first, last
+
+    def _laser_shots(self, neighbours: list[int], rng: np.random.Generator) -> tuple[LaserProfile | None, Array]:
+        """Shots of the last image and those it shows of others, and the true footprints of the new ones."""
+        k = len(self._images) - 1
+        visible, points = Visible(), np.zeros((0, 3))
+        owners = list(range(min(neighbours, default=0) // 2 * 2, k, 2))
+        if owners:
+            shown, pixels = self._images[k].project(np.concatenate([self.taken[i].true_footprints for i in owners]))
+            visible.add(shown + owners[0] // 2 * self.shots, k, pixels)
+        if k % 2 == 0:
+            points = self._new_shots(neighbours, visible, rng)
+        shot, image, pixels = visible.ordered()
+        if shot.size == 0:
+            return None, points
+        numbers, local = np.unique(shot, return_inverse=True)
+        own = self._images[k].image.name
+        laser = profile(
+            SOURCE,
+            tuple(f"S{2 * (i // self.shots):03d}-{i % self.shots + 1:04d}" for i in numbers.tolist()),
+            self._given(numbers),
+            np.flatnonzero(2 * (numbers // self.shots) == k),
+            own,
+            local,
+            self._names(image),
+            pixels + self.noise.shot_image * rng.standard_normal(pixels.shape),
+            self.noise,
+        )
+        return laser, points
+
+    def _new_shots(self, neighbours: list[int], visible: Visible, rng: np.random.Generator) -> Array:
+        """True footprints (shots, 3) in m of the last image."""
+        k, n = len(self._images) - 1, self.shots
+        new = self._images[k]
+        exact = shots_along(new.image, new.true, n, self.relief)
+        for j in [*neighbours, k]:
+            shown, pixels = self._images[j].project(exact.points)
+            visible.add(shown + k // 2 * n, j, pixels)
+        self._shots.append(exact.noisy(self.noise, rng))
+        return exact.points
+
+    def _given(self, numbers: Index) -> Shots:
+        """Shots by their number, as given."""
+        first = int(numbers[0]) // self.shots
+        some, local = self._shots[first:], numbers - first * self.shots
+        times, points, ranges = (
+            np.concatenate([getattr(one, name) for one in some])[local] for name in ("times", "points", "ranges")
+        )
+        return Shots(times, points, ranges)
+
+    def _names(self, images: Index) -> tuple[str, ...]:
+        names = [taken.image.name for taken in self._images]
+        return tuple(names[j] for j in images.tolist())
+
+
+def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
+    found_ground = f"ground shared with earlier images for {found} of {wanted} tie points"
+    return InputError(f"{SOURCE}, image {image.name}", found_ground, remedy=_NO_OVERLAP)
+
+
+# --- steps put together
+
+
+def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
+    """Tie points of several steps as one: points in the order in which they come up, measures by point."""
+    ids, of_part = Names.united([part.ids for part in parts])
+    point = np.concatenate([own[part.measure_point] for own, part in zip(of_part, parts, strict=True)])
+    order = np.argsort(point, kind="stable")
+    first = np.full(len(ids), -1)
+    rows = np.concatenate(of_part)
+    first[rows[::-1]] = np.arange(rows.size)[::-1]
+    return TiePoints(
+        source=parts[0].source,
+        ids=ids,
+        kinds=np.concatenate([part.kinds for part in parts])[first],
+        places=np.concatenate([part.places for part in parts])[first],
+        covariances=np.concatenate([part.covariances for part in parts])[first],
+        measure_point=point[order],
+        measure_image=RepeatedNames.concatenated([part.measure_image for part in parts])[order],
+        measures=np.concatenate([part.measures for part in parts])[order],
+        measure_sigmas=np.concatenate([part.measure_sigmas for part in parts])[order],
+    )
+
+
+def merged_profiles(parts: Sequence[LaserProfile]) -> tuple[LaserProfile, ...]:
+    """Shots of several steps by the profile that brought them: one for each step with new shots."""
+    owner = dict[str, tuple[int, int]]()
+    news = list[tuple[LaserProfile, Index]]()
+    measures = list[list[tuple[int, str, int, int]]]()
+    for step, part in enumerate(parts):
+        new = np.array([i for i, name in enumerate(part.ids) if name not in owner], dtype=np.int64)
+        if new.size:
+            owner |= {part.ids[i]: (len(news), local) for local, i in enumerate(new.tolist())}
+            news.append((part, new))
+            measures.append([])
+        for row, (shot, image) in enumerate(zip(part.measure_shot.tolist(), part.measure_image, strict=True)):
+            owned, local = owner[part.ids[shot]]
+            measures[owned].append((local, image, step, row))
+    return tuple(_with_measures(*new, seen, parts) for new, seen in zip(news, measures, strict=True))
+
+
+def _with_measures(
+    part: LaserProfile, which: Index, measures: list[tuple[int, str, int, int]], parts: Sequence[LaserProfile]
+) -> LaserProfile:
+    """Some shots (n,) of a step with measures (shot, image, and the step and row where they stand) of any."""
+    measures = sorted(measures, key=lambda measure: measure[0])
+    number = np.full(len(part.ids), -1)
+    number[which] = np.arange(which.size)
+    along = number[part.simultaneous_shot]
+    return replace(
+        part,
+        ids=part.ids[which],
+        times=part.times[which],
+        ranges=part.ranges[which],
+        range_sigmas=part.range_sigmas[which],
+        footprints=part.footprints[which],
+        covariances=part.covariances[which],
+        simultaneous_shot=along[along >= 0],
+        simultaneous_image=part.simultaneous_image[along >= 0],
+        measure_shot=np.array([measure[0] for measure in measures], dtype=np.int64),
+        measure_image=RepeatedNames.of([measure[1] for measure in measures]),
+        measures=np.array([parts[step].measures[row] for _, _, step, row in measures]).reshape(-1, 2),
+    )
+
+
 
 MOST = 500
 """Images of a strip."""
@@ -52,8 +401,6 @@ class StripSettings(PairSettings):
     """Number of images, 2 to 500; an odd number leaves the last nadir image without its partner."""
     ties: int = 2000
     """Number of new tie points that each image after the first brings."""
-    world: World = field(default_factory=World)
-    """What the world does besides: orbit, jitter, matching."""
     overlap: float = 0.4
     """Share of its length that a nadir image has in common with the next one of its track, 0.05 to 0.9."""
 
@@ -62,8 +409,6 @@ class StripSettings(PairSettings):
         require_count("strip settings, images", self.images, 2)
         require(self.images <= MOST, "strip settings, images", f"{self.images}", f"2 .. {MOST}")
         expected = "a share of the length, 0.05 .. 0.9"
-        for name in self.world.effects:
-            require(name in STRIP_EFFECTS, "strip settings, world", repr(name), f"some of {', '.join(STRIP_EFFECTS)}")
         require(0.05 <= self.overlap <= 0.9, "strip settings, overlap", f"{self.overlap}", expected)
 
     @property
@@ -165,7 +510,7 @@ def simulate_strip(settings: StripSettings | None = None, seed: int = 1) -> Simu
     """
     settings = settings or StripSettings()
     require_seed("simulated strip", seed)
-    steps = Steps(settings.ties, settings.shots, settings.relief, settings.noise, settings.world, seed)
+    steps = Steps(settings.ties, settings.shots, settings.relief, settings.noise)
     streams = np.random.default_rng(seed).spawn(settings.images)
     for image, rng in zip(_images(settings), streams, strict=True):
         steps.add(image, rng)

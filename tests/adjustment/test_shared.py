@@ -26,7 +26,7 @@ from mgsgraph.network.shared import ground_shift, image_effect
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
-from mgsgraph.simulation.three_sites import bridge_image
+from mgsgraph.simulation.site import bridge_image
 from mgsgraph.units import DEG
 
 SHARP = NoiseSettings(tie=1e-3, shot_image=1e-3, range=1e-3, ground=1e-2, position=1e-6, angle=1e-12)

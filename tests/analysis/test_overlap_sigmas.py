@@ -16,9 +16,8 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.simulation.camera import narrow_image
-from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.orbit import HEADING, CircularPass
+from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass
 from mgsgraph.units import DEG
 
 

@@ -33,8 +33,7 @@ from mgsgraph.network.support import (
     useful_rays,
 )
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import PointMatching
-from mgsgraph.simulation.strip_truth import Jitter
+from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching
 from mgsgraph.units import MGON
 
 PITCH = Jitter(4.0 * MGON, 0.06, "pitch")

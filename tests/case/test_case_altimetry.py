@@ -13,7 +13,7 @@ from mgsgraph.case.schema import AltimetryInput
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass, SharedKind
 from mgsgraph.results.inventory import inventory
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 
 TABLE = """
 [[altimetry]]

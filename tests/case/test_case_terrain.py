@@ -22,8 +22,8 @@ from mgsgraph.project.campaign import checksums
 from mgsgraph.results.ground import control_section
 from mgsgraph.results.inventory import inventory
 from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, MRAD
 
 STEP = 0.01

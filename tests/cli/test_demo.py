@@ -27,7 +27,7 @@ def test_a_site_with_figures(demo: tuple[Path, subprocess.CompletedProcess[str]]
     out, done = demo
     said = [line for line in done.stderr.splitlines() if line]
     assert not said or said == [line for line in said if "compiling" in line]
-    for word in ("Put in", "Before", "After", "Truth", "In short", "MOLA spacings", "sigma0", "registration by relief"):
+    for word in ("Put in", "Truth", "sigma0", "registration by relief"):
         assert word in done.stdout
     names = {path.name for path in out.iterdir()}
     assert {"summary.json", "solution.json", "registration.json", "points.csv", "discrepancy.csv"} <= names

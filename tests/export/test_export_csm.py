@@ -19,8 +19,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.export.csm import STATE, write_csm
-from mgsgraph.export.csm_state import refined_tables
+from mgsgraph.export.csm import STATE, refined_tables, write_csm
 from mgsgraph.export.spice_nodes import Reprojection, reprojection
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.support_data.model_state import read_model_state

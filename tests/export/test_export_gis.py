@@ -23,7 +23,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.gis import write_gis
 from mgsgraph.geometry.body import Ellipsoid, geodetic, intersect_ellipsoid
 from mgsgraph.network import PointClass
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG
 
 pyogrio = pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")

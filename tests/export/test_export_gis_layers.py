@@ -14,13 +14,12 @@ from scipy.stats import chi2
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import adjusted_points
-from mgsgraph.export.gis import write_gis
-from mgsgraph.export.gis_layers import exaggeration
+from mgsgraph.export.gis import exaggeration, write_gis
 from mgsgraph.geometry.body import from_planetocentric, geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, KM
 
 pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")

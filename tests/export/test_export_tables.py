@@ -16,8 +16,7 @@ from pyarrow import csv, parquet
 import mgsgraph
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
 from mgsgraph.errors import InputError
-from mgsgraph.export.gis import write_gis
-from mgsgraph.export.gis_layers import footprint_layers
+from mgsgraph.export.gis import footprint_layers, write_gis
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.results.results import write_results

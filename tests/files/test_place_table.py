@@ -8,7 +8,7 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.files.place_table import PlaceTable, Sort, read_places
 from mgsgraph.geometry.body import geodetic, planetocentric
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG
 
 

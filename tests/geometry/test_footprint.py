@@ -15,9 +15,9 @@ from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.footprint import Footprint, footprint, gaps, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import simulate_pair
-from mgsgraph.simulation.three_sites import bridge_image
+from mgsgraph.simulation.site import bridge_image
 from mgsgraph.units import DEG, KM
 
 SPHERE = Ellipsoid(3.39e6, 3.39e6)

@@ -16,7 +16,7 @@ from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import simulate_pair
 
 PIXEL = 1e-6

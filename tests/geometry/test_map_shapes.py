@@ -16,7 +16,7 @@ from mgsgraph.export.gis import write_gis
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.footprint import Footprint, map_lines, map_polygons
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
 

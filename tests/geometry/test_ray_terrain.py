@@ -7,7 +7,7 @@ from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 
 STEP = 2e-4
 """rad between posts, 700 m."""

@@ -14,7 +14,7 @@ from mgsgraph.geometry.body import from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG
 
 PAIR = networks.pair()

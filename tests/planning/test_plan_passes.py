@@ -18,7 +18,7 @@ from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.plan import TargetSigmas, plan, targets_of
 from mgsgraph.planning.state import CurrentState, added, correction_of, state_of_solution, together, updated
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.strip_truth import in_segments
+from mgsgraph.simulation.hrsc_flight import in_segments
 from mgsgraph.units import MGON
 
 AS_PROMISED = 0.01

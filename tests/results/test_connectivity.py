@@ -26,7 +26,7 @@ from mgsgraph.results.figures.sheet import save
 from mgsgraph.results.inventory import inventory
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
 

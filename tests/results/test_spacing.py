@@ -8,8 +8,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.spacing import Choice, choose_spacing
 from mgsgraph.results.spacing import node_statements, nodes_section
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import PointMatching
-from mgsgraph.simulation.strip_truth import Jitter
+from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching
 from mgsgraph.units import MGON
 
 

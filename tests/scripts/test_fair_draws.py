@@ -15,9 +15,12 @@ sys.path.append(str(SCRIPTS))
 import fair_draws  # noqa: E402
 from study import chi_square_band  # noqa: E402
 
-from mgsgraph.simulation.ground import SITES, SiteTerrain  # noqa: E402
-from mgsgraph.simulation.mars import MARS  # noqa: E402
-from mgsgraph.simulation.relief import PeriodicSurface  # noqa: E402
+from mgsgraph.simulation.ground import (  # noqa: E402
+    SITES,
+    PeriodicSurface,
+    SiteTerrain,
+)
+from mgsgraph.simulation.orbit import MARS  # noqa: E402
 from mgsgraph.simulation.sites import SITE_NAMES  # noqa: E402
 
 SEEDS = range(301, 307)

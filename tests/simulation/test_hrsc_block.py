@@ -14,9 +14,8 @@ from mgsgraph.geometry.orientation_images import Basis
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import PointMatching, Readout
+from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at
 from mgsgraph.simulation.observations import MARGIN
-from mgsgraph.simulation.strip_truth import Jitter, correction_at
 from mgsgraph.units import DEG, MGON
 
 SMALL = BlockSettings(strips=3, crossing=1, length=300e3, points=1500)

@@ -9,10 +9,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.simulation.ground import SiteTerrain, make_terrain
+from mgsgraph.simulation.ground import PeriodicSurface, SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import NOISE, Picture, local_sun, render
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
-from mgsgraph.simulation.relief import PeriodicSurface
 
 # not multiples of the distance between nodes
 PAIR = simulate_pair(PairSettings(lines=2011, samples=701, ties=5, shots=5), seed=1)

@@ -16,8 +16,8 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.ground import sine_height
-from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.units import DEG, KM
 

@@ -10,8 +10,18 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
 from mgsgraph.network import Network
 from mgsgraph.network.joining import nominal_poses
-from mgsgraph.simulation.nac_pair import SAMPLES, NacSettings, nac_cameras, nac_images, simulate_nac_pair
-from mgsgraph.simulation.rig import PassErrors, SimulatedRig, TrueRig, joined, powers
+from mgsgraph.simulation.rig import (
+    SAMPLES,
+    NacSettings,
+    PassErrors,
+    SimulatedRig,
+    TrueRig,
+    joined,
+    nac_cameras,
+    nac_images,
+    powers,
+    simulate_nac_pair,
+)
 
 SETTINGS = NacSettings(ties=120, beside=20, shots=10)
 

@@ -12,7 +12,7 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation import orbit
 from mgsgraph.simulation.camera import moc_image
-from mgsgraph.simulation.mars import MARS, body_matrix, mars_about_sun, sun_direction
+from mgsgraph.simulation.orbit import MARS, body_matrix, mars_about_sun, sun_direction
 from mgsgraph.simulation.sites import SITE_NAMES, ImageSettings, SiteSettings, site_settings
 from mgsgraph.simulation.spice_files import KernelSegment, clock_count, ephemeris_time, write_kernels
 from mgsgraph.units import ARCMIN, ARCSEC, DEG

@@ -20,8 +20,7 @@ from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_strip
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings
-from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
-from mgsgraph.simulation.strip_steps import true_image
+from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip, true_image
 from mgsgraph.units import DEG
 
 Measures = dict[tuple[str, str], tuple[float, float]]

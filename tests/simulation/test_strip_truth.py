@@ -7,7 +7,7 @@ from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.network import NodePrior
 from mgsgraph.network.node_priors import LinearFactor, normalised
 from mgsgraph.simulation.hrsc_block import TrajectoryErrors
-from mgsgraph.simulation.strip_truth import Jitter, correction_at, drawn_nodes, true_correction
+from mgsgraph.simulation.hrsc_flight import Jitter, correction_at, drawn_nodes, true_correction
 
 
 def assert_unit_variance(normalised: np.ndarray) -> None:

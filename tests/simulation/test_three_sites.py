@@ -10,11 +10,11 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_three_sites
-from mgsgraph.simulation.site import SimulationOptions
-from mgsgraph.simulation.three_sites import (
+from mgsgraph.simulation.site import (
     BRIDGE,
     BRIDGE_PRIOR,
     SimulatedThreeSites,
+    SimulationOptions,
     bridge_image,
     simulate_three_sites,
 )
@@ -115,7 +115,7 @@ def test_the_same_seed_gives_the_same_campaign(
     options = SimulationOptions(pictures=False)
     with pytest.raises(InputError, match="seed: -1"):
         simulate_three_sites(-1, options)
-    monkeypatch.setattr("mgsgraph.simulation.three_sites.simulate_site", lambda name, *_: sites[name])
+    monkeypatch.setattr("mgsgraph.simulation.site.simulate_site", lambda name, *_: sites[name])
     again = simulate_three_sites(1, options)
     assert np.array_equal(again.ties.measures, simulated.ties.measures)
     assert np.array_equal(again.true_bridge.coefficients, simulated.true_bridge.coefficients)

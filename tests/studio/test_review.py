@@ -294,7 +294,7 @@ def test_kept_networks_are_written(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize("suffix", [".pvl", ".net", ".csv"])
 def test_a_table_is_kept_with_what_only_the_case_says(tmp_path: Path, suffix: str) -> None:
     """Without a body's name ISIS takes no network, and heights mean nothing without an ellipsoid."""
-    from mgsgraph.export.exchange_setting import ExchangeSetting
+    from mgsgraph.export.exchange import ExchangeSetting
     from mgsgraph.files.networks.network_file import read_network
     from mgsgraph.files.networks.table import read_table
     from mgsgraph.geometry.body import Ellipsoid

@@ -23,20 +23,17 @@ from mgsgraph.simulation.demo.truth import (
     BY_RELIEF,
     KERNELS,
     TIES,
-    AgainstTruth,
     BeforeAfter,
     Disagreement,
-    against_truth,
     disagreements,
+    orientation_errors,
     true_shots,
 )
 from mgsgraph.simulation.files import write_pair, write_site, write_strip, write_three_sites
 from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
-from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site, simulate_three_sites
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
-from mgsgraph.simulation.three_sites import simulate_three_sites
-from mgsgraph.simulation.world import EFFECTS, STRIP_EFFECTS, World
 from mgsgraph.workers import Stages
 
 PAIR = "pair"
@@ -60,30 +57,21 @@ def simulation_options(
     attitude_time_bias: float | None = None,
     pictures: bool = True,
     known: Sequence[str] = SIMULATED,
-    effects: str | None = None,
 ) -> SimulationOptions:
-    """Options of a simulation; InputError unless the site is among the `known` ones, and can have them. `effects` are
-    those of `World`, with commas between, or "all".
-    """
+    """Options of a simulation; InputError unless the site is among the `known` ones, and can have them."""
     if site not in known:
         raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
-    able = STRIP_EFFECTS if site == STRIP else EFFECTS if site in SITE_NAMES else ()
-    expected = f"one of {', '.join(able)}" if able else "a site or a strip"
-    world = World.of(able if effects == "all" else effects.split(",") if effects is not None else ())
-    for name in world.effects:
-        if name not in able:
-            raise InputError("world", f"{name!r} for {site}", expected, "leave it out")
-    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures, world=world)
+    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
 
 
-def strip_settings(site: str, images: int | None, ties: int | None, steps: bool, world: World) -> StripSettings:
+def strip_settings(site: str, images: int | None, ties: int | None, steps: bool) -> StripSettings:
     """Settings of a strip, the default ones of what isn't given; InputError where another site is given any."""
     given: dict[str, Any] = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
     for name in (*(given if site != ARCHIVE else ()), *(["steps"] if steps else [])) if site != STRIP else ():
         raise InputError(name, f"given for {site}", f"the site {STRIP}", "leave it out")
-    return replace(StripSettings(), world=world, **given) if site == STRIP else StripSettings()
+    return replace(StripSettings(), **given) if site == STRIP else StripSettings()
 
 
 def chosen_archive(site: str, kind: str | None, images: int | None, ties: int | None) -> ArchiveSettings | None:
@@ -164,8 +152,8 @@ class Demonstration:
     """Footprints in images before and after."""
     disagreements: tuple[Disagreement, ...]
     """Between footprints and images, against the truth, after each step."""
-    truth: AgainstTruth
-    """What is left of the errors of the images."""
+    orientation: tuple[BeforeAfter, ...]
+    """By how much each image misplaces the true ground under each profile, by the kernels and as adjusted."""
     stages: Stages
     """Seconds that it took."""
 
@@ -173,15 +161,6 @@ class Demonstration:
     def solution(self) -> Solution:
         """What the last step made of it."""
         return self.adjusted if isinstance(self.relief, str) else self.relief.solution
-
-    @property
-    def discrepancies(self) -> tuple[BeforeAfter, ...]:
-        """By how much the images contradict each other about footprints, as their tie points tell, for each profile."""
-        return tuple(
-            BeforeAfter(before.name, one, two)
-            for before, after in zip(self.registration.before, self.registration.after, strict=True)
-            for one, two in zip(before.discrepancies, after.discrepancies, strict=True)
-        )
 
     def __repr__(self) -> str:
         return f"Demonstration({self.simulated!r}; {self.solution!r})"
@@ -240,8 +219,8 @@ def demonstrate(
     with stages.stage("comparing"):
         registration = register_case(case, solution)
         apart = disagreements(simulated, case, steps)
-        truth = against_truth(simulated, case, solution, registration)
-    return Demonstration(simulated, case, adjusted, found, registration, apart, truth, stages)
+        errors = orientation_errors(simulated, case, solution, registration)
+    return Demonstration(simulated, case, adjusted, found, registration, apart, errors, stages)
 
 
 def _registered_by_relief(case: Case, before: Solution, stages: Stages) -> ReliefRegistration | str:

@@ -22,10 +22,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, thinned
+from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import Misregistration, misregistration, on_ground
 from mgsgraph.registration.case import CaseRegistration
@@ -113,41 +112,30 @@ class BeforeAfter:
         return self.after.pixels / self.after.pixel_sigmas
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AgainstTruth:
-    """Misregistrations as only a simulation knows them."""
-
-    between: tuple[BeforeAfter, ...]
-    """Of the true ground under each profile that both images see: error of its image point in the second image minus
-    that in the first, carried over level ground. What both images share cancels. Sigmas from the joint covariance."""
-    orientation: tuple[BeforeAfter, ...]
-    """Of the true ground under each profile in each image; it is the orientation alone that is off."""
-
-
-def against_truth(
+def orientation_errors(
     simulated: SimulatedSite, case: Case, solution: Solution, registration: CaseRegistration
-) -> AgainstTruth:
-    """Compare the image points of the true ground under footprints with their true ones."""
-    between, orientation = list[BeforeAfter](), list[BeforeAfter]()
+) -> tuple[BeforeAfter, ...]:
+    """Image points of the true ground under each profile in each image against their true ones: it is the orientation
+    alone that is off.
+    """
+    found = list[BeforeAfter]()
     known, images = true_shots(simulated), solution.network.images
     for shots, registered in zip(case.profiles, registration.after, strict=True):
         rows = [known[name] for name in shots.ids]
         points, pixels = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-        seen = np.stack([_inside(image, pixels[:, j]) for j, image in enumerate(images)])
         for j, image in enumerate(images):
-            if not np.any(seen[j]):
+            with np.errstate(invalid="ignore"):
+                seen = np.all((pixels[:, j] >= 0.0) & (pixels[:, j] <= [image.lines, image.samples]), axis=1)
+            if not np.any(seen):
                 continue
             adjusted, correction = solution.image(j), solution.correction(j)
-            inside = np.where(seen[j, :, None], pixels[:, j], np.nan)
-            orientation.append(BeforeAfter(
+            inside = np.where(seen[:, None], pixels[:, j], np.nan)
+            found.append(BeforeAfter(
                 registered.name,
                 misregistration(image, shots, inside, None, points),
                 _predicted(misregistration(adjusted, shots, inside, correction, points), points, solution, j),
             ))
-        both = np.flatnonzero(np.all(seen, axis=0))
-        if both.size:
-            between.append(_between(registered.name, shots, both, points[both], pixels[both], solution))
-    return AgainstTruth(tuple(between), tuple(orientation))
+    return tuple(found)
 
 
 def true_shots(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
@@ -161,67 +149,14 @@ def true_shots(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
     }
 
 
-def _inside(image: PushbroomImage, pixels: Array) -> Mask:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.all((pixels >= 0.0) & (pixels <= [image.lines, image.samples]), axis=1))
-
-
 def _predicted(found: Misregistration, points: Array, solution: Solution, image: int) -> Misregistration:
     """A misregistration with the sigmas that the orientation's covariance predicts for the pixels of the points (n,
     3).
     """
     picture, correction = solution.image(image), solution.correction(image)
     pixels, jacobian = pixel_jacobian(picture, points[found.shots], correction)
-    return _with_sigmas(found, jacobian, solution.correction_covariance(image), on_ground(
-        picture, pixels, points[found.shots], correction
-    ))
-
-
-def _between(
-    profile: str, shots: AltimeterShots, which: Index, points: Array, pixels: Array, solution: Solution
-) -> BeforeAfter:
-    """Of the true points (k, 3) and pixels (k, 2, 2) under the shots `which` (k,), which both images see."""
-    first, second = solution.network.images
-    corrections = (solution.correction(0), solution.correction(1))
-    unseen = np.zeros((which.size, 2))
-
-    def contradiction(pair: tuple[OrientationCorrection, ...]) -> tuple[Misregistration, Array, Array]:
-        off, jacobian, metres = contradiction_at((first, second), pair, points, pixels)
-        return Misregistration(
-            second.name, first.name, which, pixels[:, 1, 0], off, unseen,
-            np.einsum("nij,nj->ni", metres, off), unseen, shots.spacing,
-        ), jacobian, metres
-
-    nominal = OrientationCorrection(np.zeros((1, 6)))
-    before, _, _ = contradiction((nominal, nominal))
-    after, jacobian, metres = contradiction(corrections)
-    return BeforeAfter(profile, before, _with_sigmas(after, jacobian, solution.correction_covariance(0, 1), metres))
-
-
-def contradiction_at(
-    pair: tuple[PushbroomImage, PushbroomImage],
-    corrections: tuple[OrientationCorrection, ...],
-    points: Array,
-    pixels: Array,
-) -> tuple[Array, Array, Array]:
-    """Error of the points' pixels in the second image minus that in the first, carried over ground of the points'
-    heights (n, 2), in pixels of the second; how that follows the coefficients of both; and metres per pixel (n, 2, 2).
-    """
-    (first, second), height = pair, geodetic(points, pair[0].body)[:, 2]
-    here, by_first = pixel_jacobian(first, points, corrections[0])
-    there, by_second = pixel_jacobian(second, points, corrections[1])
-    _, to_ground = first.image_to_ground(here[:, 0], here[:, 1], height, corrections[0])
-    _, to_image = second.ground_to_image(points, corrections[1])
-    carried = to_image @ to_ground
-    off = there - pixels[:, 1] - np.einsum("nij,nj->ni", carried, here - pixels[:, 0])
-    jacobian = np.concatenate([-carried @ by_first, by_second], axis=2)
-    return off, jacobian, on_ground(second, there, points, corrections[1])
-
-
-def _with_sigmas(found: Misregistration, jacobian: Array, covariance: Array, metres: Array) -> Misregistration:
-    """A misregistration with sigmas by the law of error propagation, in pixels and, by metres per pixel (n, 2, 2), in
-    metres.
-    """
+    covariance = solution.correction_covariance(image)
+    metres = on_ground(picture, pixels, points[found.shots], correction)
     return replace(
         found, pixel_sigmas=propagated(jacobian, covariance), metre_sigmas=propagated(metres @ jacobian, covariance)
     )

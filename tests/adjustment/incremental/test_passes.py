@@ -20,9 +20,8 @@ from mgsgraph.geometry.orientation_images import evenly_spaced
 from mgsgraph.network import Network
 from mgsgraph.network.parts import pass_unknowns, without_images
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.nac_pair import NacSettings, simulate_nac_pair
-from mgsgraph.simulation.rig import PassErrors
-from mgsgraph.simulation.strip_truth import in_segments
+from mgsgraph.simulation.hrsc_flight import in_segments
+from mgsgraph.simulation.rig import NacSettings, PassErrors, simulate_nac_pair
 
 WITHIN = 0.01
 """Sigmas by which the two may differ, as for images with an orientation of their own."""

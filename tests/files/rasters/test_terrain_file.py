@@ -13,7 +13,7 @@ from mgsgraph.files.rasters.terrain_file import TerrainRaster, map_projection, r
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, KM
 
 rasterio = pytest.importorskip("rasterio")
