@@ -111,7 +111,7 @@ if TYPE_CHECKING:
     from mgsgraph.network.parts import KnownImage as KnownImage
     from mgsgraph.registration.dem.model import DemSettings as DemSettings
     from mgsgraph.registration.relief import register_by_relief as register_by_relief
-    from mgsgraph.registration.relief_records import ReliefSettings as ReliefSettings
+    from mgsgraph.registration.search import ReliefSettings as ReliefSettings
     from mgsgraph.results.archive import read_solution as read_solution
     from mgsgraph.results.matching import match_into as match_into
     from mgsgraph.results.page import write_report as write_report
@@ -148,7 +148,7 @@ _HOME = {
     "read_scene": "mgsgraph.case.scene",
     "read_solution": "mgsgraph.results.archive",
     "register_by_relief": "mgsgraph.registration.relief",
-    "ReliefSettings": "mgsgraph.registration.relief_records",
+    "ReliefSettings": "mgsgraph.registration.search",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "to_geopandas": "mgsgraph.export.frames",

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from study import at_least, command, show, table
 
-from mgsgraph.case.groups import window_beside
+from mgsgraph.case.assembly import window_beside
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.export.network_content import source_networks
 from mgsgraph.fetch.lock import LOCK, Lock, LockedFile

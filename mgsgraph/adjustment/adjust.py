@@ -20,7 +20,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.support import require_observed_nodes
+from mgsgraph.network.corrections import require_observed_nodes
 
 
 def adjust_network(

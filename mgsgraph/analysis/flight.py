@@ -16,8 +16,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import sigmas_along
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
-from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
-from mgsgraph.geometry.orientation_images import SUPPORT
+from mgsgraph.geometry.orientation import SUPPORT, Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, NodePrior, Pass

@@ -1,27 +1,370 @@
 """A case file for the files that somebody has: what each is says its content, what is missing is said in comments."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from mgsgraph.atomic_write import made_beside
-from mgsgraph.case.case_file import decode, stated
-from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
-from mgsgraph.case.draft_tables import Part, draft_tables, in_line, place, quoted, said
+from mgsgraph.case.case_file import decode, plain_image, read_image, stated
 from mgsgraph.case.reading import case_of
+from mgsgraph.case.schema import ImageInput, SpiceInput, TerrainInput
+from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, require
 from mgsgraph.files.altimetry.lidar import read_lidar
-from mgsgraph.files.kinds import Kind, kind_of, listed_files
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.kinds import IMAGES, Kind, kind_of, listed_files
+from mgsgraph.files.labels.image_kinds import image_kind, image_name
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.opening import head_of
 from mgsgraph.files.writing import Output, fresh_file, require_free, writing_to
+from mgsgraph.geometry.altimetry import MOLA
 from mgsgraph.geometry.body import target_name
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage, twins
+from mgsgraph.geometry.records import Array
 from mgsgraph.network.joining import found_passes, seconds
 from mgsgraph.text import many, some
+from mgsgraph.units import KM
+
+_ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind.MAPPED_CUBE, Kind.PDS3,
+          Kind.CUBE_LABEL)  # fmt: skip
+"""By which an image is read, if there are several: what holds its geometry before what needs kernels."""
+_ALONE = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
+"""Kinds that know no serial number; a label whose name begins as theirs has it."""
+_LINE_TIMES = "line_times"
+"""Key that the reader of a label without times of its lines asks for."""
+_PICTURES = (Kind.CUBE, Kind.PDS3, Kind.RASTER, Kind.PICTURE)
+
+
+class DraftImage(NamedTuple):
+    """An image that was read."""
+
+    path: Path
+    """Its file."""
+    kind: Kind
+    """What that is."""
+    name: str
+    """What to call it."""
+    others: frozenset[str]
+    """What else networks may call it: product, file."""
+    image: PushbroomImage
+    """Its geometry."""
+    by_kernels: bool
+    """Whether it needs those of [spice]."""
+    pixels: Path | None = None
+    """File of its pixels, where its own file has none and that is called alike."""
+    line_times: str | None = None
+    """What stands for the times of its lines, where its file doesn't have them."""
+
+
+class DraftImages(NamedTuple):
+    """Images, and what was left out."""
+
+    images: tuple[DraftImage, ...]
+    """In the order of their times."""
+    left_out: tuple[str, ...]
+    """Files and why, a line each."""
+
+
+def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftImages:
+    """The images among files of some kinds, with kernels that any of them may need."""
+    spice = SpiceInput(kernels=tuple(map(str, kernels))) if kernels else None
+    files = sorted((path for path, kind in kinds.items() if kind in IMAGES), key=lambda path: (
+        _ORDER.index(kinds[path]), len(path.name), path.name.lower()
+    ))  # fmt: skip
+    labels = [path for path in files if kinds[path] not in _ALONE]
+    found, left_out = list[DraftImage](), dict[Path, str]()
+    for path, line_times in [*((path, None) for path in files), *((path, "mean") for path in files if kernels)]:
+        if line_times and _LINE_TIMES not in left_out.get(path, ""):
+            continue
+        try:
+            made = _read(path, kinds[path], labels, spice, line_times)._replace(pixels=_pixels(path, kinds))
+        except InputError as error:
+            left_out[path] = str(error)
+            continue
+        left_out.pop(path, None)
+        if (known := _twin(made, found)) is None:
+            taken_names = {one.name for one in found}
+            found.append(made._replace(name=f"{path.parent.name}/{made.name}") if made.name in taken_names else made)
+            continue
+        kept, other = found[known], made
+        if made.image.lines * made.image.samples > kept.image.lines * kept.image.samples:  # a cube cut to a stub
+            found[known], kept, other = made, made, kept
+        left_out[other.path] = f"the same image as {kept.path.name}"
+    found, others = _on_one_body(found)
+    left_out |= others
+    taken = tuple(sorted(found, key=lambda one: _start(one.image)))
+    stems = [one.path.stem for one in taken]
+    said = [
+        f"{path.name}: {without_place(reason, path)}" for path, reason in left_out.items()
+        if not any(path.stem.startswith(stem) for stem in stems)  # labels beside what was taken
+    ]
+    return DraftImages(taken, tuple(said))
+
+
+def _on_one_body(found: Sequence[DraftImage]) -> tuple[list[DraftImage], dict[Path, str]]:
+    """Images on the ellipsoid that most of them have, and why the others on the same body are left out."""
+    counts = Counter(one.image.body for one in found)
+    kept, left_out = list[DraftImage](), dict[Path, str]()
+    for one in found:
+        alike = [body for body in counts if target_name(body) == target_name(one.image.body)]
+        usual = max(alike, key=counts.__getitem__)
+        if one.image.body == usual:
+            kept.append(one)
+            continue
+        radii = [f"{body.equatorial / KM:.3f} and {body.polar / KM:.3f} km" for body in (one.image.body, usual)]
+        left_out[one.path] = f"an ellipsoid of {radii[0]}; that of the others has {radii[1]}"
+    return kept, left_out
+
+
+def without_place(reason: str, path: Path) -> str:
+    """What is wrong with a file, without the file's place before it."""
+    for place in (path, path.absolute(), path.name):
+        reason = reason.removeprefix(f"{place}: ").removeprefix(f"{place}, ")
+    return reason
+
+
+def _read(
+    path: Path, kind: Kind, labels: Sequence[Path], spice: SpiceInput | None, line_times: str | None = None
+) -> DraftImage:
+    stated = ImageInput(image=str(path.absolute()), line_times=line_times)
+    entry = plain_image(stated, spice, Path(), path.name)
+    image = read_image(entry, spice, Path(), path.name)
+    names = [entry.name]
+    if kind in _ALONE:
+        beside = [label for label in labels if label.stem.startswith(path.stem) and label.parent == path.parent]
+        names = [*_serials(beside), *names]
+    others = frozenset({*names, path.stem, *_products([path, *(labels if kind in _ALONE else [])], path.stem)})
+    return DraftImage(path, kind, names[0], others, image, entry.label is not None, None, line_times)
+
+
+def _pixels(path: Path, kinds: Mapping[Path, Kind]) -> Path | None:
+    """A picture that is called as a file without pixels is."""
+    if kinds[path] not in _ALONE:
+        return None
+    return next((one for one, kind in kinds.items() if kind in _PICTURES and one.stem == path.stem), None)
+
+
+def _serials(labels: Sequence[Path]) -> Iterator[str]:
+    for label in labels:
+        try:
+            yield image_name(label, "label" if image_kind(label, True) == "label" else "cube")
+        except InputError:
+            continue
+
+
+def _products(labels: Sequence[Path], stem: str) -> Iterator[str]:
+    for label in labels:
+        if label.stem.startswith(stem):
+            try:
+                yield read_line_scan_label(label).product
+            except InputError:
+                continue
+
+
+def _twin(made: DraftImage, found: Sequence[DraftImage]) -> int | None:
+    """The image that a new one is again, by its geometry or its name."""
+    images = [*(one.image for one in found), made.image]
+    same = [one for one, other in twins(images) if other == len(found)]
+    if made.name != made.path.stem:  # a serial number
+        same += [k for k, one in enumerate(found) if one.name == made.name]
+    return next(iter(same), None)
+
+
+def _start(image: PushbroomImage) -> float:
+    """S TDB past J2000."""
+    return float(image.trajectory.epoch + image.timing.at(np.zeros(1))[0][0])
+
+
+def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[DraftImage, ...], tuple[str, ...]]:
+    """Images called as networks call them, and names of networks for which there is no image.
+
+    By the serial number, the product or the file.
+    """
+    known, made = {_plain(name): name for name in reversed(names)}, list(images)
+    for k, one in enumerate(images):
+        if one.name not in names and (same := [known[other] for other in map(_plain, one.others) if other in known]):
+            made[k] = one._replace(name=min(same))
+    return tuple(made), tuple(name for name in names if name not in {one.name for one in made})
+
+
+def _plain(name: str) -> str:
+    """Letters and digits of a name: products are written with a slash, a hyphen or neither."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+
+_ALTIMETRY = "[[altimetry]]"
+_RELIEF = "control by relief for `mgsgraph coregister`"
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
+_SAME_SHOT = 1e-3
+"""s between the times of one shot in two files."""
+_MEGDR_STEPS: dict[str, MegdrResolution] = {"c": "4", "e": "16", "h": "128"}
+"""Pixels per degree of MEGDR's grids, by the letter in their names."""
+
+
+class Part(NamedTuple):
+    """A table of the case that may turn out not to go with the others."""
+
+    path: Path
+    text: str
+    measured: bool = False
+    """Whether it holds measures in images."""
+    note: str = ""
+    """What is to be said of it."""
+
+
+def quoted(text: str) -> str:
+    """A text as a basic string of TOML, whose escapes are those of JSON, and one more."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"the name {text!r}", "no Unicode text, as a case file is", remedy="rename it") from None
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def place(path: Path, out: Path) -> str:
+    """A path as the case file has it: relative to its folder."""
+    return quoted(Path(os.path.relpath(path.absolute(), out.absolute().parent)).as_posix())
+
+
+def said(line: str, comment: str) -> str:
+    """A line with a comment behind it."""
+    return f"{line:39} # {in_line(comment)}\n"
+
+
+def in_line(text: str) -> str:
+    """A text that no line break or control character of it ends or alters."""
+    return _CONTROL.sub(" ", text.encode(errors="backslashreplace").decode())
+
+
+def draft_tables(
+    kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path
+) -> tuple[list[Part], list[str]]:
+    """Tables of all that is no image; and what can't be used beside the rest, with the reason."""
+    parts, refused = list[Part](), list[str]()
+    for make in (_ties, _control, _lidar, partial(_shots, refused=refused), _altimetry, _terrain):
+        of_kind = list(make(kinds, images, out))
+        for path, text, measured in of_kind:
+            head, _, rest = text.partition("\n")
+            head = f"[{head}]" if len(of_kind) > 1 and not head.startswith("[[") else head
+            text, note = f"\n{head}\n{rest}", ""
+            if head == _ALTIMETRY:  # it says nothing without the images' relief, to which `adjust` is blind
+                note = f"{_RELIEF}; in comments"
+                text = "".join(f"\n# {line}" for line in (_RELIEF, head, *rest.splitlines())) + "\n"
+                text = f"\n{text.lstrip()}"
+            parts.append(Part(path, text, measured, note))
+    return parts, refused
+
+
+_Made = Iterator[tuple[Path, str, bool]]
+
+
+def _of(kinds: dict[Path, Kind], *wanted: Kind) -> list[Path]:
+    return [path for path, kind in kinds.items() if kind in wanted]
+
+
+def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+    for path in _of(kinds, Kind.NETWORK, Kind.TIE_TABLE):
+        sigma = said("sigma_px = 1.0", "of line and sample, where the network doesn't say")
+        yield path, f"[ties]\nnetwork = {place(path, out)}\n{sigma}", True
+
+
+def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+    for path in _of(kinds, Kind.GROUND_CONTROL)[:1]:
+        yield path, f"[ground_control]\nfile = {place(path, out)}\n", True
+
+
+def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+    for path in _of(kinds, Kind.LIDAR):
+        sigma = said("image_sigma_px = 30.0", "of the shots' pixels")
+        yield path, f"[laser]\nfile = {place(path, out)}\n{sigma}", True
+
+
+def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, refused: list[str]) -> _Made:
+    """A profile taken along with an image has ranges from its trajectory, MOLA's a shift; others are altimetry."""
+    known = list[Array]()
+    for path in _of(kinds, Kind.LIDAR):
+        with suppress(InputError):  # said where the case is read
+            known.append(read_lidar(path).times)
+    for path in _of(kinds, Kind.SHOTS):
+        try:
+            shots = read_shots(path)
+        except InputError as error:
+            refused.append(f"{path.name}: {without_place(str(error), path)}")
+            continue
+        if any(np.mean(np.abs(_nearest(shots.times, times) - times) < _SAME_SHOT) > 0.5 for times in known):
+            refused.append(f"{path.name}: the same shots as the laser shots of ISIS")
+            continue
+        along = any(np.any((shots.times > start) & (shots.times < stop)) for start, stop in map(_span, images))
+        if along or shots.altimeter is MOLA:
+            text = f"[[shots]]\nfile = {place(path, out)}\n"
+            yield path, text + said("shift_sigma_m = 100.0", "a common horizontal error, as an unknown"), False
+        else:
+            yield _of_relief(path, out)
+
+
+def _nearest(sorted_or_not: Array, times: Array) -> Array:
+    """Of each time the nearest one of others."""
+    known = np.sort(sorted_or_not)
+    after = np.clip(np.searchsorted(known, times), 1, known.size - 1)
+    before = after - 1
+    return np.asarray(np.where(times - known[before] < known[after] - times, known[before], known[after]))
+
+
+def _span(one: DraftImage) -> tuple[float, float]:
+    """S TDB past J2000 of an image's first and last edge."""
+    edges, _ = one.image.timing.at(np.array([0.0, float(one.image.lines)]))
+    start, stop = (edges + one.image.trajectory.epoch).tolist()
+    return start, stop
+
+
+def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+    yield from (_of_relief(path, out) for path in _of(kinds, Kind.ALTIMETRY))
+
+
+def _of_relief(path: Path, out: Path) -> tuple[Path, str, bool]:
+    sigma = said("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/coregister.md")
+    return path, f"{_ALTIMETRY}\nfile = {place(path, out)}\n{sigma}", False
+
+
+def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+    pictures = [one.image for one in images]
+    for path in _of(kinds, Kind.RADII, Kind.RASTER):
+        text = f"[terrain]\nradius = {place(path, out)}\n"
+        heights, level = _of(kinds, Kind.TOPOGRAPHY), None
+        if kinds[path] is Kind.RASTER:
+            level = _level(path, pictures, out)
+            text += said(f"reference_radius_m = {level}", "above which its heights are: is it?") if level else ""
+        elif heights and heights[0].name[4:].lower() == path.name[4:].lower():
+            text += said(f"topography = {place(heights[0], out)}", "radius minus topography is the areoid")
+        resolution = _MEGDR_STEPS.get(path.name[10:11].lower(), "none")
+        grid = MEGDR_SIGMAS.get(resolution) if kinds[path] is Kind.RADII else None
+        text += said(f"vertical_sigma_m = {grid or 10.0}", "of its heights" + (" between its posts" if grid else ""))
+        text += said("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
+        yield path, text, False
+
+
+def _level(path: Path, images: Sequence[PushbroomImage], out: Path) -> float | None:
+    """m, sphere above which a raster's values may be heights; None where they may be radii, or nothing of both."""
+    for level in (None, images[0].body.equatorial):
+        with suppress(InputError):
+            entry = TerrainInput(radius=str(path.absolute()), reference_radius_m=level)
+            read_terrain_model(entry, out, images, read_shots)
+            return level
+    return None
+
+
 
 
 def _of_one_moment(images: Sequence[DraftImage]) -> list[str]:

@@ -22,10 +22,9 @@ from mgsgraph.case.motion import (
 )
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.time_scales import utc_of_tdb
+from mgsgraph.geometry.trajectory import utc_of_tdb
 from mgsgraph.network import NodePrior, Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.joining import found_passes, mountings, seconds
 

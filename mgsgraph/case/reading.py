@@ -12,11 +12,10 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.assembly import Parts
+from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
-from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
-from mgsgraph.case.mountings import mounted, mounting_unknowns
+from mgsgraph.case.motion import mounted, mounting_unknowns
 from mgsgraph.case.passes import members, passes_of
 from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, ShotsInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
@@ -33,7 +32,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
-from mgsgraph.network.range_images import Members
+from mgsgraph.network.footprints import Members
 from mgsgraph.network.terrain import TerrainModel
 from mgsgraph.record import Record
 

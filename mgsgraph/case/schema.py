@@ -7,15 +7,13 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, SolverSettings
-from mgsgraph.case.motion import Factor, Positive, Sigma, three
-from mgsgraph.case.mountings import MountingInput
+from mgsgraph.case.motion import Factor, MountingInput, Positive, Sigma, three
 from mgsgraph.case.passes import PassInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.labels.aberration import Observer
-from mgsgraph.geometry.altimeters import Altimeter
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.altimetry import Altimeter
+from mgsgraph.geometry.image import PushbroomImage, fit_attitude, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.polynomial_trajectory import fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.text import listed

@@ -13,8 +13,16 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import Ellipsoid, east_north, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, areoid_grid
-from mgsgraph.geometry.terrain_grids import above_areoid, mosaic, track_gaps
+from mgsgraph.geometry.terrain import (
+    PostLattice,
+    TerrainGrid,
+    TerrainKind,
+    above_areoid,
+    areoid_grid,
+    mosaic,
+    track_gaps,
+    track_terrain,
+)
 from mgsgraph.network.terrain import box_of, in_degrees
 from mgsgraph.units import DEG, KM
 
@@ -192,8 +200,6 @@ def require_level(areoid: TerrainGrid, body: Ellipsoid) -> None:
 def _of_tracks(
     entry: TerrainInput, folder: Path, ground: Array, tracks: Callable[[Path], AltimeterShots]
 ) -> TerrainGrid:
-    from mgsgraph.geometry.track_terrain import track_terrain  # scipy.spatial takes its time to load
-
     shots = [tracks(folder / name) for name in entry.profiles]
     return track_terrain(
         shots, ground, entry.longest_edge_m, entry.post_step_deg * DEG, entry.vertical_sigma_m,

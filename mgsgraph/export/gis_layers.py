@@ -13,9 +13,8 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import adjusted_points, local_sigmas, ray_statistics, rejected_points
 from mgsgraph.files.output.csv_json import columns, picked
-from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.body import PROBABILITY, east_north_up, error_ellipses, geodetic
 from mgsgraph.geometry.footprint import Footprint, Shapes, areas, map_lines, map_points, map_polygon, map_polygons
-from mgsgraph.geometry.map_plane import PROBABILITY, error_ellipses
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints

@@ -6,12 +6,12 @@ Images that are one and the same: taken at the same times from the same places i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import (
     by_interior,
@@ -23,12 +23,13 @@ from mgsgraph.factors.collinearity import (
     ray_motion,
 )
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
+from mgsgraph.geometry.body import Ellipsoid, distances, intersect_ellipsoid, nearness, require_possible, surface_radii
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.geometry.trajectory import AttitudeTable, Pose, PositionTable, Trajectory
 from mgsgraph.record import Record
+from mgsgraph.units import KM
 
 _NEWTON_STEPS = 30
 _PIXEL_TOLERANCE = 1e-9
@@ -384,3 +385,237 @@ def _same(one: PushbroomImage, other: PushbroomImage) -> bool:
     pixel = np.linalg.norm(slopes, axis=1).max(axis=1)
     seen = np.isfinite(apart)
     return bool(np.any(seen) and np.all(apart[seen] < _PIXELS * pixel[seen]))
+
+
+
+_FARTHEST = 400
+"""Radii of the body, from farther than which no line scanner looks; a low orbit in metres for kilometres is farther."""
+_CONTRADICTION = 0.2
+"""Share of the velocities by which positions may change otherwise: of sparse tables of a bent orbit it is far less."""
+_SYSTEM, _FASTEST = 1e13, 1e7
+"""m, 70 astronomical units; m/s, a thirtieth of the speed of light."""
+_CONVERGENT = 0.05
+"""rad, from which on rays meet at a good angle."""
+_FLATTEST = 0.1
+"""Of ellipsoids that are bodies, polar radius by equatorial one: Haumea has a half."""
+_FEW = 5
+"""Points; fewer may all be blunders."""
+
+
+def require_plausible(image: PushbroomImage, where: str) -> None:
+    """Raise InputError, naming `where`, unless the body is one that can be, and the image was taken from outside it,
+    from not hundreds of its radii away, with velocities that lead from position to position, and sees the ellipsoid in
+    its middle.
+    """
+    body, unit = image.body, "check the units of positions and radii (km, or m where the file says so)"
+    table = getattr(image.trajectory, "position", None)
+    if isinstance(table, PositionTable):  # a body-fixed path may have corners, where its velocities are nobody's
+        require_flight(table, where, 1.0 if isinstance(image.trajectory, Trajectory) else 0.5)
+    require_possible(body, "", where)
+    middle = np.array([0.5 * image.lines])
+    distance = float(np.linalg.norm(image.pose(middle).position))
+    if not body.polar < distance < _FARTHEST * body.equatorial:
+        found = f"a camera {distance / KM:.6g} km from the body's centre, whose radius is {body.equatorial / KM:.6g} km"
+        raise InputError(where, found, f"one outside the body and not {_FARTHEST} radii away", unit)
+    with np.errstate(all="ignore"):
+        ground, _ = image.image_to_ground(middle, np.array([0.5 * image.samples]), 0.0)
+    if not np.isfinite(ground).all():
+        remedy = f"check attitudes, focal length and units; {unit}"
+        raise InputError(where, "a middle that looks past the body", "one that sees the ellipsoid", remedy)
+
+
+def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str) -> None:
+    """Raise InputError, naming `where`, where most rays meet far from the ellipsoid, which then is another body's.
+
+    Parameters
+    ----------
+    points : (n, 3)
+        m, body-fixed, where rays of images meet by their nominal orientation.
+    angles : (n,)
+        rad, largest between the rays of each; NaN where they don't meet.
+    body : Ellipsoid
+        Of the images.
+    where : str
+        What has them.
+    """
+    met = (angles > _CONVERGENT) & np.isfinite(points).all(axis=1)
+    if np.count_nonzero(met) < _FEW or body.polar < _FLATTEST * body.equatorial:  # a plane, to which no radius belongs
+        return
+    found, ground, near = distances(points[met]), surface_radii(points[met], body), nearness(body)
+    if not 1.0 / near < np.median(found / ground) < near:
+        raise InputError(
+            where, f"rays that meet {np.median(found) / KM:.6g} km from the body's centre, half of them at least",
+            f"points near its surface, {np.median(ground) / KM:.6g} km from there",
+            "check the radii in the images' files, and that the ties are of these images",
+        )  # fmt: skip
+
+
+def require_flight(table: PositionTable, where: str, share: float = 1.0) -> None:
+    """Raise InputError, naming `where`, for positions and velocities beyond anything in the solar system, and where
+    these don't lead from position to position, in a share of all steps, which are the best.
+    """
+    require_near_sun(table.positions, where)
+    require_slow(table.velocities, where)
+    _require_led_by_velocities(table, where, share)
+
+
+def require_near_sun(positions: Array, where: str) -> None:
+    """Raise InputError for positions (n, 3) in m that are the body's centre or beyond the solar system."""
+    distances = np.abs(positions).max(axis=1)
+    for k in np.flatnonzero((distances < 1.0) | (distances > _SYSTEM))[:1]:
+        found = f"position {k}, {distances[k]:g} m from the body's centre"
+        raise InputError(where, found, "one outside the body, in its neighbourhood", "check the unit")
+
+
+def require_slow(velocities: Array, where: str, limit: float = _FASTEST) -> None:
+    """Raise InputError for velocities (..., 3) in m/s beyond a limit: by default none in the solar system has."""
+    if (fastest := np.abs(velocities).max(initial=0.0)) > limit:
+        raise InputError(where, f"a velocity of {fastest:g} m/s", f"at most {limit:g}", "check the unit")
+
+
+def _require_led_by_velocities(table: PositionTable, where: str, share: float) -> None:
+    with np.errstate(all="ignore"):
+        steps = np.diff(table.times)[:, None]
+        chords, means = np.diff(table.positions, axis=0) / steps, 0.5 * (table.velocities[1:] + table.velocities[:-1])
+        speed = np.linalg.norm(chords, axis=1)
+        off = np.linalg.norm(chords - means, axis=1) / np.where(speed > 0.0, speed, np.inf)
+        off[~np.isfinite(off)] = np.inf
+    if np.quantile(off, share, method="lower") > _CONTRADICTION:
+        k = int(np.argmax(off))
+        stated, at = np.linalg.norm(means[k]), table.times[k]
+        found = f"velocities of {stated:.6g} m/s where positions move by {speed[k]:.6g} m/s, or another way"
+        found += f" ({np.count_nonzero(off > _CONTRADICTION)} of {off.size} times, most {at:.6g} s past the epoch)"
+        raise InputError(where, found, "those of the positions", "check units and signs of both")
+
+
+
+_NODES = 2049
+"""Records at which polynomials of the attitude are laid out again; the great arc between two is then on the curve."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialTrajectory:
+    """Position and attitude as polynomials of normalised time s = (2 t - start - stop) / (stop - start)."""
+
+    epoch: float
+    """s TDB past J2000 from which all times count."""
+    start: float
+    """s past the epoch, where s = -1: the first line's edge."""
+    stop: float
+    """s past the epoch, where s = 1: the last line's edge."""
+    position: Array
+    """(order + 1, 3) m, body-fixed X, Y, Z; row k belongs to s^k."""
+    angles: Array
+    """(order + 1, 3) rad, omega, phi, kappa as in `rotation.omega_phi_kappa`; row k belongs to s^k."""
+    spin: Array | None = None
+    """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes; None where unknown."""
+
+    def __post_init__(self) -> None:
+        where = "polynomial trajectory"
+        if not (np.isfinite([self.epoch, self.start, self.stop]).all() and self.start < self.stop):
+            raise InputError(where, f"{self.start} .. {self.stop} s past {self.epoch} s", "finite, start before stop")
+        position = frozen(self.position, f"{where}, position", (None, 3))
+        angles = frozen(self.angles, f"{where}, angles", (None, 3))
+        if not position.size or not angles.size:
+            raise InputError(where, "no coefficients", "at least the constant ones")
+        assign(self, position=position, angles=angles)
+        if self.spin is not None:
+            assign(self, spin=frozen(self.spin, f"{where}, spin", (3,)))
+
+    @property
+    def coverage(self) -> tuple[float, float]:
+        """First and last time, s past the epoch, to which the polynomials were fitted."""
+        return self.start, self.stop
+
+    def require(self, times: Array, where: str, slack: float = 0.0) -> None:
+        """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
+        beyond = np.flatnonzero(~(np.maximum(self.start - times, times - self.stop) <= slack))
+        if beyond.size:
+            first = float(times[beyond[0]])
+            raise EphemerisGap(where, *(self.epoch + time for time in (first, self.start, self.stop)))
+
+    def pose(self, times: Array) -> Pose:
+        """Pose at times (n,) in s past the epoch, rates per second; outside the coverage the polynomials go on."""
+        rate = 2.0 / (self.stop - self.start)
+        s = rate * (times - self.start) - 1.0
+        from mgsgraph.geometry.compiled_pose import polynomial_poses  # compiled: not before it is needed
+
+        pose = Pose(np.empty((s.size, 3)), np.empty((s.size, 3)), np.empty((s.size, 3, 3)), np.empty((s.size, 3)))
+        where = pose.position, pose.velocity, pose.matrix, pose.angular_rate
+        polynomial_poses(s, rate, self.position, self.angles, *where)
+        return pose
+
+
+def fit_polynomials(image: PushbroomImage, order: int = 2, samples: int = 31) -> PushbroomImage:
+    """The same image with polynomials in place of its trajectory.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        With its trajectory as read.
+    order : int
+        Of the polynomials, at least 0.
+    samples : int
+        Places, evenly spread in time from the first line's edge to the last one's, that they are fitted to by least
+        squares; more than `order`.
+
+    Returns
+    -------
+    PushbroomImage
+        Its trajectory a `PolynomialTrajectory`.
+    """
+    if order < 0 or samples <= order:
+        raise InputError(f"image {image.name}, polynomials", f"order {order} through {samples} samples", "more samples")
+    (start, stop), _ = image.timing.at(np.array([0.0, float(image.lines)]))
+    s = np.linspace(-1.0, 1.0, samples)
+    times = start + 0.5 * (s + 1.0) * (stop - start)
+    pose = image.trajectory.pose(times)
+    # Legendre's basis keeps the equations well conditioned; the record holds plain powers of s
+    basis = np.polynomial.legendre.legvander(s, order)
+    values = np.hstack([pose.position, np.unwrap(rotation.omega_phi_kappa(pose.matrix), axis=0)])
+    fitted = np.linalg.lstsq(basis, values, rcond=None)[0]
+    coefficients = np.zeros((order + 1, 6))
+    for column in range(6):
+        powers = np.polynomial.legendre.leg2poly(fitted[:, column])
+        coefficients[: powers.size, column] = powers
+    trajectory = PolynomialTrajectory(
+        image.trajectory.epoch, float(start), float(stop), coefficients[:, :3], coefficients[:, 3:],
+        image.trajectory.spin,
+    )  # fmt: skip
+    return replace(image, trajectory=trajectory)
+
+
+def fit_attitude(image: PushbroomImage, order: int = 2) -> PushbroomImage:
+    """The same image with polynomials in place of its attitude, as jigsaw's CKDEGREE fits them.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        With its trajectory as read.
+    order : int
+        Of the polynomials, at least 0, and below the number of records of the attitude table.
+
+    Returns
+    -------
+    PushbroomImage
+        Its trajectory's attitude table is of the polynomials; over the table's own times, not the image's.
+
+    Raises
+    ------
+    InputError
+        A trajectory that is no table, or with too few records.
+    """
+    where, trajectory = f"image {image.name}, polynomials of its attitude", image.trajectory
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(where, "an orientation in polynomials already", "the tables of support data, cubes or kernels")
+    table = trajectory.camera
+    if not 0 <= order < table.times.size:
+        raise InputError(where, f"order {order} through {table.times.size} records", "more records than the order")
+    middle, half = 0.5 * (table.times[0] + table.times[-1]), 0.5 * (table.times[-1] - table.times[0])
+    angles = np.unwrap(rotation.angles_313(rotation.to_matrix(table.quaternions)), axis=0)
+    legendre = np.polynomial.legendre
+    fitted = np.linalg.lstsq(legendre.legvander((table.times - middle) / half, order), angles, rcond=None)[0]
+    s = np.linspace(-1.0, 1.0, _NODES)
+    quaternions = rotation.from_matrix(rotation.from_angles_313(legendre.legvander(s, order) @ fitted))
+    smooth = AttitudeTable(middle + half * s, rotation.continuous(quaternions), table.constant)
+    return replace(image, trajectory=replace(trajectory, camera=smooth))

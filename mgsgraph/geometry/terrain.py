@@ -14,7 +14,7 @@ D >= C. The sigma of their mean is right where all have as many neighbours; one 
 Bilinear interpolation between the nodes of a regular grid.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -24,9 +24,12 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, assign
 from mgsgraph.record import Record
+from mgsgraph.text import root_mean_square
+from mgsgraph.units import DEG, KM
 
 
 def between_nodes(nodes: NDArray[Any], at: Array) -> Array:
@@ -480,3 +483,316 @@ def areoid_heights(points: Array, areoid: TerrainGrid) -> Array:
     if areoid.kind != "areoid":
         raise InputError(f"terrain {areoid.source}", f"a grid of {areoid.kind}", "a grid of the areoid's radius")
     return np.asarray(np.linalg.norm(points, axis=1) - areoid.at(points))
+
+
+
+_ALIGNED = 1e-3
+"""Steps within which the posts of two tiles lie on one lattice."""
+_ROUNDING = 1e-6
+"""Share within which two steps are the same, and a turn is a whole number of them."""
+
+
+def mosaic(tiles: Sequence[TerrainGrid]) -> TerrainGrid:
+    """Tiles with the same steps on one lattice of posts as one grid; NaN where none has a post, the first where two do.
+
+    Raises
+    ------
+    InputError
+        Where tiles have other steps, kinds or sigmas, or posts beside the first tile's lattice.
+    """
+    if len(tiles) == 1:
+        return tiles[0]
+    first = tiles[0]
+    places = np.array([_place(tile, first) for tile in tiles])
+    sizes = np.array([tile.radii.shape for tile in tiles])
+    turn = round(2.0 * np.pi / first.longitude_step)
+    # the western edge after which all tiles reach least far eastward
+    reach = [int(np.max((places[:, 1] - west) % turn + sizes[:, 1])) for west in places[:, 1]]
+    west, north = places[int(np.argmin(reach)), 1], int(places[:, 0].min())
+    columns, rows = min(min(reach), turn), int((places[:, 0] + sizes[:, 0]).max()) - north
+    radii = np.full((rows, columns), np.nan, dtype=np.result_type(*(tile.radii for tile in tiles)))
+    for tile, (row, column) in zip(tiles, places.tolist(), strict=True):
+        where = slice(row - north, row - north + tile.radii.shape[0])
+        across = (column - west + np.arange(tile.radii.shape[1])) % turn
+        radii[where, across] = np.where(np.isnan(radii[where, across]), tile.radii, radii[where, across])
+    return replace(
+        first,
+        source=", ".join(dict.fromkeys(tile.source for tile in tiles)),
+        radii=radii,
+        first_longitude=first.first_longitude + int(west) * first.longitude_step,
+        first_latitude=first.first_latitude - north * first.latitude_step,
+        wraps=columns == turn and abs(turn * first.longitude_step / (2.0 * np.pi) - 1.0) < _ROUNDING,
+    )
+
+
+def _place(tile: TerrainGrid, first: TerrainGrid) -> tuple[int, int]:
+    """Row and column of a tile's first post, counted from the first tile's."""
+    where = f"terrain {tile.source}"
+    steps = np.array([[grid.longitude_step, grid.latitude_step] for grid in (tile, first)])
+    if not np.allclose(steps[0], steps[1], rtol=_ROUNDING, atol=0.0):
+        raise InputError(where, "posts at other steps", f"those of {first.source}", "give tiles of one grid")
+    if tile.kind != first.kind or tile.gaps is not None:
+        raise InputError(where, f"a grid of {tile.kind}", f"one of {first.kind}, as {first.source}")
+    shift = np.array([first.first_latitude - tile.first_latitude, tile.first_longitude - first.first_longitude])
+    place = shift / steps[1, ::-1]
+    if np.any(np.abs(place - np.rint(place)) > _ALIGNED):
+        raise InputError(where, "posts between those of the first tile", f"the lattice of {first.source}")
+    row, column = np.rint(place).astype(int).tolist()
+    return row, column
+
+
+def above_areoid(heights: TerrainGrid, areoid: TerrainGrid) -> TerrainGrid:
+    """Radii of posts whose heights above the areoid a grid has: height plus the areoid's radius at each post.
+
+    Posts beside the areoid's grid become missing ones.
+    """
+    where = f"terrain {heights.source}"
+    if heights.kind != "topography":
+        raise InputError(where, f"a grid of {heights.kind}", "heights above the areoid")
+    if areoid.kind != "areoid":
+        raise InputError(f"terrain {areoid.source}", f"a grid of {areoid.kind}", "a grid of the areoid's radius")
+    rows, columns = heights.radii.shape
+    longitudes = np.asarray(heights.first_longitude + np.arange(columns) * heights.longitude_step, dtype=np.float64)
+    radii = np.empty((rows, columns))
+    for i in range(rows):  # a row at a time: the temporaries of a whole grid are ten times as large as it
+        latitude = heights.first_latitude - i * heights.latitude_step
+        radii[i] = heights.radii[i] + _radius(areoid, longitudes, latitude)
+    return replace(heights, source=f"{heights.source} + {areoid.source}", radii=radii, kind="radius")
+
+
+def _radius(areoid: TerrainGrid, longitudes: Array, latitude: float) -> Array:
+    values, _, _ = areoid.radius(longitudes, np.full(longitudes.size, latitude))
+    return values
+
+
+# --- errors between the tracks that made a model
+
+_LEAST = 24
+"""Posts between two others from which a distance tells something."""
+_STEEPEST = 4.0
+"""Power of the distance by which a smooth surface leaves its chords."""
+_FLATTEST = 0.2
+"""Least power that is believed."""
+
+
+def track_gaps(grid: TerrainGrid, counts: TerrainGrid) -> Gaps:
+    """What interpolation between tracks adds to the errors of a grid's posts, by the number of shots in each cell.
+
+    Raises
+    ------
+    InputError
+        Where the two grids have different posts, or too few posts with shots lie in line.
+    """
+    if not grid.same_posts(counts):
+        raise InputError(f"terrain {counts.source}", "other posts", f"those of {grid.source}", "give its counts")
+    shots = (np.nan_to_num(np.asarray(counts.radii, dtype=np.float64)) > 0.0) & np.isfinite(grid.radii)
+    if np.all(shots | np.isnan(grid.radii)):
+        return Gaps(np.zeros(shots.shape), np.zeros(shots.shape))
+    radius = float(np.nanmean(grid.radii))
+    latitudes = grid.first_latitude - np.arange(shots.shape[0]) * grid.latitude_step
+    east, south = grid.longitude_step * np.cos(latitudes) * radius, grid.latitude_step * radius
+    size, power = _misfit(np.asarray(grid.radii, dtype=np.float64), shots, (south, float(np.mean(east))), counts.source)
+    farthest = float(np.hypot(shots.shape[0] * south, shots.shape[1] * east.max()))
+    least, reaches = np.full(shots.shape, np.inf), np.zeros(shots.shape)
+    for one, other, step in _tracks(shots, east, south):
+        farther, nearest = np.maximum(one, other) * step, np.minimum(np.minimum(one, other) * step, farthest)
+        alone = np.isinf(farther)
+        half = np.where(alone, 2.0 * nearest, 0.5 * (nearest + farther))
+        middle = np.where(alone, 1.0, nearest * np.where(alone, 1.0, farther) / np.maximum(half, 1.0) ** 2)
+        variance = size * half**power * middle ** min(power, 2.0)
+        better = variance < least
+        least[better], reaches[better] = variance[better], half[better]
+    least[shots], reaches[shots] = 0.0, 0.0
+    return Gaps(np.sqrt(least), reaches)
+
+
+def _misfit(radii: Array, shots: Mask, steps: tuple[float, float], source: str) -> tuple[float, float]:
+    """A in m^(2 - p) and p of what linear interpolation over a half distance misses, by posts with shots in line."""
+    known = np.where(shots, radii, np.nan)
+    distances, variances, numbers = list[float](), list[float](), list[int]()
+    for axis, step in enumerate(steps):
+        values, lag = np.moveaxis(known, axis, 0), 1
+        while 2 * lag < values.shape[0]:
+            missed = values[lag:-lag] - 0.5 * (values[: -2 * lag] + values[2 * lag :])
+            missed = np.abs(missed[np.isfinite(missed)])
+            if missed.size >= _LEAST:
+                fourth = np.mean(np.sqrt(missed)) ** 4
+                distances.append(lag * step)
+                variances.append(max(float(fourth / (0.457 + 0.494 / missed.size)), 1e-6))
+                numbers.append(missed.size)
+            lag *= 2
+    if len(set(distances)) < 2:
+        raise InputError(
+            source, "hardly any posts with shots in line", "tracks that make posts beside each other",
+            "say counts = false, and a vertical_sigma_m that holds between the tracks",
+        )  # fmt: skip
+    distance, variance = np.log(np.stack([distances, variances]))
+    power = float(np.polyfit(distance, variance, 1, w=np.sqrt(numbers))[0])
+    power = min(max(power, _FLATTEST), _STEEPEST)
+    return float(np.exp(np.average(variance - power * distance, weights=numbers))), power
+
+
+def _tracks(shots: Mask, east: Array, south: float) -> Iterator[tuple[Array, Array, Array]]:
+    """Along rows, columns and both diagonals: (rows, columns) posts to the next one with shots on either side, infinite
+    where there is none, and (rows, 1) m between posts.
+    """
+    steps = np.stack([east, np.full(east.size, south), np.hypot(east, south), np.hypot(east, south)])[:, :, None]
+    for way, step in zip(((0, 1), (1, 0), (1, 1), (1, -1)), steps, strict=True):
+        yield _next(shots, way), _next(shots[::-1, ::-1], way)[::-1, ::-1], step
+
+
+def _next(shots: Mask, way: tuple[int, int]) -> NDArray[np.float64]:
+    """(rows, columns) posts back along a way, 0 or 1 rows and -1 to 1 columns a step, to one with shots."""
+    rows, along = (shots, way[1]) if way[0] else (shots.T, 0)
+    found = np.where(rows, 0.0, np.inf)
+    for i in range(1, len(found)):
+        before = np.full(found.shape[1], np.inf)
+        if along > 0:
+            before[1:] = found[i - 1, :-1]
+        elif along < 0:
+            before[:-1] = found[i - 1, 1:]
+        else:
+            before = found[i - 1]
+        found[i] = np.minimum(found[i], before + 1.0)
+    return found if way[0] else found.T
+
+
+
+LONGEST_EDGE = 5.0 * KM
+"""m, above which an edge of a triangle makes it a hole: about the spacing of MOLA's tracks at the equator."""
+POST_STEP = DEG / 200.0
+"""rad, between posts: 300 m, as far apart as MOLA's shots along a track."""
+_NEIGHBOURS = 0.15
+"""s, within which shots follow each other without a gap."""
+_INSIDE = 1e-9
+"""Share by which a post may lie beside a triangle and still be on its edge."""
+_MOST = 1 << 28
+"""Posts of a grid."""
+
+
+def track_terrain(
+    tracks: Sequence[AltimeterShots],
+    around: Array | None = None,
+    longest_edge: float = LONGEST_EDGE,
+    post_step: float = POST_STEP,
+    vertical_sigma: float = 10.0,
+    planimetric_sigma: float | None = None,
+) -> TerrainGrid:
+    """Triangulate altimeter tracks and lay them out as a grid of radii.
+
+    Parameters
+    ----------
+    tracks : sequence of AltimeterShots
+        Their returns from the ground are used.
+    around : (n, 3), optional
+        m, body-fixed: points that the grid is to lie under; all of the tracks when absent.
+    longest_edge : float
+        m, of a triangle's edges; larger triangles are holes.
+    post_step : float
+        rad, between posts in latitude; between columns it is as wide on the ground.
+    vertical_sigma, planimetric_sigma : float
+        m, of a shot's height, and of the tracks' common horizontal place.
+
+    Raises
+    ------
+    InputError
+        Where fewer than three shots lie there, all on a line, or nothing but holes would be left.
+    """
+    from scipy.interpolate import LinearNDInterpolator  # slow to import
+    from scipy.spatial import Delaunay, KDTree, QhullError
+
+    source = ", ".join(dict.fromkeys(shots.source for shots in tracks))
+    places, roughness = _ground(tracks, source)
+    if around is not None:
+        places = places[_near(places, around, 2.0 * longest_edge)]
+        if places.shape[0] < 3:
+            raise InputError(source, f"{places.shape[0]} shots around the images", "tracks that cross their ground")
+    longitudes, latitudes, radii = planetocentric(places).T
+    middle = float(np.angle(np.mean(np.exp(1j * longitudes))))
+    longitudes = in_turn(longitudes, middle)
+    shrink = float(np.cos(0.5 * (latitudes.min() + latitudes.max())))
+    steps = post_step / shrink, post_step
+    west, north = np.floor(longitudes.min() / steps[0]), np.ceil(latitudes.max() / steps[1])
+    columns = int(np.ceil(longitudes.max() / steps[0]) - west) + 1
+    rows = int(north - np.floor(latitudes.min() / steps[1])) + 1
+    if rows * columns > _MOST:
+        raise InputError(source, f"{rows} x {columns} posts", f"{_MOST} at most", "give a wider post_step_deg")
+    plane = np.column_stack([longitudes * shrink, latitudes])
+    origin = plane.mean(axis=0)
+    try:
+        net = Delaunay(plane - origin)
+    except QhullError:
+        raise InputError(source, f"{places.shape[0]} shots on one line", "tracks that span an area") from None
+    small = _small(places[net.simplices], longest_edge)
+    lattice = west * steps[0], north * steps[1]
+    linear = LinearNDInterpolator(net, radii)
+    values, distances = np.full((rows, columns), np.nan), np.full((rows, columns), np.nan)
+    eastward = (lattice[0] + np.arange(columns) * steps[0]) * shrink
+    for row in range(rows):
+        posts = np.column_stack([eastward, np.full(columns, lattice[1] - row * steps[1])]) - origin
+        triangle = net.find_simplex(posts, tol=_INSIDE)
+        held = (triangle >= 0) & small[triangle]
+        values[row, held] = linear(posts[held])
+    level = float(radii.mean())
+    nearest = KDTree(places * (level / radii)[:, None])
+    for row in np.flatnonzero(np.any(np.isfinite(values), axis=1)).tolist():
+        there = np.flatnonzero(np.isfinite(values[row]))
+        latitude = lattice[1] - row * steps[1]
+        posts = np.column_stack([lattice[0] + there * steps[0], np.full((there.size, 2), [latitude, level])])
+        distances[row, there] = nearest.query(from_planetocentric(posts))[0]
+    if not np.any(np.isfinite(values)):
+        raise InputError(
+            source, f"no triangle of shots with edges up to {longest_edge / KM:g} km",
+            "tracks closer to each other", "give more tracks, or a larger longest_edge_m",
+        )  # fmt: skip
+    return TerrainGrid(
+        source, values, *lattice, *steps, vertical_sigma=vertical_sigma, planimetric_sigma=planimetric_sigma,
+        gaps=Gaps(roughness * distances, distances),
+    )  # fmt: skip
+
+
+def _ground(tracks: Sequence[AltimeterShots], source: str) -> tuple[Array, float]:
+    """(n, 3) m, footprints of all returns from the ground, and the roughness of the region (m per m)."""
+    orbits = np.concatenate([np.zeros(0, dtype=np.int64), *(shots.orbits[shots.ground] for shots in tracks)])
+    if orbits.size < 3:
+        raise InputError(source or "terrain tracks", f"{orbits.size} shots from the ground", "three at least")
+    track = np.concatenate([np.full(np.count_nonzero(shots.ground), k) for k, shots in enumerate(tracks)])
+    times = np.concatenate([shots.times[shots.ground] for shots in tracks])
+    places = np.concatenate([shots.footprints[shots.ground] for shots in tracks])
+    order = np.lexsort((times, orbits, track))
+    return places, _roughness(places[order], times[order], (track * (int(orbits.max()) + 1) + orbits)[order])
+
+
+def _roughness(places: Array, times: Array, track: Index) -> float:
+    """Rms of what linear interpolation between a shot's neighbours misses, over the distance to the nearer one."""
+    step = np.diff(times)
+    follows = (step > 0.0) & (step < _NEIGHBOURS) & (np.diff(track) == 0)
+    middle = np.flatnonzero(follows[1:] & follows[:-1]) + 1
+    if middle.size == 0:
+        return 0.0
+    radii = np.linalg.norm(places, axis=1)
+    on_sphere = places * (np.mean(radii) / radii)[:, None]
+    before, after = (np.linalg.norm(on_sphere[middle] - on_sphere[middle + k], axis=1) for k in (-1, 1))
+    between = (radii[middle - 1] * after + radii[middle + 1] * before) / (before + after)
+    missed = (radii[middle] - between) / np.minimum(before, after)
+    return root_mean_square(missed)
+
+
+def _near(places: Array, around: Array, margin: float) -> Mask:
+    """Which of places (n, 3) lie in the box of longitude and latitude of others, widened by a margin (m)."""
+    around = around[np.all(np.isfinite(around), axis=1)]
+    if around.shape[0] == 0:
+        return np.ones(places.shape[0], dtype=bool)
+    (longitudes, latitudes, radii), (own, height, _) = planetocentric(around).T, planetocentric(places).T
+    middle = float(np.angle(np.mean(np.exp(1j * longitudes))))
+    arc = margin / float(radii.min())
+    wide = arc / max(float(np.cos(np.abs(latitudes).max())), 1e-3)
+    east, own = (in_turn(x - middle) for x in (longitudes, own))
+    inside = (own > east.min() - wide) & (own < east.max() + wide)
+    return np.asarray(inside & (height > latitudes.min() - arc) & (height < latitudes.max() + arc))
+
+
+def _small(corners: Array, longest: float) -> Mask:
+    """(t,) which triangles with corners (t, 3, 3) in m have no edge longer than a limit (m), in space."""
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    return np.asarray(edges.max(axis=1) <= longest)

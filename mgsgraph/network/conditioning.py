@@ -21,13 +21,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import OrientationImages
+from mgsgraph.geometry.orientation import OrientationImages
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.record import Record
 
 ProcessKind = Literal["white", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter"]
 """The kinds of processes."""
-_LONGEST = 1e9
+_LONGEST_TIME = 1e9
 """s; a process that takes longer to forget itself can't be told from a constant."""
 
 
@@ -77,7 +77,7 @@ class Process(Record):
             raise InputError(f"{where}, sigmas", f"{sigmas.tolist()}", "three positive finite numbers")
         assign(self, sigmas=sigmas)
         timed = self.kind in ("gauss-markov", "matern-3/2", "matern-5/2")
-        _require(where, "correlation time", self.correlation_time, "s", timed, _LONGEST)
+        _require(where, "correlation time", self.correlation_time, "s", timed, _LONGEST_TIME)
         _require(where, "frequency", self.frequency, "Hz", self.kind == "jitter", math.inf)
         _require(where, "bandwidth", self.bandwidth, "Hz", self.kind == "jitter", self.frequency)
 

@@ -15,16 +15,17 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import number_of
-from mgsgraph.network.control import Crossovers, StereoControl
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
     TERRAIN,
+    Crossovers,
     GroundPoints,
     ImageRays,
     PointClass,
     ProfileShifts,
     Ranges,
     ShiftTerm,
+    StereoControl,
     Surface,
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown

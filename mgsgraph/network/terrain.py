@@ -21,8 +21,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, common_variances
 from mgsgraph.names import Names
+from mgsgraph.network.footprints import nominal_ground
 from mgsgraph.network.network import Network
-from mgsgraph.network.observations import nominal_ground
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, ProfileShifts
 from mgsgraph.network.shared import SharedUnknown
 from mgsgraph.record import Record

@@ -17,7 +17,7 @@ from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
-from mgsgraph.network.control import StereoControl
+from mgsgraph.network.records import StereoControl
 from mgsgraph.results.archive_arrays import pack, unpack
 
 _Columns = dict[str, tuple[str, tuple[int, ...]]]

@@ -20,7 +20,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.network.footprints import Corrections, Registration, footprints_in_images
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.reading import results_of

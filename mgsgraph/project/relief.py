@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.progress import Progress, no_progress
 from mgsgraph.project.project import Project
 from mgsgraph.registration.relief import profile_names, register_by_relief
-from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
+from mgsgraph.registration.search import ReliefRegistration, ReliefSettings
 from mgsgraph.results.relief import write_coregistration
 
 

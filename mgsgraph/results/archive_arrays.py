@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import json_object, understood
-from mgsgraph.geometry.distortion import MODELS, Distortion
-from mgsgraph.geometry.image import ExteriorOrientation
-from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
+from mgsgraph.geometry.camera import MODELS, Distortion
+from mgsgraph.geometry.image import ExteriorOrientation, PolynomialTrajectory
 from mgsgraph.geometry.records import assign
 from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory

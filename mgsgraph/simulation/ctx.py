@@ -18,10 +18,9 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.footprint import intersect_rays
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.geometry.orientation import Basis, OrientationCorrection, evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.simulation.camera import interior_orientation

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.distortion import LrocNacDistortion
+from mgsgraph.geometry.camera import LrocNacDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -21,13 +21,12 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
-from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import SUPPORT, OrientationCorrection, OrientationImages, evenly_spaced, polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, Pass
 from mgsgraph.network.joining import mountings, seconds
-from mgsgraph.network.node_priors import PolynomialPrior
+from mgsgraph.network.passes import PolynomialPrior
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, line_image, one_rate
 from mgsgraph.simulation.observations import Visible, well_inside
 from mgsgraph.simulation.orbit import CircularPass, circle_times, circular_attitude, circular_orbit, sampled_trajectory

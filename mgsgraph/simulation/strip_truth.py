@@ -7,11 +7,10 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, NodePrior
-from mgsgraph.network.node_priors import normalised
+from mgsgraph.network.passes import normalised
 from mgsgraph.record import Record
 
 Axis = Literal["pitch", "roll", "yaw"]

@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.map_plane import PROBABILITY, error_ellipses
+from mgsgraph.geometry.body import PROBABILITY, error_ellipses, planetocentric
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import designs

@@ -10,8 +10,7 @@ from mgsgraph.analysis.overlap_sigmas import SigmaGrid, sigma_grid
 from mgsgraph.analysis.statistics import span
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import digits
-from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
-from mgsgraph.geometry.map_plane import places_at
+from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Opened

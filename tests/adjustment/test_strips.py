@@ -20,8 +20,7 @@ from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.weak import spectrum, weak_directions
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
-from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.geometry.orientation import Basis, OrientationCorrection, OrientationPrior, evenly_spaced
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block

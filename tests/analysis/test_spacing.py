@@ -22,9 +22,9 @@ from mgsgraph.analysis.spacing import (
     with_nodes,
 )
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.support import (
+from mgsgraph.network.corrections import (
     LEAST,
     pass_rays,
     require_supported,

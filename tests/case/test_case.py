@@ -11,7 +11,7 @@ import pytest
 from msgspec import structs
 
 import mgsgraph
-from mgsgraph.case.groups import merged
+from mgsgraph.case.assembly import merged
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.networks.network_file import read_network
@@ -20,7 +20,7 @@ from mgsgraph.files.networks.record import ControlPoint, PointType
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import connectivity, network_footprints
-from mgsgraph.network.observations import observed
+from mgsgraph.network.footprints import observed
 from mgsgraph.network.parts import known_images
 from mgsgraph.project.campaign.run import checksums
 from mgsgraph.project.settings import settings_of_case

@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, PointClass, Surface
-from mgsgraph.network.observations import nominal_ground
+from mgsgraph.network.footprints import nominal_ground
 from mgsgraph.network.terrain import coverage, posts_of, terrain_ground
 from mgsgraph.project.campaign.run import checksums
 from mgsgraph.results.ground import control_section

@@ -23,11 +23,16 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
-from mgsgraph.registration import relief, relief_surfaces
-from mgsgraph.registration.minima import local_minima, weighted
-from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
-from mgsgraph.registration.relief_surfaces import cells_of
-from mgsgraph.registration.search import CostSurface
+from mgsgraph.registration import relief
+from mgsgraph.registration.relief import cells_of
+from mgsgraph.registration.search import (
+    CostSurface,
+    ReliefProfile,
+    ReliefRegistration,
+    ReliefSettings,
+    local_minima,
+    weighted,
+)
 from mgsgraph.results.figures.relief import relief_sheets
 from mgsgraph.results.figures.sheet import Sheet, save
 from mgsgraph.results.figures.story import story_sheet
@@ -430,7 +435,7 @@ def test_images_that_do_not_overlap_are_refused(
     def nothing(*_: Any) -> None:
         raise InputError("images", "no two of them overlap", "images of common ground")
 
-    monkeypatch.setattr(relief_surfaces, "densely_matched", nothing)
+    monkeypatch.setattr(relief, "densely_matched", nothing)
     with pytest.raises(InputError, match="no two of them overlap"):
         call("coregister", relief_site.case_path(), "--solution", relief_site.result(), "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from strategies import along
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import Basis, OrientationImages, evenly_spaced
 
 BASES = pytest.mark.parametrize("basis", ["lagrange", "spline"])
 EPOCH = 1.3e8

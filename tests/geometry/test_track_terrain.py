@@ -13,8 +13,7 @@ from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.track_terrain import LONGEST_EDGE, track_terrain
+from mgsgraph.geometry.terrain import LONGEST_EDGE, TerrainGrid, track_terrain
 from mgsgraph.units import DEG, KM
 
 RADIUS = 3390e3

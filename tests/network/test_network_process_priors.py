@@ -5,10 +5,10 @@ import pytest
 from scipy.special import gamma, kv
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.network import NodePrior, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.conditioning import DIVERGENCE, ProcessKind, dense_covariance
-from mgsgraph.network.node_priors import LinearFactor, normalised
+from mgsgraph.network.passes import LinearFactor, normalised
 
 EVEN = evenly_spaced("lagrange", 3e8, (10.0, 70.0), 2.5)
 UNEVEN = OrientationImages("lagrange", 3e8, np.array([0.0, 1.0, 1.5, 1.75, 2.5, 5.0, 8.0, 9.0, 9.5, 12.0, 15.0, 20.0]))

@@ -20,7 +20,7 @@ from mgsgraph.analysis.flight import node_times, strip_corrections, strip_report
 from mgsgraph.case.reading import read_case
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.geometry.orientation import Basis, evenly_spaced
 from mgsgraph.network import Network, Pass, PolynomialPrior
 from mgsgraph.network.joining import seconds
 from mgsgraph.results.archive import read_solution, write_archive

@@ -9,8 +9,7 @@ from redraw import redraw
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.orientation_images import Basis
+from mgsgraph.geometry.orientation import Basis, OrientationCorrection
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block

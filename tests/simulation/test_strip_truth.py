@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.geometry.orientation import Basis, evenly_spaced
 from mgsgraph.network import NodePrior
-from mgsgraph.network.node_priors import LinearFactor, normalised
+from mgsgraph.network.passes import LinearFactor, normalised
 from mgsgraph.simulation.hrsc_block import TrajectoryErrors
 from mgsgraph.simulation.strip_truth import Jitter, correction_at, drawn_nodes, true_correction
 

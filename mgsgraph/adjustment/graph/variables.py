@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.loops import counted
-from mgsgraph.geometry.orientation_images import SUPPORT
+from mgsgraph.geometry.orientation import SUPPORT
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.network import HELD, Network

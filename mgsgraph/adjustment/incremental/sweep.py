@@ -17,7 +17,7 @@ from mgsgraph.adjustment.predicted_lines import NEAR, NEAR_ENOUGH, about_predict
 from mgsgraph.adjustment.rounds import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
+from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.names import Names

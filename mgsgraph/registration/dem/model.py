@@ -17,9 +17,7 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.progress import Progress, no_progress
 from mgsgraph.record import Record
 from mgsgraph.registration.dem.checking import CheckProfile, HeightChecks, checked
-from mgsgraph.registration.dem.gridding import HeightGrid, gridded
-from mgsgraph.registration.dem.map import MapGrid
-from mgsgraph.registration.dem.points import intersected
+from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, gridded, intersected
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM
 

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from mgsgraph.analysis.statistics import CommonPoints, span
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.results.figures.aggregate import limit
 from mgsgraph.results.figures.map import cell_medians, frame, map_axes
@@ -27,7 +27,7 @@ def comparison_sheet(points: CommonPoints, labels: tuple[str, str]) -> Sheet | N
     if len(points.places) < _FEWEST:
         return None
     centre = centre_of(points.places)
-    places = east_north(points.places, centre) / KM
+    places = plane_coordinates(points.places, centre) / KM
     many = len(places) > MOST_MARKS
     horizontal, upward = np.hypot(points.moved[:, 0], points.moved[:, 1]), points.moved[:, 2]
     up, low, high = limit(upward), *span(horizontal)

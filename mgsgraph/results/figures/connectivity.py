@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.connectivity import WEAKEST, Connectivity, connectivity_statements, worth_tying
 from mgsgraph.results.figures.aggregate import MOST_ROWS, image_rows
@@ -46,7 +46,7 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
     count = len(connected.names)
     sound = [one.outline for one in connected.footprints if one.outline.shape[0]]
     centre = centre_of(np.concatenate(sound))
-    outlines = [east_north(one.outline, centre) / KM for one in connected.footprints]
+    outlines = [plane_coordinates(one.outline, centre) / KM for one in connected.footprints]
     low, high, (width, height) = frame(np.concatenate(outlines), least=(2.6, 5.0))
     wide, many = (6.0, True) if count > _NUMBERED else (3.0 + 0.25 * count, False)
     sheet = new_sheet(

@@ -18,8 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import medians, solution_connectivity, span
-from mgsgraph.geometry.body import east_north_up, planetocentric
-from mgsgraph.geometry.map_plane import centre_of, east_north, error_ellipses
+from mgsgraph.geometry.body import centre_of, east_north_up, error_ellipses, plane_coordinates, planetocentric
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
@@ -100,11 +99,11 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     centre = centre_of(solution.places)
     footprints = (connected or solution_connectivity(solution)).footprints
     outlines = {
-        image.name: east_north(one.outline, centre)
+        image.name: plane_coordinates(one.outline, centre)
         for image, one in zip(solution.network.images, footprints, strict=True)
     }
     known = np.flatnonzero(solution.determined)
-    places, covariances = east_north(solution.places[known], centre), solution.covariances[known]
+    places, covariances = plane_coordinates(solution.places[known], centre), solution.covariances[known]
     axes = east_north_up(solution.places[known])
     sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[known])

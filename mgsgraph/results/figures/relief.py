@@ -12,12 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.body import centre_of, east_north_up, geodetic, plane_coordinates
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
-from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
-from mgsgraph.registration.search import CostSurface
+from mgsgraph.registration.search import CostSurface, ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.figures.map import frame, map_axes
 from mgsgraph.results.figures.sheet import (
     AFTER,
@@ -308,8 +306,8 @@ def _map(registration: ReliefRegistration) -> Sheet:
     solution, profiles = registration.solution, registration.profiles
     centre = centre_of(solution.places)
     ties = solution.members(PointClass.TIE)
-    tracks = [east_north(one.before.points, centre) / KM for one in profiles]
-    places = east_north(solution.places[ties], centre) / KM
+    tracks = [plane_coordinates(one.before.points, centre) / KM for one in profiles]
+    places = plane_coordinates(solution.places[ties], centre) / KM
     low, high, (width, height) = frame(np.concatenate([places, *tracks]), (4.6, 3.0))
     title = "Misplacement of laser, terrain models and images"
     sheet = new_sheet("shifts", width + 1.2, height + 0.75, title, _map_caption(profiles))

@@ -8,12 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mgsgraph.geometry.body import east_north as ways
-from mgsgraph.geometry.body import geodetic, planetocentric
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.body import centre_of, geodetic, plane_coordinates, planetocentric
+from mgsgraph.geometry.body import plane_coordinates as ways
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
-from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration
+from mgsgraph.registration.search import ReliefProfile, ReliefRegistration
 from mgsgraph.results.figures.map import map_axes
 from mgsgraph.results.figures.relief import along_track, vertical
 from mgsgraph.results.figures.sheet import (
@@ -109,7 +108,7 @@ def _map(
     """Footprints before, after and in truth over the shaded true ground."""
     given, found, true = (one[mine] for one in (profile.before.points, profile.after.points, truth))
     centre = centre_of(true)
-    places = [east_north(one, centre) / KM for one in (given, found, true)]
+    places = [plane_coordinates(one, centre) / KM for one in (given, found, true)]
     corners = np.concatenate(places)
     low, high = corners.min(axis=0) - 0.25, corners.max(axis=0) + 0.25
     lack = np.maximum(0.45 * float((high - low).max()) - (high - low), 0.0)

@@ -17,7 +17,7 @@ from mgsgraph.matching.patches import has_opencv
 from mgsgraph.progress import Stages
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.relief import register_by_relief
-from mgsgraph.registration.relief_records import ReliefRegistration
+from mgsgraph.registration.search import ReliefRegistration
 from mgsgraph.simulation.archive import ARCHIVE_KINDS, ArchiveSettings, archive_settings, lay_out
 from mgsgraph.simulation.archive_files import write_archive
 from mgsgraph.simulation.demo.truth import (

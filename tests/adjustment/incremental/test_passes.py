@@ -16,7 +16,7 @@ from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network
 from mgsgraph.network.parts import without_images
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block

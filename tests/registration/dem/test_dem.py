@@ -12,10 +12,8 @@ from rasterio.warp import transform
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
 from mgsgraph.network import ImageRays
-from mgsgraph.registration.dem.gridding import HeightGrid, gridded
-from mgsgraph.registration.dem.map import MapGrid, bilinear
-from mgsgraph.registration.dem.points import DensePoints, intersected
-from mgsgraph.registration.dem.scene import adjusted_scene
+from mgsgraph.registration.dem.gridding import DensePoints, HeightGrid, MapGrid, bilinear, gridded, intersected
+from mgsgraph.registration.dem.ortho import adjusted_scene
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 RNG_SEED = 7
@@ -103,7 +101,7 @@ def test_heights_scatter_with_orientations_drawn_from_the_posterior() -> None:
 
 
 def _crossing(scene: dem_site.Scene, matches: dem_site.DenseMatches) -> np.ndarray:
-    from mgsgraph.geometry.intersection import intersect_rays
+    from mgsgraph.geometry.footprint import intersect_rays
 
     rays = [
         picture.image.sightlines(*places.T, picture.correction)
