@@ -23,7 +23,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.schema import OrientationInput
 from mgsgraph.errors import SolverError
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings

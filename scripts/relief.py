@@ -23,7 +23,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.footprint import intersect_rays
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.registration.relief import ReliefRegistration, register_by_relief

@@ -31,8 +31,9 @@ from mgsgraph.case.reading import Case, read_case
 from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.progress import Progress, no_progress
-from mgsgraph.registration.relief import AveragedPair, Cells, cells_of, registered
-from mgsgraph.registration.search import ReliefRegistration, ReliefSettings
+from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
+from mgsgraph.registration.relief import registered
+from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.ground import make_terrain
 from mgsgraph.simulation.relief import PeriodicSurface, add_craters, fractal

@@ -24,7 +24,7 @@ from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_tests import ALPHA, chi_square_test, residual_statistics
 from mgsgraph.network import Network
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.strip import StripSettings, simulate_strip

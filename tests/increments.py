@@ -16,7 +16,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.mars import MARS

@@ -12,7 +12,7 @@ from mgsgraph.adjustment.graph.shared import footprint_shifts
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.footprint import intersect_rays
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import heights_above

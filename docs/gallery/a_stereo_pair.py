@@ -8,7 +8,7 @@ stated.
 """
 
 from mgsgraph import Adjustment, KnownImage
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
 pair = simulate_pair(seed=1)

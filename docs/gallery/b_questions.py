@@ -6,7 +6,7 @@ The covariance of all unknowns is kept, so that anything may be asked afterwards
 """
 
 from mgsgraph import Adjustment, KnownImage, Pixel, Posterior
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
 pair = simulate_pair(seed=1)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from mgsgraph import Adjustment, KnownImage
 from mgsgraph.analysis.components import components_of
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
 pair = simulate_pair(seed=3)

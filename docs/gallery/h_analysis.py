@@ -9,7 +9,7 @@ what may be a blunder, what is weak. One measure of this pair is off by eight pi
 from dataclasses import replace
 
 from mgsgraph import Adjustment, KnownImage, Posterior
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
 pair = simulate_pair(seed=5)

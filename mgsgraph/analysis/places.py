@@ -13,8 +13,8 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, intersect_ellipsoid, planetocentric
-from mgsgraph.geometry.footprint import meet_terrain
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid

@@ -37,21 +37,20 @@ from mgsgraph.network import (
     SharedUnknown,
     Surface,
 )
-from mgsgraph.network.footprints import (
+from mgsgraph.network.footprints import Registration, footprints_in_images, points_in_images
+from mgsgraph.network.observations import (
     Members,
-    Registration,
     carriers,
-    footprints_in_images,
+    coverage,
     nominal_ground,
-    points_in_images,
     require_inside,
     require_range_sigmas,
     require_ranges,
     require_ranges_of,
     shots_carried,
+    terrain_ground,
 )
 from mgsgraph.network.shared import off_nadir
-from mgsgraph.network.terrain import coverage, terrain_ground
 from mgsgraph.text import many, some
 from mgsgraph.units import DEG, MRAD
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.motion import mounted_images
+from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
@@ -23,7 +23,8 @@ from mgsgraph.files.labels.image_kinds import ImageKind, image_kind, image_name
 from mgsgraph.files.labels.image_label import instrument_of
 from mgsgraph.files.opening import read_text
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.image import PushbroomImage, require_distinct, require_plausible
+from mgsgraph.geometry.image import PushbroomImage, require_distinct
+from mgsgraph.geometry.plausibility import require_plausible
 from mgsgraph.record import meanings
 
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
@@ -37,6 +38,9 @@ _FORMER = {
     "mola": ("[[shots]]", "its key pedr is file"),
     "pedr": ("file", ""),
     "method": ("no choice of the solver's method", "take it out"),
+    "tracks": ("radius", "a grid made of them: MEGDR (mgsgraph fetch), or gdal_grid's GeoTIFF"),
+    "longest_edge_m": ("no such key: tracks are not triangulated", "take it out"),
+    "post_step_deg": ("no such key: tracks are not triangulated", "take it out"),
     "leap_seconds": ("no such key: leap seconds are built in", "take it out"),
 }
 """Words of earlier versions: those of today, and what else to change."""

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import east_north, geodetic
-from mgsgraph.geometry.footprint import intersect_rays
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.scene import Pixels
-from mgsgraph.network.footprints import require_inside
+from mgsgraph.network.observations import require_inside
 from mgsgraph.progress import Count, no_progress
 
 Pictures = Callable[[int], Pixels]

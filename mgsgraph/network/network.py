@@ -29,7 +29,7 @@ from mgsgraph.network.records import (
     Surface,
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
-from mgsgraph.record import Record, card
+from mgsgraph.record import Record
 from mgsgraph.text import some
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -397,17 +397,6 @@ class Network(Record):
             members = np.flatnonzero(self.points.classes == point_class)
             if members.size:
                 yield point_class, members
-
-    def _repr_html_(self) -> str:
-        """For notebooks: each image with its points and rays."""
-        counts = np.bincount(self.rays.image, minlength=len(self.images))
-        shots = np.bincount(self.ranges.image, minlength=len(self.images))
-        rows = [("image", "lines", "samples", "rays", "ranges")]
-        rows += [
-            (image.name, str(image.lines), str(image.samples), str(counts[j]), str(shots[j]))
-            for j, image in enumerate(self.images)
-        ]
-        return card(repr(self), (), rows, head=1)
 
     def __repr__(self) -> str:
         classes = ", ".join(f"{members.size} {name.name.lower()}" for name, members in self.of_class())

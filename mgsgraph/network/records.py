@@ -10,8 +10,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
-from mgsgraph.geometry.altimetry import crossing, gradient
 from mgsgraph.geometry.body import east_north, east_north_up
+from mgsgraph.geometry.intersection import crossing, gradient
 from mgsgraph.geometry.records import (
     Array,
     Index,

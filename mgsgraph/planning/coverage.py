@@ -12,8 +12,9 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.network.definitions import Definitions, definitions
 from mgsgraph.network.footprints import visible_places
-from mgsgraph.network.parts import Definitions, KnownImage, definitions, known_images
+from mgsgraph.network.parts import KnownImage, known_images
 from mgsgraph.planning.state import NetworkState, correction_of
 
 EDGE = 0.01

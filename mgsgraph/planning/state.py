@@ -23,19 +23,16 @@ from mgsgraph.kernel.rows import Rows
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
+from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions
 from mgsgraph.network.parts import (
-    Definitions,
     KnownImage,
     Unknown,
     alone,
-    definitions,
     joined,
     known_images,
-    latest,
     part,
     require_separable,
     unknowns,
-    with_definitions,
     with_images,
 )
 

@@ -11,7 +11,6 @@ import numpy as np
 from mgsgraph.analysis.places import View
 from mgsgraph.case.case_file import decode, read_image, read_images
 from mgsgraph.case.passes import members
-from mgsgraph.case.reading import terrain_shots
 from mgsgraph.case.schema import CaseInput, TerrainInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
@@ -122,7 +121,7 @@ def open_view(
         entries = (TerrainInput(radius=str(Path.cwd() / terrain), reference_radius_m=reference_radius),)
         path = terrain
     for entry in entries:
-        return view, as_grid(read_terrain_model(entry, path, seen.images, terrain_shots(entry))[0]), seen.warning
+        return view, as_grid(read_terrain_model(entry, path, seen.images)[0]), seen.warning
     surface = view.solution.network.surface if terrain is True and view.solution is not None else None
     return view, None if surface is None else surface.grid, seen.warning
 

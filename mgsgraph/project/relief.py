@@ -11,8 +11,8 @@ from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.progress import Progress, no_progress
 from mgsgraph.project.project import Project
+from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief import profile_names, register_by_relief
-from mgsgraph.registration.search import ReliefRegistration, ReliefSettings
 from mgsgraph.results.relief import write_coregistration
 
 

@@ -11,7 +11,6 @@ covariances decide.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,183 +24,30 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import Case
-from mgsgraph.case.scene import picture_file, read_scene
+from mgsgraph.case.scene import picture_file
 from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import SPOT_WIDTHS
-from mgsgraph.geometry.body import east_north, geodetic
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.stereo_surface import LEAST_SHARE, StereoSurface, SurfaceHeights, averaged_surface, heights_above
-from mgsgraph.matching.scene import Scene
+from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import TERRAIN, Network, PointClass
-from mgsgraph.network.footprints import points_in_images
+from mgsgraph.network.observations import with_posts
 from mgsgraph.network.records import Crossovers, StereoControl, crossovers
-from mgsgraph.network.terrain import Posts, TerrainModel, posts_of, with_posts
 from mgsgraph.progress import Progress, no_progress
-from mgsgraph.registration.dem.ortho import adjusted_scene, densely_matched, expected_ground
-from mgsgraph.registration.search import (
+from mgsgraph.registration.minima import (
     CostSurface,
-    Expected,
     ProfileState,
     ReliefProfile,
     ReliefRegistration,
     ReliefSettings,
-    StereoPair,
-    search,
     shots_alike,
 )
+from mgsgraph.registration.search import Expected, StereoPair, search
 from mgsgraph.text import some
 
 if TYPE_CHECKING:
-    from mgsgraph.matching.dense import DenseMatches
-
-_SCATTERS = 3.0
-"""Robust standard deviations of the tie points about the ground, within which the ground is sought."""
-_CLOSEST = 5.0
-"""pixels of the ground grid between dense matches, at least."""
-_MATCHES_ACROSS = 12.0
-"""Matches across the cell of a terrain model, whose mean they are to show, not its roughness."""
-_CELL_SHARE = 0.9
-"""Of the usual weight of matches about a node of a cell, below which it is not covered: what a plane through part of a
-cell's ground makes of the rest is no mean of it."""
-_CELL_PIXELS = 20.0
-"""pixels of the images across a cell, at least: what is finer is averaged first."""
-_MARGIN = 500.0
-"""pixels by which posts may lie beside an image, as shots of [[altimetry]]."""
-
-Cells = tuple[TerrainModel, Posts]
-"""A terrain model, and those of its posts that images may show."""
-
-
-def cells_of(
-    models: Sequence[TerrainModel], posterior: Posterior, settings: ReliefSettings
-) -> tuple[Cells, ...]:
-    """Posts of terrain models in two images at least, or a margin beside them, by the orientation of an adjustment.
-
-    Raises
-    ------
-    InputError
-        Where a model has none.
-    """
-    images = range(len(posterior.network.images))
-    pixel = max(float(_ground_pixel(posterior, j).max()) for j in images)
-    least = max(_CELL_PIXELS * pixel, SPOT_WIDTHS * (settings.spacing or 0.0))
-    found = list[Cells]()
-    for model in models:
-        posts = posts_of(model, least)
-        seen = points_in_images(
-            [posterior.image(j) for j in images], posts.points, _MARGIN, [posterior.correction(j) for j in images]
-        )
-        there = np.flatnonzero(np.count_nonzero(seen, axis=0) > 1)
-        if not there.size:
-            raise InputError(
-                model.lattice.source, f"{len(posts.ids)} posts, none in two images", "a model of the images' ground"
-            )
-        found.append((model, posts.chosen(there)))
-    return tuple(found)
-
-
-def _ground_pixel(posterior: Posterior, image: int, place: Array | None = None) -> Array:
-    """(2,) m on the ground of a line and of a sample, at a line and sample (2,), or in the middle of an image."""
-    one = posterior.image(image)
-    line, sample = place if place is not None else 0.5 * np.array([one.lines, one.samples])
-    points = posterior.linearised.points
-    ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], one.body)[:, 2]
-    at = np.array([line]), np.array([sample])
-    slopes = one.image_to_ground(*at, float(np.median(ground)), posterior.correction(image))[1]
-    return np.asarray(np.linalg.norm(slopes[0], axis=0), dtype=np.float64)
-
-
-class AveragedPair(NamedTuple):
-    """The surface that two images show, averaged over one size of footprint."""
-
-    surface: StereoSurface
-    """What they show."""
-    images: tuple[int, int]
-    """First and second, in the network."""
-    footprint: float
-    """m."""
-
-    def oriented(self, posterior: Posterior) -> StereoPair:
-        """With the orientation of an adjustment."""
-        first, second = self.images
-        return StereoPair(
-            self.surface,
-            (posterior.image(first), posterior.image(second)),
-            (posterior.correction(first), posterior.correction(second)),
-        )
-
-
-def stereo_surfaces(
-    path: Path,
-    posterior: Posterior,
-    footprints: Sequence[float],
-    cells: Sequence[Cells],
-    settings: ReliefSettings,
-    workers: int | None,
-    progress: Progress,
-) -> tuple[AveragedPair, ...]:
-    """Match the pictures of a case densely, as they are adjusted, and average the disparities of each stereo pair over
-    each size of footprint (m), of laser spots and of the cells of terrain models.
-    """
-    wanted = decode(path)
-    _, scene = read_scene(path, *expected_ground(posterior, wanted))
-    scene = _over_adjusted_ground(adjusted_scene(scene, posterior, settings.images), posterior)
-    of_cells = [posts.footprint for _, posts in cells]
-    closest = min([size / SPOT_WIDTHS for size in footprints] + [size / _MATCHES_ACROSS for size in of_cells])
-    spacing = settings.spacing or max(closest, _CLOSEST * scene.step)
-    matches, window = densely_matched(scene, spacing, workers, progress)
-    found, sizes = list[AveragedPair](), sorted({*footprints, *of_cells})
-    for one in matches:
-        first, second = (posterior.network.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
-        for size in sizes:
-            progress("stereo surface", len(found), len(matches) * len(sizes))
-            found.append(averaged_pair(posterior, one, (first, second), size, spacing, window, size in of_cells))
-    return tuple(found)
-
-
-def _over_adjusted_ground(scene: Scene, posterior: Posterior) -> Scene:
-    """The scene with its ground raised to where the adjusted tie points lie, and as uncertain as they scatter about it:
-    before registration the images' heights may be hundreds of metres off the terrain model's.
-    """
-    network, places = posterior.network, posterior.linearised.points
-    ties = places[(network.points.classes == PointClass.TIE) & (np.linalg.norm(places, axis=1) > 0.0)]
-    if not len(ties):
-        return scene
-    ground = scene.ground
-    above = np.linalg.norm(ties, axis=1) - np.linalg.norm(ground.points(ground.chart.plane(ties)), axis=1)
-    above = above[np.isfinite(above)]
-    level = float(np.median(above))
-    scatter = 1.4826 * float(np.median(np.abs(above - level)))
-    terrain = None if ground.terrain is None else replace(ground.terrain, radii=ground.terrain.radii + level)
-    sigma = max(ground.height_sigma, _SCATTERS * scatter)
-    return replace(scene, ground=replace(ground, terrain=terrain, height=ground.height + level, height_sigma=sigma))
-
-
-def averaged_pair(
-    posterior: Posterior,
-    matches: "DenseMatches",
-    images: tuple[int, int],
-    size: float,
-    spacing: float,
-    window: float,
-    cells: bool = False,
-) -> AveragedPair:
-    """Matches of two images of a network, `spacing` m apart and made with windows of `window` m, averaged over
-    footprints of `size` m, or over cells, which have to be covered as a whole.
-    """
-    variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
-    pixel = _ground_pixel(posterior, images[0], matches.anchors.mean(axis=0))
-    width = max(size / SPOT_WIDTHS, spacing)
-    return AveragedPair(
-        averaged_surface(
-            matches.anchors, matches.pixels, variances, pixel, width, window, _CELL_SHARE if cells else LEAST_SHARE
-        ),
-        images,
-        size,
-    )
-
-
+    pass
+from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
 
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""

@@ -16,8 +16,9 @@ from mgsgraph.files.output.table import Column, Table
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.footprint import footprint, intersect_rays, overlaps
+from mgsgraph.geometry.footprint import footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
@@ -33,7 +34,7 @@ from mgsgraph.network.connectivity import (
 from mgsgraph.network.corrections import support
 from mgsgraph.network.footprints import crossings, footprints_in_images
 from mgsgraph.network.joining import mounting_angles
-from mgsgraph.network.terrain import coverage
+from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements

@@ -18,8 +18,8 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.footprint import intersect_rays
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Basis, OrientationCorrection, evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface

@@ -17,7 +17,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Basis, OrientationCorrection, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
-from mgsgraph.geometry.terrain import track_gaps
+from mgsgraph.geometry.terrain_grids import track_gaps
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO

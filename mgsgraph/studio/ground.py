@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from mgsgraph.analysis.places import terrain_slopes
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.footprint import meet_terrain
+from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.studio.block import Block

@@ -24,7 +24,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
 from mgsgraph.names import Names
 from mgsgraph.network import Network, Ranges
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

@@ -20,7 +20,7 @@ from mgsgraph.files.networks.record import ControlPoint, PointType
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import connectivity, network_footprints
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import known_images
 from mgsgraph.project.campaign.run import checksums
 from mgsgraph.project.settings import settings_of_case

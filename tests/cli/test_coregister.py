@@ -24,8 +24,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
 from mgsgraph.registration import relief
-from mgsgraph.registration.relief import cells_of
-from mgsgraph.registration.search import (
+from mgsgraph.registration.minima import (
     CostSurface,
     ReliefProfile,
     ReliefRegistration,
@@ -33,6 +32,7 @@ from mgsgraph.registration.search import (
     local_minima,
     weighted,
 )
+from mgsgraph.registration.relief_surfaces import cells_of
 from mgsgraph.results.figures.relief import relief_sheets
 from mgsgraph.results.figures.sheet import Sheet, save
 from mgsgraph.results.figures.story import story_sheet

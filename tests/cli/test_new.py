@@ -17,7 +17,8 @@ from rig_files import write_rig
 import mgsgraph
 from mgsgraph.case import draft
 from mgsgraph.case.case_file import decode, read_image
-from mgsgraph.case.draft import DraftImage, draft_case, named_as
+from mgsgraph.case.draft import draft_case
+from mgsgraph.case.draft_images import DraftImage, named_as
 from mgsgraph.case.reading import case_of
 from mgsgraph.errors import InputError
 from mgsgraph.files.kinds import Kind

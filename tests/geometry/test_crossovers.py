@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mgsgraph.geometry.altimetry import TrackHeight, crossing, gradient
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
+from mgsgraph.geometry.intersection import TrackHeight, crossing, gradient
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.geometry.footprint import intersect_rays
+from mgsgraph.geometry.intersection import intersect_rays
 
 POINT = np.array([1.2e6, -3.0e6, 0.9e6])
 """m, on the scale of Mars."""

@@ -18,7 +18,8 @@ from mgsgraph.files.labels import labelled_image
 from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible, target_name
-from mgsgraph.geometry.image import PushbroomImage, require_on_ground, require_plausible
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import require_on_ground, require_plausible
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid
-from mgsgraph.geometry.footprint import meet_terrain
+from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.simulation.mars import MARS

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import Gaps, TerrainGrid, above_areoid, mosaic
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
+from mgsgraph.geometry.terrain_grids import above_areoid, mosaic
 from mgsgraph.units import DEG
 
 RADIUS = 3390e3

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.geometry.terrain import TerrainGrid, common_variances, overlap_variances, track_gaps
+from mgsgraph.geometry.terrain import TerrainGrid, common_variances, overlap_variances
+from mgsgraph.geometry.terrain_grids import track_gaps
 from mgsgraph.units import DEG
 
 STEP = DEG / 128.0

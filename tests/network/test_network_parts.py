@@ -15,7 +15,7 @@ from stereo_pair import stereo_network
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.network import GroundPoints, Network, PointClass, Ranges, Surface
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import (
     KnownImage,
     Unknown,

@@ -17,8 +17,9 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network, Pass, PointClass, SharedKind
-from mgsgraph.network.footprints import Members, Registration, carriers, footprints_in_images, shots_carried
+from mgsgraph.network.footprints import Registration, footprints_in_images
 from mgsgraph.network.joining import mountings
+from mgsgraph.network.observations import Members, carriers, shots_carried
 
 SHOTS = 40
 

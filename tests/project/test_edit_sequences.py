@@ -31,7 +31,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import Network, PointClass, Surface
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project import edits
 from mgsgraph.project.addition import unknown_alone

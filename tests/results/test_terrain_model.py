@@ -5,7 +5,6 @@ import errno
 import importlib
 import json
 import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -148,24 +147,6 @@ def test_the_item_says_of_the_rasters_what_they_are(folder: Path, name: str) -> 
     assert shapely.contains_xy(shape.buffer(1e-3), lon, lat).mean() > 0.98  # an ortho pixel may reach beyond its post
     west, south, east, north = told["bbox"]
     assert (west, south, east, north) == pytest.approx(shape.bounds)
-
-
-def test_xarray_has_the_bands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("xarray", reason="the extra [tables] is not installed")
-    found = made().to_xarray()
-    with rasterio.open(folder / "dem.tif") as file:
-        for k, name in enumerate(found.data_vars, start=1):
-            np.testing.assert_array_equal(found[name].to_numpy().astype(np.float32), file.read(k))
-            assert found[name].attrs["units"] == file.units[k - 1]
-        x, y = file.xy(*np.divmod(np.arange(file.height * file.width), file.width))
-        np.testing.assert_allclose(found["x"], np.reshape(x, file.shape)[0], rtol=0.0, atol=1e-6)
-        np.testing.assert_allclose(found["y"], np.reshape(y, file.shape)[:, 0], rtol=0.0, atol=1e-6)
-        assert CRS.from_wkt(found["spatial_ref"].attrs["crs_wkt"]) == file.crs
-        transform = [float(one) for one in found["spatial_ref"].attrs["GeoTransform"].split()]
-        assert transform == pytest.approx(list(file.transform.to_gdal()))
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"pip install .mgsgraph\[tables\]"):
-        made().to_xarray()
 
 
 def test_an_item_on_the_date_line_of_the_moon() -> None:

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.flight import node_times, strip_corrections
 from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, height_cells, owners, two_step_statistics
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.geometry.footprint import intersect_rays
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.archive import read_solution

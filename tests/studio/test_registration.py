@@ -18,8 +18,8 @@ from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.two_step_statistics import two_step_statistics
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
+from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief import register_by_relief
-from mgsgraph.registration.search import ReliefRegistration, ReliefSettings
 from mgsgraph.results.relief import write_coregistration
 from mgsgraph.results.two_steps import cells_of, write_two_steps
 from mgsgraph.studio.block import Block

@@ -25,7 +25,7 @@ from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.image import require_on_ground
+from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import (
     FIXED,

@@ -31,7 +31,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.network.parts import Definitions, Members, Unknown, bundles, definitions, joined, known_images
+from mgsgraph.network.definitions import Definitions, definitions
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution

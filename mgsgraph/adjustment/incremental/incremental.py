@@ -39,19 +39,17 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.names import number_of
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
-from mgsgraph.network.footprints import observed
+from mgsgraph.network.definitions import Definitions, definitions, with_definitions
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import (
-    Definitions,
     KnownImage,
     Members,
     Unknown,
     alone,
-    definitions,
     known_images,
     pass_unknowns,
     require_separable,
     unknowns,
-    with_definitions,
     with_images,
 )
 from mgsgraph.record import Record, card

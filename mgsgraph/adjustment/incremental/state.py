@@ -19,21 +19,17 @@ from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
+from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, definitions, with_definitions
 from mgsgraph.network.joining import seconds
 from mgsgraph.network.parts import (
-    Definitions,
     KnownImage,
     Members,
-    NamedPass,
-    NamedShared,
     Unknown,
     bundles,
-    definitions,
     joined,
     known_images,
     pass_unknowns,
     unknowns,
-    with_definitions,
     with_images,
     without_images,
     without_points,

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.image import require_slow
+from mgsgraph.geometry.plausibility import require_slow
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import PositionTable
 from mgsgraph.units import SPEED_OF_LIGHT

@@ -29,7 +29,8 @@ from mgsgraph.files.opening import ANY_SIZE, opened, read_json
 from mgsgraph.files.pvl import Block
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
-from mgsgraph.geometry.image import PushbroomImage, require_flight
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import require_flight
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.units import KM

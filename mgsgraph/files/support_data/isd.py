@@ -28,7 +28,8 @@ from mgsgraph.files.support_data.isd_layout import J2000, MODEL, UNITS, Rotation
 from mgsgraph.files.support_data.optics import distortion_of_support
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.image import LineTiming, PushbroomImage, require_flight
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.plausibility import require_flight
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.text import listed

@@ -23,7 +23,8 @@ from mgsgraph.files.support_data.optics import distortion_of_state
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.image import LineTiming, PushbroomImage, require_near_sun
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.plausibility import require_near_sun
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.units import MM

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from mgsgraph.geometry.body import centre_of, east_north_up, geodetic, plane_coordinates
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
-from mgsgraph.registration.search import CostSurface, ProfileState, ReliefProfile, ReliefRegistration
+from mgsgraph.registration.minima import CostSurface, ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.figures.map import frame, map_axes
 from mgsgraph.results.figures.sheet import (
     AFTER,

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mgsgraph.geometry.body import centre_of, geodetic, plane_coordinates, planetocentric
-from mgsgraph.geometry.body import plane_coordinates as ways
+from mgsgraph.geometry.body import east_north as ways
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
-from mgsgraph.registration.search import ReliefProfile, ReliefRegistration
+from mgsgraph.registration.minima import ReliefProfile, ReliefRegistration
 from mgsgraph.results.figures.map import map_axes
 from mgsgraph.results.figures.relief import along_track, vertical
 from mgsgraph.results.figures.sheet import (

@@ -13,8 +13,8 @@ from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.networks.network_file import read_control_network
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
-from mgsgraph.geometry.footprint import intersect_rays
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.units import KM
 
 NAMES = ("LRO/1/286265995:36824/NACL", "LRO/1/286272781:34203/NACL")

@@ -11,7 +11,7 @@ from support_data import IDENTITY, ISD, Keys, edited, read
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.labels.aberration import Aberration
-from mgsgraph.geometry.image import require_plausible
+from mgsgraph.geometry.plausibility import require_plausible
 
 
 def assert_refused(folder: Path, isd: object) -> str:

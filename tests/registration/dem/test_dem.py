@@ -101,7 +101,7 @@ def test_heights_scatter_with_orientations_drawn_from_the_posterior() -> None:
 
 
 def _crossing(scene: dem_site.Scene, matches: dem_site.DenseMatches) -> np.ndarray:
-    from mgsgraph.geometry.footprint import intersect_rays
+    from mgsgraph.geometry.intersection import intersect_rays
 
     rays = [
         picture.image.sightlines(*places.T, picture.correction)

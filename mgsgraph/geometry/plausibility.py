@@ -1,0 +1,110 @@
+"""Whether the geometry of an image can be: units that were mistaken, and tables that contradict themselves."""
+
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid, distances, nearness, require_possible, surface_radii
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import PositionTable, Trajectory
+from mgsgraph.units import KM
+
+_FARTHEST = 400
+"""Radii of the body, from farther than which no line scanner looks; a low orbit in metres for kilometres is farther."""
+_CONTRADICTION = 0.2
+"""Share of the velocities by which positions may change otherwise: of sparse tables of a bent orbit it is far less."""
+_SYSTEM, _FASTEST = 1e13, 1e7
+"""m, 70 astronomical units; m/s, a thirtieth of the speed of light."""
+_CONVERGENT = 0.05
+"""rad, from which on rays meet at a good angle."""
+_FLATTEST = 0.1
+"""Of ellipsoids that are bodies, polar radius by equatorial one: Haumea has a half."""
+_FEW = 5
+"""Points; fewer may all be blunders."""
+
+
+def require_plausible(image: PushbroomImage, where: str) -> None:
+    """Raise InputError, naming `where`, unless the body is one that can be, and the image was taken from outside it,
+    from not hundreds of its radii away, with velocities that lead from position to position, and sees the ellipsoid in
+    its middle.
+    """
+    body, unit = image.body, "check the units of positions and radii (km, or m where the file says so)"
+    table = getattr(image.trajectory, "position", None)
+    if isinstance(table, PositionTable):  # a body-fixed path may have corners, where its velocities are nobody's
+        require_flight(table, where, 1.0 if isinstance(image.trajectory, Trajectory) else 0.5)
+    require_possible(body, "", where)
+    middle = np.array([0.5 * image.lines])
+    distance = float(np.linalg.norm(image.pose(middle).position))
+    if not body.polar < distance < _FARTHEST * body.equatorial:
+        found = f"a camera {distance / KM:.6g} km from the body's centre, whose radius is {body.equatorial / KM:.6g} km"
+        raise InputError(where, found, f"one outside the body and not {_FARTHEST} radii away", unit)
+    with np.errstate(all="ignore"):
+        ground, _ = image.image_to_ground(middle, np.array([0.5 * image.samples]), 0.0)
+    if not np.isfinite(ground).all():
+        remedy = f"check attitudes, focal length and units; {unit}"
+        raise InputError(where, "a middle that looks past the body", "one that sees the ellipsoid", remedy)
+
+
+def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str) -> None:
+    """Raise InputError, naming `where`, where most rays meet far from the ellipsoid, which then is another body's.
+
+    Parameters
+    ----------
+    points : (n, 3)
+        m, body-fixed, where rays of images meet by their nominal orientation.
+    angles : (n,)
+        rad, largest between the rays of each; NaN where they don't meet.
+    body : Ellipsoid
+        Of the images.
+    where : str
+        What has them.
+    """
+    met = (angles > _CONVERGENT) & np.isfinite(points).all(axis=1)
+    if np.count_nonzero(met) < _FEW or body.polar < _FLATTEST * body.equatorial:  # a plane, to which no radius belongs
+        return
+    found, ground, near = distances(points[met]), surface_radii(points[met], body), nearness(body)
+    if not 1.0 / near < np.median(found / ground) < near:
+        raise InputError(
+            where, f"rays that meet {np.median(found) / KM:.6g} km from the body's centre, half of them at least",
+            f"points near its surface, {np.median(ground) / KM:.6g} km from there",
+            "check the radii in the images' files, and that the ties are of these images",
+        )  # fmt: skip
+
+
+def require_flight(table: PositionTable, where: str, share: float = 1.0) -> None:
+    """Raise InputError, naming `where`, for positions and velocities beyond anything in the solar system, and where
+    these don't lead from position to position, in a share of all steps, which are the best.
+    """
+    require_near_sun(table.positions, where)
+    require_slow(table.velocities, where)
+    _require_led_by_velocities(table, where, share)
+
+
+def require_near_sun(positions: Array, where: str) -> None:
+    """Raise InputError for positions (n, 3) in m that are the body's centre or beyond the solar system."""
+    distances = np.abs(positions).max(axis=1)
+    for k in np.flatnonzero((distances < 1.0) | (distances > _SYSTEM))[:1]:
+        found = f"position {k}, {distances[k]:g} m from the body's centre"
+        raise InputError(where, found, "one outside the body, in its neighbourhood", "check the unit")
+
+
+def require_slow(velocities: Array, where: str, limit: float = _FASTEST) -> None:
+    """Raise InputError for velocities (..., 3) in m/s beyond a limit: by default none in the solar system has."""
+    if (fastest := np.abs(velocities).max(initial=0.0)) > limit:
+        raise InputError(where, f"a velocity of {fastest:g} m/s", f"at most {limit:g}", "check the unit")
+
+
+def _require_led_by_velocities(table: PositionTable, where: str, share: float) -> None:
+    with np.errstate(all="ignore"):
+        steps = np.diff(table.times)[:, None]
+        chords, means = np.diff(table.positions, axis=0) / steps, 0.5 * (table.velocities[1:] + table.velocities[:-1])
+        speed = np.linalg.norm(chords, axis=1)
+        off = np.linalg.norm(chords - means, axis=1) / np.where(speed > 0.0, speed, np.inf)
+        off[~np.isfinite(off)] = np.inf
+    if np.quantile(off, share, method="lower") > _CONTRADICTION:
+        k = int(np.argmax(off))
+        stated, at = np.linalg.norm(means[k]), table.times[k]
+        found = f"velocities of {stated:.6g} m/s where positions move by {speed[k]:.6g} m/s, or another way"
+        found += f" ({np.count_nonzero(off > _CONTRADICTION)} of {off.size} times, most {at:.6g} s past the epoch)"
+        raise InputError(where, found, "those of the positions", "check units and signs of both")
