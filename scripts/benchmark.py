@@ -4,15 +4,13 @@
     python scripts/benchmark.py speed L XL --peer PEER_CERES --gate    # against baseline.json; exit status 1 if worse
     python scripts/benchmark.py speed --problem FILE.bin --json OUT    # one file, once
     python scripts/benchmark.py scaling [--out docs]                   # seconds and bytes against points and images
-    python scripts/benchmark.py stages [--line predicted] [--sights 3] # of a sweep of the kernel, ns per point
-    python scripts/benchmark.py strips [--strips 10] [--points 200000] # strips with orientation images
     python scripts/benchmark.py analysis [L] [--queries 20]            # what it costs to ask an adjustment
     python scripts/benchmark.py incremental [--equality 40] [--cost 10 100 500] [--ties 2000]   # adding an image
     python scripts/benchmark.py project [10 100 498] [--ties 2000] [--no-solve]     # commands: add, status, solve
     python scripts/benchmark.py archive --work WORK [block kaguya dense ctx]   # from files to results, archives
     python scripts/benchmark.py COMMAND --help                         # all options
 
-Each writes its page into docs, or where --out says (`speed` and `stages`: --markdown). Exit status: 0 done, 1 a limit
+Each writes its page into docs, or where --out says (`speed`: --markdown). Exit status: 0 done, 1 a limit
 missed or not converged, 2 bad input, 130 interrupted.
 """
 
@@ -21,7 +19,7 @@ from importlib import import_module
 
 from study import command
 
-COMMANDS = ("speed", "scaling", "stages", "strips", "analysis", "incremental", "project", "archive")
+COMMANDS = ("speed", "scaling", "analysis", "incremental", "project", "archive")
 
 
 def main() -> int:

@@ -93,12 +93,11 @@ from peer_blocks import chain, kaguya  # noqa: E402
 from peer_problem import PeerProblem, network  # noqa: E402
 from study import at_least, command, machine, require_writable, status, table, write_text  # noqa: E402
 
-from mgsgraph.adjustment.batch import levenberg_marquardt  # noqa: E402
+from mgsgraph.adjustment.batch import BundleProblem, levenberg_marquardt  # noqa: E402
 from mgsgraph.adjustment.gpu import find_gpu  # noqa: E402
 from mgsgraph.adjustment.gpu.sweeper import GpuSweeper  # noqa: E402
 from mgsgraph.adjustment.graph.bundle import BundleGraph  # noqa: E402
 from mgsgraph.adjustment.graph.layout import lay_out  # noqa: E402
-from mgsgraph.adjustment.problems import BundleProblem  # noqa: E402
 from mgsgraph.kernel.cuda.device import SIMULATED, cuda  # noqa: E402
 from mgsgraph.kernel.sweep import COSTS, SYSTEM  # noqa: E402
 

@@ -81,8 +81,10 @@ def run_once(path: Path, line: Line = "measured") -> dict[str, Any]:
     """Figures of one file. Memory: the highest of the whole process in MB, what it held just before the adjustment
     (program, compiled kernel, input), and the difference in bytes per image observation.
     """
-    from mgsgraph.adjustment.adjust import adjust_network  # the kernel: not before --threads counts
-    from mgsgraph.adjustment.results import versions
+    from mgsgraph.adjustment.adjust import (
+        adjust_network,  # the kernel: not before --threads counts
+        versions,
+    )
     from mgsgraph.compiled import threads
 
     start = time.perf_counter()

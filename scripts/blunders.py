@@ -21,9 +21,8 @@ from scipy.stats import ncx2
 from study import DOCS, Z99, at_least, command, made_with, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.blunders import critical_value, judged
+from mgsgraph.adjustment.blunders import UNCONTROLLED, critical_value, judged, swept
 from mgsgraph.adjustment.graph.bundle import BETWEEN, SHARE
-from mgsgraph.adjustment.redundancy import UNCONTROLLED, swept
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution

@@ -26,8 +26,8 @@ from montecarlo_draw import BLOCK, CASES, EDGE, KINDS, LINES, NEW, PIXELS, POINT
 from montecarlo_page import figure, page
 from study import DOCS, REMEDY, OneLine, at_least, require_writable, show, status, write_figure, write_text
 
+from mgsgraph.adjustment.adjust import versions
 from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
-from mgsgraph.adjustment.results import versions
 from mgsgraph.errors import InputError, SolverError
 
 CHOICES = {

@@ -20,7 +20,7 @@ import study
 from study import DOCS, at_least, chi_square_band, command, made_with, show, student, within, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.linearity import LINEAR
+from mgsgraph.adjustment.covariances import LINEAR
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior

@@ -186,7 +186,7 @@ def number(value: float) -> str:
 
 def made_with() -> str:
     """The programs that a page was made with, and their versions."""
-    from mgsgraph.adjustment.results import versions  # the kernel: not before --threads count
+    from mgsgraph.adjustment.adjust import versions  # the kernel: not before --threads count
 
     return f"Made with {', '.join(f'{name} {version}' for name, version in versions().items())}."
 

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.stats import binom, chi2, kstest
 from study import DOCS, Z99, at_least, command, show, write_page
 
-from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.results import versions
+from mgsgraph.adjustment.adjust import adjust_network, versions
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import Components, Judgement, components_of, iterated_components
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.shared import footprint_shifts
+from mgsgraph.adjustment.graph.variables import footprint_shifts
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north

@@ -1,11 +1,10 @@
-"""Levenberg-Marquardt over a factor graph of either form, and the last steps to a stationary point.
+"""Levenberg-Marquardt over the reduced equations of the bundle form, and the last steps to a stationary point.
 
 The damping is Levenberg's in whitened units: a weak extra prior on the step, in the variables' own scales (a-priori
 sigmas), so that metres and radians are treated alike. A trial step costs one sweep of the kernel, which brings the
 next linear system with it; after a rejected step the cost alone. Near the optimum, where the normal matrix hardly
 changes, its factor is kept and only the gradient is renewed (simplified Newton method; Ortega & Rheinboldt 1970, ch. 7)
-as long as steps become shorter by a factor of ten. The loop is Python, the work is in the kernel, in LAPACK and in
-GTSAM.
+as long as steps become shorter by a factor of ten. The loop is Python, the work is in the kernel and in LAPACK.
 
 Relief on which points lie curves: near the optimum Gauss-Newton steps become shorter by about the same share each, or
 even longer, in the few directions that rest on the relief, and what they gain is less than the cost's rounding. Points
@@ -18,16 +17,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple
 
+import numpy as np
+
+from mgsgraph.adjustment.graph.bundle import BundleGraph, Solving
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import Unsolvable
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, Reduction
 from mgsgraph.record import Record
-
-State = TypeVar("State")
-Step = TypeVar("Step")
 
 _FIRST_DAMPING = 1e-8
 LEAST_DAMPING = 1e-12
@@ -82,11 +82,11 @@ class Iteration(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome(Generic[State]):
+class Outcome:
     """How an optimisation ended."""
 
-    state: State
-    """The optimum."""
+    state: Array
+    """(columns,) m and rad, the optimum."""
     cost_initial: float
     """Cost of the start."""
     cost_final: float
@@ -101,63 +101,120 @@ class Outcome(Generic[State]):
     """Whether near the optimum steps became shorter by small shares alone."""
 
 
-class LinearSystem(Protocol[Step]):
-    """Normal equations at a state."""
+class ReducedEquations:
+    """Normal equations of the shared unknowns, damped in units of their scales.
 
-    kept: bool
-    """Whether their matrix is that of another state."""
-    gradient: Any
-    """Of the cost; of a state that is a vector (columns,)."""
+    With the factor of `kept`, the matrix is that of another state; the gradient is that of the reduction.
+    """
 
-    def step(self, damping: float) -> Step | None:
+    def __init__(self, graph: BundleGraph, reduction: Reduction, kept: "ReducedEquations | None" = None) -> None:
+        self._graph, self._reduction, self.gradient = graph, reduction, graph.gradient(reduction)
+        self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
+        self._factor: Solving | None = None
+        self.kept = kept is not None
+        if kept is not None:
+            self._factor, self._damping = kept._factor, kept._damping
+
+    def step(self, damping: float) -> Array | None:
         """Solution of the damped equations; None when they are not positive definite."""
-        ...
+        if self._factor is None or damping != self._damping:
+            assert self._reduction.task == SYSTEM, "a kept factor has the damping that it was made with"
+            try:
+                self._factor = self._graph.sweeper.factor(self._graph.layout, self._reduction, damping)
+                self._damping = damping
+            except NotDefinite:
+                return None
+        return self._factor.solve(-self.gradient)
 
-    def slope(self, step: Step) -> float:
+    def slope(self, step: Array) -> float:
         """Minus gradient times step."""
-        ...
+        return -float(self.gradient @ step)
 
-    def gain(self, step: Step) -> float:
-        """Decrease of the cost that the linear model promises of a step."""
-        ...
+    def gain(self, step: Array) -> float:
+        """Of a step that solves the equations with the damping asked for last: (N + damping) step = -gradient."""
+        return 0.5 * (self.slope(step) + self._damping * float(step @ (self._inverse_squares * step)))
 
 
-class Problem(Protocol[State]):
-    """What is minimised: a cost, and a linear system at a state."""
+class BundleProblem:
+    """The bundle form; its state is the orientation vector (columns,). Each sweep begins where the last one ended."""
 
-    adjusts: bool
-    """Whether there is anything to adjust."""
+    def __init__(self, graph: BundleGraph, known: Reduction | None = None) -> None:
+        self.graph, self.adjusts = graph, graph.layout.columns > 0
+        self._last = known
 
-    def cost(self, state: State, task: int) -> float:
-        """Full cost; `task` (kernel.sweep.COSTS, GRADIENT or SYSTEM) says what will probably be wanted next."""
-        ...
+    def at(self, state: Array, task: int) -> Reduction:
+        """All points solved (and eliminated) at a state."""
+        last = self._last
+        if last is None or not last.serves(state, task):
+            begin = last if last is not None and np.isfinite(last.cost) else None
+            self._last = last = self.graph.reduction(state, task, begin)
+        return last
 
-    def exact_cost(self, state: State) -> float:
-        """The same without any help from earlier calls."""
-        ...
+    def cost(self, state: Array, task: int) -> float:
+        """Cost of all points and of the priors at a state (columns,); the sweep of `task` is kept for `linear`."""
+        return self.graph.cost(self.at(state, task))
 
-    def linear(self, state: State, kept: Any = None) -> LinearSystem[Any]:
-        """Linear system at a state whose cost is known; its matrix may be that of the system `kept`."""
-        ...
+    def exact_cost(self, state: Array) -> float:
+        """Full cost, all points solved from their first places."""
+        return self.graph.cost(self.graph.reduction(state, COSTS))
 
-    def moved(self, state: State, step: Any) -> State:
-        """The state after a step."""
-        ...
+    def linear(self, state: Array, kept: ReducedEquations | None = None) -> ReducedEquations:
+        """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
+        return ReducedEquations(self.graph, self.at(state, SYSTEM if kept is None else GRADIENT), kept)
+
+
+class HeldEquations(ReducedEquations):
+    """Normal equations whose steps leave directions A (columns, m) as they are: with N dx = -g the step is
+
+    dx = -N^-1 (g + A k),    A' dx = 0:    dx = s - N^-1 A (A' N^-1 A)^-1 A' s,    s = -N^-1 g.
+    """
+
+    def __init__(
+        self, graph: BundleGraph, reduction: Reduction, directions: Array, kept: "HeldEquations | None" = None
+    ) -> None:
+        super().__init__(graph, reduction, kept)
+        self._directions = directions
+        self._through: tuple[Solving, Array] | None = None if kept is None else kept._through
+
+    def step(self, damping: float) -> Array | None:
+        """Solution of the damped equations; None when they are not positive definite."""
+        free, held = super().step(damping), self._directions
+        if free is None:
+            return None
+        assert self._factor is not None
+        if self._through is None or self._through[0] is not self._factor:
+            self._through = self._factor, np.stack([self._factor.solve(one) for one in held.T], axis=1)
+        through = self._through[1]
+        return np.asarray(free - through @ np.linalg.solve(held.T @ through, held.T @ free))
+
+
+class HeldProblem(BundleProblem):
+    """The bundle form with directions (columns, m) of its state held."""
+
+    def __init__(self, graph: BundleGraph, directions: Array, known: Reduction) -> None:
+        super().__init__(graph, known)
+        self._directions = directions
+
+    def linear(self, state: Array, kept: ReducedEquations | None = None) -> HeldEquations:
+        """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
+        assert kept is None or isinstance(kept, HeldEquations)
+        reduction = self.at(state, SYSTEM if kept is None else GRADIENT)
+        return HeldEquations(self.graph, reduction, self._directions, kept)
 
 
 def levenberg_marquardt(
-    problem: Problem[State],
-    start: State,
+    problem: BundleProblem,
+    start: Array,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
     unless_slow: bool = False,
-) -> Outcome[State]:
+) -> Outcome:
     """Minimise a problem's cost.
 
     Parameters
     ----------
-    problem : Problem
-    start
+    problem : BundleProblem
+    start : (columns,)
         Where to begin.
     settings : SolverSettings
         Tolerances and the most iterations.
@@ -185,7 +242,7 @@ def levenberg_marquardt(
         predicted, length = linear.gain(step), step_length(linear, step)
         keep = rejected == 0 and damping <= _FIRST_DAMPING and length <= _SHORTER * before
         keep = keep and _near(predicted, length, cost, settings)
-        trial = problem.moved(state, step)
+        trial = state + step
         new = problem.cost(trial, COSTS if rejected else GRADIENT if keep else SYSTEM)
         accepted = _lower(problem, state, trial, cost, new, predicted)
         now = Iteration(number, new, cost - new, predicted, length, damping, accepted)
@@ -216,8 +273,8 @@ def levenberg_marquardt(
 
 
 def _solved(
-    problem: Problem[State], state: State, linear: LinearSystem[Any], damping: float, longest: float
-) -> tuple[LinearSystem[Any], Any, float]:
+    problem: BundleProblem, state: Array, linear: ReducedEquations, damping: float, longest: float
+) -> tuple[ReducedEquations, Array, float]:
     """A step, the linear system that it solves, and the least damping from `damping` on at which that can be solved.
 
     A kept matrix is renewed where its step is longer than `longest` (posterior sigmas).
@@ -230,7 +287,7 @@ def _solved(
     return linear, step, damping
 
 
-def step_length(linear: LinearSystem[Any], step: Any) -> float:
+def step_length(linear: ReducedEquations, step: Array) -> float:
     """Length of a step in posterior sigmas."""
     return math.sqrt(max(linear.slope(step), 0.0))
 
@@ -250,7 +307,7 @@ def _slow(history: list[Iteration]) -> bool:
     return len(last) > _SLOW_STEPS and near and all(b.step > _SLOWER * a.step for a, b in pairwise(last))
 
 
-def _lower(problem: Problem[State], state: State, trial: State, cost: float, new: float, predicted: float) -> bool:
+def _lower(problem: BundleProblem, state: Array, trial: Array, cost: float, new: float, predicted: float) -> bool:
     """Whether a trial's cost is no higher, or can't be told from it: a near miss is looked at again, exactly."""
     if not math.isfinite(new) or new > cost * (1.0 + _NEAR):
         return False
@@ -287,11 +344,11 @@ class _Pair(NamedTuple):
 
 
 def settled_minimum(
-    problem: Problem[Array],
+    problem: BundleProblem,
     start: Array,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
-) -> Outcome[Array]:
+) -> Outcome:
     """Minimise a problem's cost, too rough near the optimum to tell one step from another, and settle (`settled`): from
     where it hardly falls any more, or should steps not settle from there, from where it doesn't.
     """
@@ -304,12 +361,12 @@ def settled_minimum(
 
 
 def minimum(
-    problem: Problem[Array],
+    problem: BundleProblem,
     start: Array,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
     slow: bool,
-) -> Outcome[Array]:
+) -> Outcome:
     """Minimise a problem's cost; settle where steps become shorter by small shares alone, as (`slow`) they are known to
     do. Where they don't settle, they are taken one by one.
     """
@@ -323,32 +380,31 @@ def minimum(
 
 
 def _further(
-    problem: Problem[Array], found: Outcome[Array], settings: SolverSettings, progress: Callable[[Iteration], None]
-) -> Outcome[Array]:
+    problem: BundleProblem, found: Outcome, settings: SolverSettings, progress: Callable[[Iteration], None]
+) -> Outcome:
     """An outcome from where another one ended."""
     tried = levenberg_marquardt(problem, found.state, settings, progress)
     later = tuple(replace(one, number=one.number + len(found.history)) for one in tried.history)
     return replace(tried, cost_initial=found.cost_initial, history=found.history + later)
 
 
-def _at_rest(problem: Problem[Array], state: Array, settings: SolverSettings) -> SolverSettings:
+def _at_rest(problem: BundleProblem, state: Array, settings: SolverSettings) -> SolverSettings:
     """Settings with steps so long that what they gain can't be told from a cost's rounding, where those are longer."""
     rounding = math.sqrt(2.0 * _GRADIENT_ROUNDING * problem.cost(state, SYSTEM))
     return replace(settings, step_tolerance=max(settings.step_tolerance, min(rounding, 0.1)))
 
 
 def settled(
-    problem: Problem[Array],
-    found: Outcome[Array],
+    problem: BundleProblem,
+    found: Outcome,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
-) -> Outcome[Array]:
+) -> Outcome:
     """An outcome that is converged by its cost, brought to where a step is shorter than the step tolerance.
 
     Parameters
     ----------
-    problem : Problem
-        Whose state is a vector (columns,).
+    problem : BundleProblem
     found : Outcome
     settings : SolverSettings
     progress : callable
@@ -365,9 +421,11 @@ def settled(
     matrix = linear = problem.linear(state)
     plain, pairs, farthest = linear.step(LEAST_DAMPING), list[_Pair](), math.inf
     for _ in range(_MOST):
-        step = None if plain is None else _corrected(linear.gradient, plain, pairs)
-        length = math.inf if step is None else step_length(linear, step)
-        if step is None or not length <= farthest:
+        if plain is None:
+            break
+        step = _corrected(linear.gradient, plain, pairs)
+        length = step_length(linear, step)
+        if not length <= farthest:
             break
         farthest = min(farthest, _FARTHEST * max(length, settings.step_tolerance))
         now = Iteration(len(history) + 1, cost, 0.0, 0.5 * length**2, length, LEAST_DAMPING, True)
@@ -402,3 +460,22 @@ def _corrected(gradient: Array, plain: Array, pairs: Sequence[_Pair]) -> Array:
     for share, one in zip(reversed(shares), useful, strict=True):
         found = found - (share + float(one.slope @ found) / float(one.step @ one.slope)) * one.step
     return found
+
+
+def solve_bundle(
+    graph: BundleGraph,
+    start: Array,
+    known: Reduction | None,
+    settings: SolverSettings,
+    progress: Callable[[Iteration], None],
+    slow: bool = False,
+) -> tuple[Outcome, Reduction]:
+    """Solve from an orientation vector (columns,); the reduction at the optimum comes with it. `slow` says that an
+    earlier pass converged slowly.
+    """
+    problem = BundleProblem(graph, known)
+    if graph.layout.network.on_relief:
+        outcome = settled_minimum(problem, start, settings, progress)
+    else:
+        outcome = minimum(problem, start, settings, progress, slow)
+    return outcome, problem.at(outcome.state, SYSTEM)

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.fit import Residuals, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.rows import nearly_parallel
-from mgsgraph.adjustment.residuals import Residuals, residuals, squares_of
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, TUKEY, WEAK

@@ -1,4 +1,8 @@
-"""Covariance of the unknowns that points share, without the full inverse.
+"""Square root of the information on the unknowns that points share, as elimination leaves it, and their covariance.
+
+Elimination turns a linear system into triangular rows, clique by clique of a tree (the Bayes tree): R x_F + T x_S = d,
+the frontal variables F of a clique given its separator S, all of which lie in the parent clique. R' R over all rows is
+the information, and its inverse the covariance.
 
 From the root of the elimination's tree down (Takahashi, Fagan & Chin 1973; Erisman & Tinney 1975; in estimation Kaess &
 Dellaert 2009): of rows R x_F + T x_S = d, the covariance S_SS of what they are conditioned on is known, and X = R^-1 T
@@ -10,18 +14,251 @@ So every pair of variables within a clique gets its block, among them all pairs 
 need. Any other block follows from the square root itself.
 """
 
-from collections.abc import Iterable, Sequence
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg import lapack
+from threadpoolctl import ThreadpoolController
 
-from mgsgraph.adjustment.square_root import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.record import Record
+
+_WORTHWHILE = 1e10
+"""Multiplications of one clique from which on more threads are worth their waiting."""
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One thread for the BLAS, in the whole process.
+
+    Between two products OpenBLAS's threads go on waiting, and where another program has the second core, each product
+    waits for the helper to get its turn: some 10 ms. On two cores that others use, too, 3,000 images (30 10^9
+    multiplications) take 1 to 2 s with one thread, and 4 to 28 s with two.
+    """
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+def many_threads(operations: float) -> AbstractContextManager[object]:
+    """Within `one_thread`: all processors for so many multiplications, where that is worth it."""
+    if operations < _WORTHWHILE:
+        return nullcontext()
+    limit: AbstractContextManager[object] = _controller().limit(limits=os.cpu_count() or 1, user_api="blas")
+    return limit
+
+
+@dataclass(frozen=True, eq=False)
+class SquareRoot:
+    """Triangular rows by clique, a parent before its children."""
+
+    first: Index
+    """(v,) first column of each variable; -1 for a held one."""
+    width: Index
+    """(v,) number of its columns; of a held one, how many it would have."""
+    members: Index
+    """(j,) variables of the cliques, clique after clique, the frontal ones of each before its
+    separator."""
+    sizes: Index
+    """(c,) number of variables of each clique."""
+    frontals: Index
+    """(c,) how many of them are frontal."""
+    rows: Array
+    """(t,) 1/m and 1/rad, rows [R T] of the cliques, flat: f rows of f + s numbers for f frontal and s other
+    columns."""
+
+    def __post_init__(self) -> None:
+        for name in ("first", "width", "members", "sizes", "frontals", "rows"):
+            getattr(self, name).flags.writeable = False
+        if not self._holds_together():
+            found = "cliques, variables and rows that contradict each other"
+            raise InputError("square root", found, "each adjusted variable frontal in one clique, after its parents")
+
+    def __repr__(self) -> str:
+        return f"SquareRoot({self.columns} columns, {self.sizes.size} cliques, {self.rows.size} numbers)"
+
+    @property
+    def columns(self) -> int:
+        """Number of shared unknowns."""
+        return int(self.width[self.adjusted].sum())
+
+    @cached_property
+    def adjusted(self) -> Index:
+        """Variables that have columns."""
+        return np.flatnonzero(self.first >= 0)
+
+    @cached_property
+    def first_member(self) -> Index:
+        """(c + 1,) where the members of each clique begin, and where the last ones end."""
+        return begins(self.sizes)
+
+    @cached_property
+    def clique_of_member(self) -> Index:
+        """Clique of each of `members`."""
+        return np.repeat(np.arange(self.sizes.size), self.sizes)
+
+    @cached_property
+    def frontal_members(self) -> Index:
+        """Places in `members` of frontal variables."""
+        place = np.arange(self.members.size) - self.first_member[self.clique_of_member]
+        return np.flatnonzero(place < self.frontals[self.clique_of_member])
+
+    @cached_property
+    def inner_column(self) -> Index:
+        """First column of each of `members` within its clique."""
+        before = begins(self.width[self.members])
+        return before[:-1] - before[self.first_member[self.clique_of_member]]
+
+    @cached_property
+    def shapes(self) -> tuple[Index, Index]:
+        """(c,) rows (frontal columns) and (c,) columns of each clique."""
+        before, start = begins(self.width[self.members]), self.first_member[:-1]
+        return before[start + self.frontals] - before[start], before[start + self.sizes] - before[start]
+
+    @cached_property
+    def offset(self) -> Index:
+        """(c + 1,) where each clique's rows begin in the flat arrays, and where the last ones end."""
+        return begins(self.shapes[0] * self.shapes[1])
+
+    @cached_property
+    def home(self) -> Index:
+        """(v,) clique in which each variable is frontal; -1 for a held one."""
+        home = np.full(self.width.size, -1)
+        home[self.members[self.frontal_members]] = self.clique_of_member[self.frontal_members]
+        return home
+
+    @cached_property
+    def parent(self) -> Index:
+        """(c,) parent of each clique, -1 for a root: of the homes of its separator, its ancestors, the last."""
+        separators = np.delete(np.arange(self.members.size), self.frontal_members)
+        parent = np.full(self.sizes.size, -1)
+        np.maximum.at(parent, self.clique_of_member[separators], self.home[self.members[separators]])
+        return parent
+
+    @cached_property
+    def columns_of(self) -> list[Index]:
+        """Columns of each clique, frontal ones first."""
+        return np.split(self._columns(self.members), begins(self.width[self.members])[self.first_member[1:-1]])
+
+    def rows_of(self, clique: int) -> Array:
+        """Rows (f, f + s) of a clique."""
+        return self.rows[self.offset[clique] : self.offset[clique + 1]].reshape(self.shapes[0][clique], -1)
+
+    def cross(self, ones: Index, others: Index) -> Array:
+        """Covariance (d, e) of any adjusted variables (d columns together) with any others (e columns together).
+
+        The inverse times the unit columns of `ones`: forward where their ways to the root lead, and back where those of
+        the others come from.
+        """
+        columns = self._columns(ones)
+        work = np.zeros((self.columns, columns.size))
+        work[columns, np.arange(columns.size)] = 1.0
+        self._forward(work, self._ancestry(ones)[::-1])
+        self._back(work, self._ancestry(others))
+        return np.asarray(work[self._columns(others)].T)
+
+    def forward(self, right: Array) -> Array:
+        """R'^-1 times a vector (columns,) or vectors (columns, k): from the leaves of the cliques' tree to its root."""
+        work = right.reshape(self.columns, math.prod(right.shape[1:])).copy()
+        self._forward(work, range(self.sizes.size)[::-1])
+        return work.reshape(right.shape)
+
+    def back(self, right: Array) -> Array:
+        """R^-1 times a vector (columns,) or vectors (columns, k): from the root to the leaves."""
+        work = right.reshape(self.columns, math.prod(right.shape[1:])).copy()
+        self._back(work, range(self.sizes.size))
+        return work.reshape(right.shape)
+
+    def covariance_times(self, right: Array) -> Array:
+        """Covariance times a vector (columns,) or vectors (columns, k)."""
+        return self.back(self.forward(right))
+
+    @one_thread()
+    def _forward(self, work: Array, cliques: Sequence[int]) -> None:
+        """R'^-1 times `work` (columns, k), in place, through some cliques, children first."""
+        for clique in cliques:
+            own, others, upper, across = self._parts(clique)
+            work[own] = lapack.dtrtrs(upper, work[own], trans=1)[0]
+            work[others] -= across.T @ work[own]
+
+    @one_thread()
+    def _back(self, work: Array, cliques: Sequence[int]) -> None:
+        """R^-1 times `work` (columns, k), in place, through some cliques, parents first."""
+        for clique in cliques:
+            own, others, upper, across = self._parts(clique)
+            work[own] = lapack.dtrtrs(upper, work[own] - across @ work[others])[0]
+
+    def _parts(self, clique: int) -> tuple[Index, Index, Array, Array]:
+        """Frontal and other columns of a clique, its R and its T."""
+        rows, columns = self.rows_of(clique), self.columns_of[clique]
+        own = rows.shape[0]
+        return columns[:own], columns[own:], rows[:, :own], rows[:, own:]
+
+    def _columns(self, variables: Index) -> Index:
+        """Columns of adjusted variables, one after another."""
+        width = self.width[variables]
+        return np.arange(width.sum()) + np.repeat(self.first[variables] - begins(width)[:-1], width)
+
+    def _ancestry(self, variables: Index) -> list[int]:
+        """Cliques on the ways from variables to the root, parents first."""
+        met = set[int]()
+        for home in self.home[variables].tolist():
+            clique = int(home)
+            while clique >= 0 and clique not in met:
+                met.add(clique)
+                clique = int(self.parent[clique])
+        return sorted(met)
+
+    def _holds_together(self) -> bool:
+        alike = self.first.shape == self.width.shape and self.sizes.shape == self.frontals.shape
+        if not alike or np.any(self.width < 1) or np.any((self.frontals < 1) | (self.frontals > self.sizes)):
+            return False
+        if self.members.size != self.sizes.sum() or np.any((self.members < 0) | (self.members >= self.width.size)):
+            return False
+        separators = np.delete(np.arange(self.members.size), self.frontal_members)
+        return (
+            np.array_equal(self.first[self.adjusted], begins(self.width[self.adjusted])[:-1])
+            and np.array_equal(np.sort(self.members[self.frontal_members]), self.adjusted)
+            and bool(np.all(self.first[self.members] >= 0))
+            and bool(np.all(self.home[self.members[separators]] < self.clique_of_member[separators]))
+            and self.rows.shape == (int(self.offset[-1]),)
+        )
+
+
+def in_cliques(first: Index, width: Index, cliques: Sequence[Sequence[int]], rows: Sequence[Array]) -> SquareRoot:
+    """Square root of information that joins no variable of one clique with one of another.
+
+    Parameters
+    ----------
+    first, width : (v,)
+        As `SquareRoot` has them.
+    cliques : sequence of sequence of int
+        Variables of each, all frontal.
+    rows : sequence of (c, c) arrays
+        Triangular rows of each.
+    """
+    sizes = np.array([len(members) for members in cliques], dtype=np.int64)
+    members = np.array([v for clique in cliques for v in clique], dtype=np.int64)
+    flat = np.concatenate([np.zeros(0), *(part.ravel() for part in rows)])
+    return SquareRoot(first.copy(), width.copy(), members, sizes, sizes.copy(), flat)
+
+
+def begins(sizes: Index) -> Index:
+    """(n + 1,) where each of n pieces laid one after another begins, and where the last one ends."""
+    return np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum(sizes, dtype=np.int64)])
+
+
 
 _TOGETHER = 32
 """Variables whose blocks are solved for at a time."""
@@ -70,10 +307,8 @@ class JointCovariance(Record):
 
     def __post_init__(self) -> None:
         self.blocks.flags.writeable = False
-        if self.blocks.shape != self.square_root.rows.shape:
-            raise InputError(
-                "joint covariance", f"shape {self.blocks.shape}", f"{self.square_root.rows.shape}, as the square root's"
-            )
+        if self.blocks.shape != (wanted := self.square_root.rows.shape):
+            raise InputError("joint covariance", f"shape {self.blocks.shape}", f"{wanted}, as the square root's")
 
     def __repr__(self) -> str:
         return f"JointCovariance({self.columns} columns, {self.blocks.size} numbers stored)"

@@ -21,16 +21,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.batch import levenberg_marquardt
-from mgsgraph.adjustment.covariances import orientation_covariance
+from mgsgraph.adjustment.batch import BundleProblem, HeldProblem, levenberg_marquardt
+from mgsgraph.adjustment.covariances import MOST_POINTS, MOST_UNKNOWNS, orientation_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import Sweeper
-from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS
-from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
-from mgsgraph.adjustment.problems import BundleProblem, HeldProblem
+from mgsgraph.adjustment.marginals import JointCovariance, in_cliques, joint_covariance
 from mgsgraph.adjustment.rounds import Solved, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.square_root import in_cliques
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
@@ -135,7 +132,7 @@ def starts_wanted(network: Network, settings: SolverSettings, layout: Layout) ->
     """Starts over the terrain model's shift: as many as asked for; else `STARTS` where the network is small and its
     cost a sum of squares. None where no such shift is estimated.
     """
-    if not network.surface_shifts or TERRAIN in network.considered or settings.form != "bundle":
+    if not network.surface_shifts or TERRAIN in network.considered:
         return 0
     if settings.starts is not None:
         return settings.starts
@@ -260,8 +257,7 @@ def _begins(end: _End, count: int, sweeper: Sweeper) -> Iterator[Array]:
 def _end(solved: Solved, sweeper: Sweeper) -> _End:
     layout, rows = solved.layout, solved.rows
     graph = BundleGraph(layout, rows, sweeper)
-    reduction = solved.reduction or graph.reduction(solved.orientation, points=solved.points)
-    covariance = orientation_covariance(graph, reduction).dense()
+    covariance = orientation_covariance(graph, solved.reduction).dense()
     nothing = np.zeros(layout.blocks.target.size)
     own = sweeper.covariances(layout, rows, solved.orientation, nothing, solved.points)
     free = (rows.kind != FIXED) & (rows.kind != OUT)

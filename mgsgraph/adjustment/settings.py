@@ -8,14 +8,11 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Angles as Angles
 from mgsgraph.record import Record
 
-Form = Literal["bundle", "explicit"]
 Line = Literal["predicted", "measured"]
 Loss = Literal["none", "huber", "cauchy", "tukey"]
 Device = Literal["cpu", "cuda", "auto"]
 
-_CHOICES = (
-    ("form", Form), ("line", Line), ("angles", Angles), ("loss", Loss), ("device", Device),
-)  # fmt: skip
+_CHOICES = (("line", Line), ("angles", Angles), ("loss", Loss), ("device", Device))
 
 LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
 """Width in sigmas of each loss at which it is 95% efficient under normal errors (Holland & Welsch 1977)."""
@@ -28,12 +25,10 @@ class SolverSettings(Record):
     Examples
     --------
     >>> settings = mgsgraph.SolverSettings(reject=4.0, max_iterations=50)
-    >>> settings.reject, settings.form, settings.loss
-    (4.0, 'bundle', 'none')
+    >>> settings.reject, settings.line, settings.loss
+    (4.0, 'predicted', 'none')
     """
 
-    form: Form = "bundle"
-    """bundle: points eliminated inside their factors; explicit: one factor per row set, points are variables."""
     line: Line = "predicted"
     """predicted: pose at the predicted line (strict); measured: pose at the measured line (the papers' form)."""
     angles: Angles = "camera"
@@ -49,7 +44,7 @@ class SolverSettings(Record):
     either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`); 0 seeks none."""
     starts: int | None = None
     """Starts over a terrain model's unknown shift, where the cost may have several minima (`multistart`); None:
-    16 of networks up to 5,000 points and 1,000 unknowns that points share, by least squares in the bundle form. None on
+    16 of networks up to 5,000 points and 1,000 unknowns that points share, by least squares. None on
     a cluster, nor where a beginning is given."""
     max_iterations: int = 500
     """Maximum number of iterations."""
@@ -63,8 +58,7 @@ class SolverSettings(Record):
     for; results are the same. None: all that the machine, or the container, has."""
     device: Device = "cpu"
     """Who goes over the points: cpu; cuda, an NVIDIA GPU (the extra `cuda`); auto: a GPU where there is one that is
-    worth it, and a hundred thousand observations or more. A GPU serves the bundle form, and gives the same
-    result to 1e-9."""
+    worth it, and a hundred thousand observations or more. A GPU gives the same result to 1e-9."""
     deterministic: bool = False
     """On a GPU: whether the same sweep gives the same bits twice. What is added to the same numbers is then one block
     of threads' task, which takes longer where few images share many points. On a CPU that is so anyway, for the same

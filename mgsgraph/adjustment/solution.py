@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.covariances import Linearity
 from mgsgraph.adjustment.drivers import Drivers
 from mgsgraph.adjustment.fit import Fit, Strained, strained_orientations
-from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.settings import SolverSettings

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from mgsgraph.adjustment.square_root import SquareRoot, begins, many_threads, one_thread
+from mgsgraph.adjustment.marginals import SquareRoot, begins, many_threads, one_thread
 from mgsgraph.compiled import cached_kernel
 from mgsgraph.geometry.records import Array, Index
 

@@ -21,8 +21,7 @@ from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.predicted_lines import settled
-from mgsgraph.adjustment.rounds import Progress, Selection, determined_points, everything
+from mgsgraph.adjustment.rounds import Progress, Selection, determined_points, everything, settled
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError

@@ -18,7 +18,7 @@ from enum import StrEnum
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.linearised import Linearised
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution

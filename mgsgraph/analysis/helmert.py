@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.linearised import Linearised, PointRows
-from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.square_root import product
+from mgsgraph.adjustment.covariances import Linearised, PointRows
+from mgsgraph.adjustment.marginals import JointCovariance, one_thread
 from mgsgraph.analysis.grouping import Grouping
 from mgsgraph.analysis.linearised import prior_rows
 from mgsgraph.geometry.records import Array, Index
@@ -111,6 +110,7 @@ class _Sums:
         self._variables: tuple[int, ...] | None = None
         self._normal, self._covariance = np.zeros((groups, 0, 0)), np.zeros((0, 0))
 
+    @one_thread()
     def add(self, rows: PointRows, groups: Index) -> None:
         """Rows of some points, each row (r,) of one group for all of them."""
         self._open(rows.variables)
@@ -125,8 +125,8 @@ class _Sums:
             turned = np.swapaxes(own, 1, 2)
             inner[g], outer[g] = (turned @ own).reshape(-1), _stacked(turned @ left)
             flat = _stacked(left)
-            normal = product(flat.T, flat)
-            carried[g] = product(outer[g], self._covariance)
+            normal = flat.T @ flat
+            carried[g] = outer[g] @ self._covariance
             self._normal[g] += normal
             self.counts[g] += np.count_nonzero(present[:, mine])
             self.squares[g] += np.sum(rows.residuals[:, mine] ** 2)

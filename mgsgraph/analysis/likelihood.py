@@ -2,7 +2,7 @@
 
 With some unknowns held at given values and the cost E minimised over everything else, 2 (E - E_min) is chi-square with
 as many degrees of freedom as unknowns were held, if the values are true (Wilks 1938). It asks for no coordinates in
-which the cost is a paraboloid, as the error ellipsoid does (`adjustment.linearity`). The profile of one unknown is that
+which the cost is a paraboloid, as the error ellipsoid does (`adjustment.covariances`). The profile of one unknown is
 square over its values; where it stays below the quantile of chi-square with one degree lies its interval.
 """
 
@@ -13,13 +13,11 @@ from statistics import NormalDist
 
 import numpy as np
 
-from mgsgraph.adjustment.batch import levenberg_marquardt
+from mgsgraph.adjustment.batch import HeldProblem, levenberg_marquardt
+from mgsgraph.adjustment.covariances import Linearised, Linearity, linearity
 from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.linearity import Linearity, linearity
-from mgsgraph.adjustment.predicted_lines import about_predicted_lines
-from mgsgraph.adjustment.problems import HeldProblem
+from mgsgraph.adjustment.rounds import about_predicted_lines
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import OUT, Rows

@@ -5,12 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.covariances import orientation_covariance
+from mgsgraph.adjustment.covariances import Linearised, orientation_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.predicted_lines import exactly
-from mgsgraph.adjustment.rounds import unmarked
+from mgsgraph.adjustment.rounds import exactly, unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.blunders import UNCONTROLLED
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.redundancy import UNCONTROLLED
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index

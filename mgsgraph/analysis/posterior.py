@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import Linearised, PointRows, point_rows
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.linearised import Linearised, PointRows, point_rows
 from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution

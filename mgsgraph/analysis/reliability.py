@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.blunders import INSEPARABLE, pair_tests, residual_covariance, swept
+from mgsgraph.adjustment.covariances import Linearised, PointRows
+from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.graph.bundle import BETWEEN, EFFECT, MISFIT, SHARE
-from mgsgraph.adjustment.linearised import Linearised, PointRows
-from mgsgraph.adjustment.redundancy import INSEPARABLE, pair_tests, residual_covariance, swept
-from mgsgraph.adjustment.residuals import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import PriorRows, at_solution, prior_rows
 from mgsgraph.analysis.measures import (

@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.residuals import residuals
-from mgsgraph.adjustment.square_root import begins
+from mgsgraph.adjustment.covariances import Linearised
+from mgsgraph.adjustment.fit import residuals
+from mgsgraph.adjustment.marginals import begins
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND, IMAGE, NO_LOSS, OUT, RANGE, STEREO, SURFACE

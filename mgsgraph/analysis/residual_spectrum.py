@@ -32,8 +32,8 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.residuals import residuals
+from mgsgraph.adjustment.covariances import Linearised
+from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.spacing import known_besides_rays, point_covariances, ray_slopes

@@ -26,8 +26,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.fit import Fit
-from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import BACK_PROJECTED, Grouping, group_rows
 from mgsgraph.analysis.linearised import at_solution, prior_rows

@@ -27,9 +27,8 @@ from enum import StrEnum
 import numpy as np
 
 from mgsgraph.adjustment.frames import camera_axes, flight_axes
-from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.analysis.measures import unknown_name
 from mgsgraph.geometry.image import PushbroomImage

@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.blunders import independent
+from mgsgraph.adjustment.blunders import INSEPARABLE, closure, direction, independent, prediction, residual_covariance
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.linearised import Linearised
-from mgsgraph.adjustment.predicted_lines import exactly
-from mgsgraph.adjustment.redundancy import INSEPARABLE, closure, direction, prediction, residual_covariance
-from mgsgraph.adjustment.rounds import Selection, everything
+from mgsgraph.adjustment.rounds import Selection, everything, exactly
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution

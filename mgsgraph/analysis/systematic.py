@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.shared import along_track, footprint_motion
+from mgsgraph.adjustment.graph.variables import along_track, footprint_motion
 from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index

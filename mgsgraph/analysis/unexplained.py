@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.linearised import Linearised
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_rows import ResidualRows, correlations, residual_rows

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.linearised import Linearised
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.residual_spectrum import (
     FALSE_ALARMS,

@@ -37,6 +37,7 @@ _FORMER = {
     "strips": ("[[passes]] with a prior", "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"),
     "mola": ("[[shots]]", "its key pedr is file"),
     "pedr": ("file", ""),
+    "form": ("no choice of the form: every adjustment eliminates its points", "take it out"),
     "method": ("no choice of the solver's method", "take it out"),
     "tracks": ("radius", "a grid made of them: MEGDR (mgsgraph fetch), or gdal_grid's GeoTIFF"),
     "longest_edge_m": ("no such key: tracks are not triangulated", "take it out"),

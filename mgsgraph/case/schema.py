@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.settings import Angles, Device, Form, Line, Loss, SolverSettings
+from mgsgraph.adjustment.settings import Angles, Device, Line, Loss, SolverSettings
 from mgsgraph.case.motion import Factor, Positive, Sigma, three
 from mgsgraph.case.passes import MountingInput, PassInput
 from mgsgraph.errors import InputError, errors_from
@@ -326,7 +326,6 @@ class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Choices of the solver; see SolverSettings, which has their meaning and their defaults."""
 
-    form: Form = _DEFAULTS.form
     line: Line = _DEFAULTS.line
     angles: Angles = _DEFAULTS.angles
     loss: Loss = _DEFAULTS.loss

@@ -14,7 +14,7 @@ import click
 from mgsgraph.errors import MgsgraphError, printable
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.settings import Device, Form, Loss
+    from mgsgraph.adjustment.settings import Device, Loss
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.results.large_tables import TableForm
 
@@ -31,11 +31,6 @@ DEVICE = click.option(
 )
 WORKERS = click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
 _OPTIONS = (
-    click.option(
-        "--form",
-        type=click.Choice(["bundle", "explicit"]),
-        help="Points eliminated inside their factors, or as variables of the graph.",
-    ),
     click.option(
         "--loss",
         type=click.Choice(["none", "huber", "cauchy", "tukey"]),
@@ -60,7 +55,6 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     @wraps(verb)
     def with_overrides(
         *,
-        form: "Form | None",
         loss: "Loss | None",
         reject: float | None,
         starts: int | None,
@@ -72,7 +66,7 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     ) -> None:
         from mgsgraph.project.campaign.record import Overrides
 
-        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts, tables, device), **others)
+        verb(overrides=Overrides(loss, reject, not no_laser, not no_figures, starts, tables, device), **others)
 
     for option in reversed(_OPTIONS):
         option(with_overrides)

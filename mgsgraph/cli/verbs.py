@@ -35,6 +35,8 @@ VERBS = {
 """Module of each verb, and its line of help: known before that module is imported."""
 
 REMOVED = {
+    "adjust --form": "points are always eliminated, to the same result",
+    "campaign --form": "points are always eliminated, to the same result",
     "adjust --relief": "mgsgraph coregister CASE",
     "add --check": "mgsgraph solve PROJECT ends with the closing check",
     "remove --check": "mgsgraph solve PROJECT ends with the closing check",

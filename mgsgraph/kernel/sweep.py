@@ -1,5 +1,5 @@
-"""The kernel: one sweep over points that solves them, and eliminates them, or states their covariances or residuals; and
-what it leaves at one orientation, a `Reduction` (variable projection; Golub & Pereyra 1973).
+"""The kernel: one sweep over points that solves them, and eliminates them, or states their covariances or residuals;
+and what it leaves at one orientation, a `Reduction` (variable projection; Golub & Pereyra 1973).
 
 Compiled once and cached on disk; it holds no lock, so that threads share a sweep, each with pieces of its own.
 """

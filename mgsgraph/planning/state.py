@@ -11,8 +11,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.incremental.state import shared_of
 from mgsgraph.adjustment.incremental.trajectories import with_expected
 from mgsgraph.adjustment.marginals import carried
-from mgsgraph.adjustment.predicted_lines import exactly
-from mgsgraph.adjustment.rounds import Selection, determined_points, everything, without_weak
+from mgsgraph.adjustment.rounds import Selection, determined_points, everything, exactly, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import require_covariance

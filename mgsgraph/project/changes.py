@@ -44,10 +44,8 @@ def is_solved(project: Project) -> bool:
 
 
 def incremental(project: Project, settings: SolverSettings | None = None) -> IncrementalAdjustment:
-    """From the state that the project holds, with its settings or others; points are always eliminated there, to the
-    same result.
-    """
-    wanted = replace(settings or project.settings.solver.settings, form="bundle")
+    """From the state that the project holds, with its settings or others."""
+    wanted = settings or project.settings.solver.settings
     if project.kept is None:
         return IncrementalAdjustment(wanted, project.store)
     return project.kept.resumed(next(iter(project.changes(1)), None), wanted, project.store)

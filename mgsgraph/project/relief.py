@@ -45,7 +45,7 @@ def coregister(
     case, shown = _case(project, settings)
     settings = replace(settings, images=settings.images or shown, crossovers=False)
     found = register_by_relief(case, settings, workers=workers, progress=progress)
-    IncrementalAdjustment(replace(case.settings, form="bundle"), project.store).adopt(found.solution)
+    IncrementalAdjustment(case.settings, project.store).adopt(found.solution)
     shots = int(found.solution.stereo_used.sum())
     what = f"{len(found.profiles)} laser profiles"
     summary = {"cost": found.solution.cost_final, "converged": found.solution.converged, "shots": shots}

@@ -92,7 +92,8 @@ def settings_from_json(text: str, where: str) -> ProjectSettings:
     """The settings that the text holds."""
     try:
         found = json.loads(text)
-        found.get("solver", {}).pop("method", None)  # of version 0.2, which let one choose
+        for choice in ("form", "method"):  # of earlier versions, which let one choose
+            found.get("solver", {}).pop(choice, None)
         return msgspec.convert(found, ProjectSettings, strict=False)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}, settings", str(error), remedy="open it with the mgsgraph that wrote it") from None

@@ -235,7 +235,7 @@ def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Ar
 
 def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any:
     hints = _field_types(kind)
-    for name in sorted(set(value) - set(hints) - {"kind", "method"})[:1]:  # the solver had a choice of methods
+    for name in sorted(set(value) - set(hints) - {"kind", "form", "method"})[:1]:  # the solver had choices once
         raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
     # a field that the writer didn't know yet takes its default; one that has none fails there
     parts = {name: from_arrays(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}

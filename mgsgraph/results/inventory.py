@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.nominal import Prediction, predict
+from mgsgraph.adjustment.adjust import Prediction, predict
 from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile

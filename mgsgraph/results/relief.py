@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.shared import crossover_differences
+from mgsgraph.adjustment.graph.variables import crossover_differences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder

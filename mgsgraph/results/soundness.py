@@ -9,9 +9,9 @@ from statistics import NormalDist
 
 import numpy as np
 
+from mgsgraph.adjustment.covariances import Linearity
 from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.fit import ABSURD, IMPOSSIBLE
-from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.input_checks import unexplained_ranges, unexplained_residuals

@@ -9,9 +9,8 @@ from networks import network, pair
 from scipy.stats import chi2, kstest, norm
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.blunders import critical_value, judged, observed_tests, squared_unit
-from mgsgraph.adjustment.linearised import PointRows
-from mgsgraph.adjustment.redundancy import closure
+from mgsgraph.adjustment.blunders import closure, critical_value, judged, observed_tests, squared_unit
+from mgsgraph.adjustment.covariances import PointRows
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution

@@ -334,11 +334,11 @@ def test_the_command_line_writes_the_same_tables(case_file: Path, tmp_path: Path
 
 
 @pytest.mark.usefixtures("at_hand")
-def test_what_needs_all_points_in_one_process_is_refused(case_file: Path, tmp_path: Path) -> None:
-    arguments = ["adjust", str(case_file), "--out", str(tmp_path / "o"), "--cluster", "local:2", "--form", "explicit"]
+def test_a_gpu_on_a_cluster_is_refused(case_file: Path, tmp_path: Path) -> None:
+    arguments = ["adjust", str(case_file), "--out", str(tmp_path / "o"), "--cluster", "local:2", "--device", "cuda"]
     told = CliRunner().invoke(group, arguments)
     assert isinstance(told.exception, InputError)
-    assert str(told.exception).startswith("--cluster local:2: solver, form 'explicit'; expected 'bundle' on a cluster")
+    assert str(told.exception).startswith("--cluster local:2: solver, device 'cuda'; expected 'cpu' on a cluster")
     assert not (tmp_path / "o").exists()
 
 

@@ -12,9 +12,8 @@ from once import once
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.drivers import Drivers, Kind, driver_sentences, drivers_of, outstanding
-from mgsgraph.adjustment.fit import ABSURD, fit
+from mgsgraph.adjustment.fit import ABSURD, fit, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.residuals import residuals, squares_of
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.soundness import is_result, soundness
 from mgsgraph.case.reading import read_case

@@ -48,15 +48,12 @@ class Relief:
     def linear(self, state: np.ndarray, kept: object = None) -> Equations:
         return Equations(self.hessian @ state + 3e-3 * state**2, self.matrix)
 
-    def moved(self, state: np.ndarray, step: np.ndarray) -> np.ndarray:
-        return state + step
-
 
 def quiet(_: Iteration) -> None:
     """No progress shown."""
 
 
-def at(problem: Relief, state: np.ndarray) -> Outcome[np.ndarray]:
+def at(problem: Relief, state: np.ndarray) -> Outcome:
     return Outcome(state, 200.0, problem.cost(state), True, "Converged.", ())
 
 

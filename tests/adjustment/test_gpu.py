@@ -2,7 +2,6 @@
 
 import math
 from contextlib import nullcontext
-from dataclasses import replace
 from itertools import pairwise
 from types import ModuleType
 from typing import cast
@@ -42,7 +41,6 @@ def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.Monk
     monkeypatch.setattr(choice, "find_gpu", lambda: found)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
     monkeypatch.setattr(choice, "_WORTHWHILE", 10)
-    assert sweeper_of(replace(auto, form="explicit"), LAYOUT) is IN_PROCESS
     monkeypatch.setattr(choice, "find_gpu", lambda: SMALL)
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
     assert SMALL.remark
@@ -71,8 +69,6 @@ def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(InputError, match="no GPU") as error:
         adjust_network(net, cuda)
     assert len(str(error.value).splitlines()) == 1
-    with pytest.raises(InputError, match="explicit"):
-        adjust_network(net, replace(cuda, form="explicit"))
     monkeypatch.setattr(gpu, "find_spec", lambda name: None)
     with pytest.raises(InputError, match="numba-cuda"):
         adjust_network(net, cuda)

@@ -15,10 +15,9 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment import sparse_cholesky
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
+from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot, joint_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
-from mgsgraph.adjustment.square_root import SquareRoot, product
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 
@@ -267,15 +266,8 @@ def test_wide_grid_crosses_the_pieces() -> None:
     """Products and copies large enough to be cut into pieces; pairs solved for in more than one go."""
     made = system("grid", [18] * 64)
     joint = made.joint
-    assert joint.square_root.shapes[1].max() > 120  # then 18 x 120 x 120 has to be cut
+    assert joint.square_root.shapes[1].max() > 120
     assert in_sigmas(joint.dense(), made.authority) < 1e-10
-
-
-def test_pieces_of_a_product() -> None:
-    rng = np.random.default_rng(0)
-    for rows, inner, columns in ((0, 3, 2), (5, 0, 2), (900, 700, 18), (700, 18, 900), (40, 900, 900)):
-        left, right = rng.normal(size=(rows, inner)), rng.normal(size=(inner, columns))
-        np.testing.assert_allclose(product(left, right), left @ right, atol=1e-11)
 
 
 def test_a_solution_tells_the_covariance_of_images_and_shifts() -> None:

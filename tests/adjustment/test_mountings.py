@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from explicit_form import by_gtsam
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -74,7 +75,8 @@ def test_a_mounting_changes_nothing_but_the_axes(line: str, optics: bool) -> Non
 
 def test_forms_agree() -> None:
     net = passes(network(pair(ties=40, shots=12)), LIKE_NAC)
-    bundle, explicit = (adjust_network(net, SolverSettings(form=form, **TIGHT)) for form in ("bundle", "explicit"))  # type: ignore[arg-type]
+    bundle = adjust_network(net, SolverSettings(**TIGHT))
+    explicit = by_gtsam(bundle)
     assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
     np.testing.assert_allclose(bundle.places, explicit.places, atol=1e-3)
 

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from explicit_form import by_gtsam
 from networks import network, pair, with_shift_and_surface
 from sharing import block, camera_clock, drawn, shared, with_all_kinds
 
@@ -51,7 +52,7 @@ def everything(
 )  # fmt: skip
 def test_bundle_is_explicit(angles: Angles, line: Line, held: tuple[bool, bool]) -> None:
     one = everything(angles, line, held)
-    other = adjust_network(one.network, replace(one.settings, form="explicit"))
+    other = by_gtsam(one)
     assert one.converged
     assert one.cost_final == pytest.approx(other.cost_final, rel=1e-9)
     first, second = one.joint_covariance.dense(), other.joint_covariance.dense()

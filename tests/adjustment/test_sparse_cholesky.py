@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from mgsgraph.adjustment import sparse_cholesky, square_root
+from mgsgraph.adjustment import marginals, sparse_cholesky
 from mgsgraph.adjustment.marginals import joint_covariance
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
 
@@ -67,7 +67,7 @@ def test_solution_and_covariance_of_a_block_are_those_of_the_dense_matrix(
         monkeypatch.setattr(sparse_cholesky, "_MANY", 0.0)
         monkeypatch.setattr("gtsam.Ordering.ColamdSymbolicFactorGraph", gtsam.Ordering.MetisSymbolicFactorGraph)
     if threads:
-        monkeypatch.setattr(square_root, "_WORTHWHILE", 0.0)
+        monkeypatch.setattr(marginals, "_WORTHWHILE", 0.0)
     cholesky, flat, whole = overlapping(9, 8)
     scales = np.random.default_rng(4).uniform(0.5, 2.0, cholesky.columns)
     factor = cholesky.factor(flat, np.full(cholesky.columns, 0.5), scales)

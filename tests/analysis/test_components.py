@@ -13,8 +13,8 @@ from scipy.stats import kstest
 from stereo_pair import on_surface, stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.fit import Fit
-from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import (

@@ -7,7 +7,7 @@ import pytest
 from networks import network, pair
 from rigs import adjusted_rig, rig
 
-from mgsgraph.adjustment.nominal import predict
+from mgsgraph.adjustment.adjust import predict
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.input_checks import unexplained_ranges, unexplained_residuals
 from mgsgraph.geometry.orientation import OrientationPrior

@@ -18,7 +18,7 @@ from sharing import with_all_kinds
 from stereo_pair import on_surface, stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.redundancy import UNCONTROLLED, pair_tests, residual_covariance
+from mgsgraph.adjustment.blunders import UNCONTROLLED, pair_tests, residual_covariance
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import Levels, MeasureKind, inverse

@@ -8,11 +8,10 @@ import pytest
 from increments import network_of, strip
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.datum import datum_transformations, defects, scaled_normal, simple_basis
 from mgsgraph.adjustment.frames import Frames, flight_frame
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.nominal import predict
 from mgsgraph.adjustment.rounds import everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution

@@ -62,7 +62,7 @@ def test_adjust_writes_everything(case_file: Path, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
-@pytest.mark.parametrize("options", [("--form", "explicit"), ("--loss", "huber"), ("--reject", "5"), ("--no-laser",)])
+@pytest.mark.parametrize("options", [("--loss", "huber"), ("--reject", "5"), ("--no-laser",)])
 def test_options(case_file: Path, tmp_path: Path, options: tuple[str, ...]) -> None:
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-figures", *options)
     assert done.returncode == 0, done.stderr

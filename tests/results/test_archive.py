@@ -112,7 +112,7 @@ def test_products_of_the_copy_are_the_same(solution: Solution, archive: Path) ->
 
 
 def test_every_kind_of_solution_comes_back(case: Case, tmp_path: Path) -> None:
-    """Held, explicit, robust, with blunder passes, without some priors, with lost points and odd names."""
+    """Held, robust, with blunder passes, without some priors, with lost points and odd names."""
     network, prior = case.network, case.network.priors[0].sigmas.copy()
     prior[0, 2] = np.inf
     kept = np.flatnonzero(network.rays.point != 1).tolist() + np.flatnonzero(network.rays.point == 1)[:1].tolist()
@@ -123,7 +123,6 @@ def test_every_kind_of_solution_comes_back(case: Case, tmp_path: Path) -> None:
     for name, net, how in (
         ("held", replace(network, held=np.array([True, False])), chosen),
         ("all held", replace(network, held=np.array([True, True])), chosen),
-        ("explicit", network, replace(chosen, form="explicit")),
         ("robust", network, replace(chosen, loss="cauchy", loss_width=2, reject=4.0)),
         ("angles", network, replace(chosen, angles="opk-paper", line="measured")),
         ("free", replace(network, priors=(OrientationPrior(prior), network.priors[1])), chosen),

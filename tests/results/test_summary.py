@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.analysis.statistics import worst_first
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError

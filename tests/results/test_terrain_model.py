@@ -19,7 +19,7 @@ from rasterio.crs import CRS
 from rasterio.warp import transform
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.graph.shared import footprint_shifts
+from mgsgraph.adjustment.graph.variables import footprint_shifts
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import read_case

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsgraph.adjustment.batch import levenberg_marquardt
+from mgsgraph.adjustment.batch import BundleProblem, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.problems import BundleProblem
 
 pytest.importorskip("numba_cuda", reason="numba-cuda is not installed (the extra `cuda`)")
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"

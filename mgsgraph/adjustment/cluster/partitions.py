@@ -23,9 +23,8 @@ from mgsgraph.adjustment.cluster.connection import LEAST_MEMORY, Connection, Los
 from mgsgraph.adjustment.cluster.workers import GIGA
 from mgsgraph.adjustment.graph.bundle import numbers, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import Factor
-from mgsgraph.errors import InputError, SolverError
+from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
 from mgsgraph.kernel.sweep import Reduction, all_residuals, even_parts, point_covariances, reduce, writable
@@ -37,15 +36,6 @@ _LARGEST = 0.5 * GIGA
 _MOST_DEATHS = 4
 """Workers that one sweep over a partition may bring down; dask gives up a task as late."""
 _REMEDY = "take more workers on more machines, or give them more memory (--memory-limit)"
-
-
-def require_bundles(settings: SolverSettings, where: str) -> None:
-    """Raise InputError for a way to solve that needs all points in one process."""
-    if settings.form != "bundle":
-        remedy = "take that, or leave the cluster out"
-        raise InputError(where, f"solver, form {settings.form!r}", "'bundle' on a cluster", remedy)
-    if settings.device == "cuda":
-        raise InputError(where, "solver, device 'cuda'", "'cpu' on a cluster", "take one of both")
 
 
 # --- on a worker

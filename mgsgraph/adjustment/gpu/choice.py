@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from mgsgraph.adjustment.gpu import WHERE, Gpu, find_gpu
+from mgsgraph.adjustment.gpu import Gpu, find_gpu
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.settings import SolverSettings
@@ -13,13 +13,9 @@ _WORTHWHILE = 100_000
 
 
 def require_usable(settings: SolverSettings) -> None:
-    """Raise InputError where settings ask for a GPU that isn't there (`find_gpu`), or for what none carries out."""
-    if settings.device != "cuda":
-        return
-    if settings.form != "bundle":
-        remedy = "take that, or device = 'cpu'"
-        raise InputError(WHERE, f"'cuda' for form {settings.form!r}", "form 'bundle' on a GPU", remedy)
-    find_gpu()
+    """Raise InputError where settings ask for a GPU that isn't there (`find_gpu`)."""
+    if settings.device == "cuda":
+        find_gpu()
 
 
 def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
@@ -31,10 +27,9 @@ def sweeper_of(settings: SolverSettings, layout: Layout) -> Sweeper:
     InputError
         A GPU that is asked for and can't be used, or has too little memory.
     """
-    require_usable(settings)
     if settings.device == "cuda":
         return _by_gpu(find_gpu(), settings, layout)
-    if settings.device == "cpu" or settings.form != "bundle" or layout.rows.weight.shape[1] < _WORTHWHILE:
+    if settings.device == "cpu" or layout.rows.weight.shape[1] < _WORTHWHILE:
         return IN_PROCESS
     try:
         gpu = find_gpu()

@@ -5,7 +5,7 @@
 | unknowns | those that points share; points are eliminated in the kernel | those and all points |
 | equations | one normal matrix of blocks of variable pairs | one GTSAM factor per observation |
 | files | `bundle` | `explicit` |
-| used for | every adjustment | small networks, and as an independent reference |
+| used for | every adjustment | an independent reference for small networks (GTSAM's own optimiser) |
 
 Both are made of one `Layout`, which sorts the points. Four words say which points are meant:
 
@@ -24,6 +24,5 @@ The observations of one point are numbered by their *slot* in the list of its pa
 """
 
 from mgsgraph.adjustment.graph.bundle import BundleGraph as BundleGraph
-from mgsgraph.adjustment.graph.explicit import explicit_graph as explicit_graph
 from mgsgraph.adjustment.graph.layout import Layout as Layout
 from mgsgraph.adjustment.graph.layout import lay_out as lay_out

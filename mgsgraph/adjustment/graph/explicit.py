@@ -1,13 +1,19 @@
-"""The explicit form: one factor per observation, points as variables; a reference for small problems and teaching."""
+"""The explicit form: one GTSAM factor per observation, points as variables.
 
-from collections.abc import Sequence
+An independent reference for small networks: GTSAM optimises it and states its marginals, without the kernel, and
+without the elimination of the bundle form. No command makes it.
+"""
+
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import gtsam
 import numpy as np
 
+from mgsgraph.adjustment.covariances import considered_information
 from mgsgraph.adjustment.graph.bundle import point_key, prior_factors, shared_values, variable_key
 from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance
 from mgsgraph.factors.collinearity import ImageRay
 from mgsgraph.factors.explicit import Correction, Measurement, measurement_factor
 from mgsgraph.factors.ground import GroundPrior
@@ -187,10 +193,45 @@ def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: A
     )
 
 
-def all_points(layout: Layout, values: gtsam.Values, points: Array) -> Array:
-    """(n, 3) m: the places that are variables, in place of those given."""
-    result = points.copy()
-    for i in range(result.shape[0]):
-        if values.exists(point_key(i)):
-            result[i] = values.atPoint3(point_key(i))
-    return np.asarray(result)
+def explicit_covariances(
+    layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[JointCovariance, Array]:
+    """Joint covariance of the shared unknowns and covariances (n, 3, 3) of points, from the explicit graph: GTSAM
+    eliminates the points, and gives their marginals.
+    """
+    linear, first_points, shared = graph.linearize(values), gtsam.Ordering(), gtsam.Ordering()
+    points = [i for i in range(layout.rows.kind.size) if values.exists(point_key(i))]
+    for i in points:
+        first_points.push_back(point_key(i))
+    for v in layout.variables.adjusted():
+        shared.push_back(variable_key(layout, v))
+    _, reduced = linear.eliminatePartialMultifrontal(first_points)
+    joint = _joint(layout, reduced, shared)
+    if layout.prior.considered:
+        for factor in _considered_factors(layout, joint):
+            reduced.push_back(factor)
+            linear.push_back(factor)
+        joint = _joint(layout, reduced, shared)
+    covariances, found = np.zeros((layout.rows.kind.size, 3, 3)), gtsam.Marginals(linear, values)
+    for i in points:
+        covariances[i] = found.marginalCovariance(point_key(i))
+    return joint, covariances
+
+
+def _joint(layout: Layout, reduced: gtsam.GaussianFactorGraph, shared: gtsam.Ordering) -> JointCovariance:
+    """Joint covariance of a linear system of the shared unknowns, inverted as one matrix."""
+    units = np.outer(layout.scales, layout.scales)
+    covariance = np.linalg.inv(reduced.hessian(shared)[0] * units) * units
+    return dense_covariance(layout.variables.first, layout.variables.width, covariance)
+
+
+def _considered_factors(layout: Layout, joint: JointCovariance) -> Iterator[gtsam.HessianFactor]:
+    """The information on considered unknowns that is to be added, as GTSAM's factors."""
+    for (v, w), block in considered_information(layout, joint):
+        keys = variable_key(layout, v), variable_key(layout, w)
+        zeros = [np.zeros(size) for size in block.shape]
+        if v == w:
+            yield gtsam.HessianFactor(keys[0], block, zeros[0], 0.0)
+        else:
+            empty = [np.zeros((size, size)) for size in block.shape]
+            yield gtsam.HessianFactor(*keys, empty[0], block, zeros[0], empty[1], zeros[1], 0.0)

@@ -7,13 +7,19 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
-from mgsgraph.adjustment.graph.prior import Prior, make_prior
+from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, Terms, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.rays import RayConstants
 from mgsgraph.adjustment.graph.rows import ObservationRows, Storage, lay_out_rows, with_stereo
-from mgsgraph.adjustment.graph.shared import ANGLE_CODES, angles_of, bends
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
-from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
+from mgsgraph.adjustment.graph.variables import (
+    ANGLE_CODES,
+    Prior,
+    Variables,
+    angles_of,
+    bends,
+    make_prior,
+    make_variables,
+)
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, Loss, SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
 from mgsgraph.errors import InputError
@@ -259,8 +265,22 @@ def _lay_out(
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
     blocks = pair_blocks(variables, groups, prior.pairs)
-    information = prior.information(blocks)
+    information = _information(prior, blocks)
     return Layout(
         network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo,
         bent, rays, storage,
     )  # fmt: skip
+
+
+def _information(prior: Prior, blocks: PairBlocks) -> Array:
+    """The normal matrix of a prior's factors, flat in the blocks of the reduced one; empty where there are none."""
+    if not prior.factors:
+        return np.zeros(0)
+    pairs = zip(blocks.first.tolist(), blocks.second.tolist(), strict=True)
+    place, flat = dict(zip(pairs, blocks.offset.tolist(), strict=True)), np.zeros(blocks.target.size)
+    for variables, own, _, _ in prior.factors:
+        for k, v in enumerate(variables):
+            for w, other in zip(variables[k:], own[k:], strict=True):
+                product = own[k].T @ other
+                flat[place[v, w] : place[v, w] + product.size] += product.ravel()
+    return flat

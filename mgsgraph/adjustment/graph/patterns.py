@@ -1,4 +1,6 @@
-"""Points sorted by pattern: which observations they have, in pieces that the kernel takes one after the other."""
+"""Points sorted by pattern: which observations they have, by which basis terms the orientation acts on these, in pieces
+that the kernel takes one after the other. The loops are compiled: no Python per point or per image set.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,17 +9,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.loops import by_point, counted, distinct, mix_rows, mix_values
 from mgsgraph.adjustment.graph.stereo import StereoRows, columns, combinations
-from mgsgraph.adjustment.graph.variables import Terms, Variables
+from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.files.tie_points import PointKind
+from mgsgraph.geometry.orientation import SUPPORT
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
 
 _Rows = tuple[Index, NDArray[np.int32], NDArray[np.int32]]
-"""Rows of each point, as `loops.by_point` gives them."""
+"""Rows of each point, as `by_point` gives them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,165 @@ class Patterns:
     def group_variables(self) -> tuple[tuple[int, ...], ...]:
         """Variables of each group, ascending; for small networks."""
         return tuple(tuple(part.tolist()) for part in np.split(self.group_member, self.group_first[1:-1]))
+
+
+class Terms:
+    """Terms of each ray and each range of a network: of its image's own polynomial, or of the four orientation images
+    of its strip around it. A term is six columns, one of each component.
+
+    `lines` (k,) are those about which rays are laid out.
+    """
+
+    def __init__(self, network: Network, variables: Variables, lines: Array) -> None:
+        self._network, self._strip = network, network.pass_of
+        own = [prior.degree + 1 for prior in network.priors]
+        self.counts = np.where(self._strip >= 0, SUPPORT, np.where(variables.first[: len(own)] < 0, 0, own))
+        """(images,) number of terms of each image's rays and ranges; none for one that is held."""
+        self._first_of_strips = network.first_of_passes
+        rays, ranges = network.rays, network.ranges
+        self.lines = lines
+        """(k,) line about which each ray is laid out."""
+        self.of_rays = np.full(rays.point.size, -1, dtype=np.int32)
+        """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip. A small
+        number, for there are many."""
+        self.of_ranges = np.full(ranges.point.size, -1, dtype=np.int32)
+        """(r,) the same of each range."""
+        if not network.passes:
+            return
+        order, _, sizes = counted(rays.image, len(network.images))
+        ends = np.cumsum(sizes)
+        for strip in network.passes:
+            for j in strip.images.tolist():
+                image, mine = network.images[j], order[ends[j] - sizes[j] : ends[j]]
+                times, _ = image.timing.at(self.lines[mine])
+                self.of_rays[mine] = strip.nodes.first_of_four(times, image.trajectory.epoch)
+                mine = np.flatnonzero(ranges.image == j)
+                self.of_ranges[mine] = strip.nodes.first_of_four(ranges.times[mine], 0.0)
+
+    def first_node(self, images: Index) -> Index:
+        """(n,) variable of the first node of each image's strip; of no meaning for one without."""
+        return self._first_of_strips[self._strip[images]]
+
+    def basis(self, image: int, lines: Array, node: NDArray[np.int32], rates: bool) -> tuple[Array, Array]:
+        """What is stored of the basis at lines (n,): u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
+        `rates`, their derivatives per line; the other one has no columns. `node` (n,) is `of_rays` or `of_ranges`.
+        """
+        nothing, moments = np.empty((lines.size, 0)), self._network.images[image].moments(lines)
+        if self._strip[image] < 0:
+            return (moments.u[:, None] if self.counts[image] else nothing), nothing
+        nodes = self._network.passes[self._strip[image]].nodes
+        values, slopes = nodes.around(node.astype(np.int64), moments.times, moments.epoch)
+        return nothing, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values
+
+
+@cached_kernel
+def by_point(point, image, node, points):
+    """Rows of each point, in the order of image and first node (then as given).
+
+    Parameters
+    ----------
+    point, image, node : (k,)
+    points : int
+        Number of points n.
+
+    Returns
+    -------
+    begin : (n + 1,)
+        Where each point's rows begin in `order`.
+    order : (k,)
+        Rows, point after point.
+    slot : (k,)
+        Place of each row among its point's.
+    """
+    begin = np.zeros(points + 1, dtype=np.int64)
+    for k in range(point.size):
+        begin[point[k] + 1] += 1
+    for i in range(points):
+        begin[i + 1] += begin[i]
+    order, filled = np.empty(point.size, dtype=np.int32), np.zeros(points, dtype=np.int32)
+    for k in range(point.size):
+        i = point[k]
+        at, first = begin[i] + filled[i], begin[i]
+        while at > first:
+            other = order[at - 1]
+            if image[other] < image[k] or (image[other] == image[k] and node[other] <= node[k]):
+                break
+            order[at] = other
+            at -= 1
+        order[at] = k
+        filled[i] += 1
+    slot = np.empty(point.size, dtype=np.int32)
+    for i in range(points):
+        for at in range(begin[i], begin[i + 1]):
+            slot[order[at]] = at - begin[i]
+    return begin, order, slot
+
+
+@compiled
+def mixed(signature, value):
+    """A signature with one more number in it (splitmix64)."""
+    z = (signature ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@cached_kernel
+def mix_rows(signature, begin, order, image, node, mark):
+    """Let the signatures (n,) of points know their rows."""
+    for i in range(signature.size):
+        one = mixed(signature[i], np.uint64(mark))
+        for at in range(begin[i], begin[i + 1]):
+            k = order[at]
+            one = mixed(mixed(one, np.uint64(image[k] + 1)), np.uint64(node[k] + 2))
+        signature[i] = one
+
+
+@cached_kernel
+def mix_values(signature, values):
+    """Let signatures (n,) know a number (n,) of each point, not below -1."""
+    for i in range(signature.size):
+        signature[i] = mixed(signature[i], np.uint64(values[i] + 2))
+
+
+@cached_kernel
+def distinct(signature):
+    """Number each distinct signature in the order of appearance: example of each, and the number of all (n,)."""
+    size = 1024
+    table, number = np.full(size, -1, dtype=np.int64), np.empty(signature.size, dtype=np.int64)
+    example, count = np.empty(signature.size, dtype=np.int64), 0
+    for i in range(signature.size):
+        if 2 * count >= size:
+            size *= 4
+            table = np.full(size, -1, dtype=np.int64)
+            for q in range(count):
+                at = np.int64(signature[example[q]] & np.uint64(size - 1))
+                while table[at] >= 0:
+                    at = (at + 1) & (size - 1)
+                table[at] = q
+        at = np.int64(signature[i] & np.uint64(size - 1))
+        while table[at] >= 0 and signature[example[table[at]]] != signature[i]:
+            at = (at + 1) & (size - 1)
+        if table[at] < 0:
+            table[at], example[count] = count, i
+            count += 1
+        number[i] = table[at]
+    return example[:count].copy(), number
+
+
+@cached_kernel
+def counted(number, count):
+    """Points in the order of their numbers (n,), each below `count`: that order, the way back, and how many of each."""
+    sizes = np.zeros(count, dtype=np.int64)
+    for i in range(number.size):
+        sizes[number[i]] += 1
+    at = np.cumsum(sizes) - sizes
+    order, index = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
+    for i in range(number.size):
+        k = at[number[i]]
+        order[k], index[i] = i, k
+        at[number[i]] = k + 1
+    return order, index, sizes
 
 
 def sort_points(

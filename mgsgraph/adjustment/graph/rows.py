@@ -16,12 +16,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.loops import counted
-from mgsgraph.adjustment.graph.patterns import Patterns
+from mgsgraph.adjustment.graph.patterns import Patterns, Terms, counted
 from mgsgraph.adjustment.graph.rays import Crossing, RayConstants
-from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.stereo import StereoRows
-from mgsgraph.adjustment.graph.variables import Terms, Variables
+from mgsgraph.adjustment.graph.variables import SharedEffects, Variables, footprint_motion
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north

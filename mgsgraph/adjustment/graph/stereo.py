@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.shared import SharedEffects, angles_of
-from mgsgraph.adjustment.graph.variables import Variables, acting_on
+from mgsgraph.adjustment.graph.variables import SharedEffects, Variables, acting_on, angles_of
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import SUPPORT, polynomial
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -1,18 +1,28 @@
-"""The unknowns that points share, in the order of the columns of one vector, what is known of them beforehand, and the
-basis terms by which those of orientation act on image rays and laser ranges.
+"""The unknowns that points share, in the order of the columns of one vector; what is known of them without any point.
+
+That is whitened rows: of most each by itself, about zero, of a strip's orientation images together (`network.passes`),
+and of laser profiles that cross (`network.crossovers`). And their directions in the states of the observations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mgsgraph.adjustment.graph.loops import counted
-from mgsgraph.geometry.orientation import SUPPORT
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.network import HELD, Network
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+from mgsgraph.geometry.orientation import Angles, polynomial
+from mgsgraph.kernel.rows import CAMERA, OPK_PAPER, OPK_PEER, RANGE, Model
+from mgsgraph.network import SharedKind, SharedUnknown
+from mgsgraph.network.corrections import interior_effect, radius_of
+from mgsgraph.network.shared import DEGREE, beam_motion, image_effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,55 +106,6 @@ def make_variables(network: Network) -> Variables:
     return Variables(len(network.images), first, width, *every)
 
 
-class Terms:
-    """Terms of each ray and each range of a network: of its image's own polynomial, or of the four orientation images
-    of its strip around it. A term is six columns, one of each component.
-
-    `lines` (k,) are those about which rays are laid out.
-    """
-
-    def __init__(self, network: Network, variables: Variables, lines: Array) -> None:
-        self._network, self._strip = network, network.pass_of
-        own = [prior.degree + 1 for prior in network.priors]
-        self.counts = np.where(self._strip >= 0, SUPPORT, np.where(variables.first[: len(own)] < 0, 0, own))
-        """(images,) number of terms of each image's rays and ranges; none for one that is held."""
-        self._first_of_strips = network.first_of_passes
-        rays, ranges = network.rays, network.ranges
-        self.lines = lines
-        """(k,) line about which each ray is laid out."""
-        self.of_rays = np.full(rays.point.size, -1, dtype=np.int32)
-        """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip. A small
-        number, for there are many."""
-        self.of_ranges = np.full(ranges.point.size, -1, dtype=np.int32)
-        """(r,) the same of each range."""
-        if not network.passes:
-            return
-        order, _, sizes = counted(rays.image, len(network.images))
-        ends = np.cumsum(sizes)
-        for strip in network.passes:
-            for j in strip.images.tolist():
-                image, mine = network.images[j], order[ends[j] - sizes[j] : ends[j]]
-                times, _ = image.timing.at(self.lines[mine])
-                self.of_rays[mine] = strip.nodes.first_of_four(times, image.trajectory.epoch)
-                mine = np.flatnonzero(ranges.image == j)
-                self.of_ranges[mine] = strip.nodes.first_of_four(ranges.times[mine], 0.0)
-
-    def first_node(self, images: Index) -> Index:
-        """(n,) variable of the first node of each image's strip; of no meaning for one without."""
-        return self._first_of_strips[self._strip[images]]
-
-    def basis(self, image: int, lines: Array, node: NDArray[np.int32], rates: bool) -> tuple[Array, Array]:
-        """What is stored of the basis at lines (n,): u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
-        `rates`, their derivatives per line; the other one has no columns. `node` (n,) is `of_rays` or `of_ranges`.
-        """
-        nothing, moments = np.empty((lines.size, 0)), self._network.images[image].moments(lines)
-        if self._strip[image] < 0:
-            return (moments.u[:, None] if self.counts[image] else nothing), nothing
-        nodes = self._network.passes[self._strip[image]].nodes
-        values, slopes = nodes.around(node.astype(np.int64), moments.times, moments.epoch)
-        return nothing, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values
-
-
 def acting_on(network: Network, kind: int) -> list[list[int]]:
     """Of each image the shared unknowns that its rays (IMAGE) or its ranges (RANGE) depend on, ascending."""
     affected: list[list[int]] = [[] for _ in network.images]
@@ -153,3 +114,378 @@ def acting_on(network: Network, kind: int) -> list[list[int]]:
             for j in shared.images.tolist():
                 affected[j].append(k)
     return affected
+
+
+
+
+class PriorFactor(NamedTuple):
+    """Whitened rows sum_v blocks[v] x_v - target on a few variables."""
+
+    variables: tuple[int, ...]
+    """Ascending."""
+    blocks: tuple[Array, ...]
+    """Of each a matrix (rows, width)."""
+    about: Index
+    """(rows,) column of the shared unknowns that each row is chiefly about."""
+    target: Array
+    """(rows,) zero but for crossovers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Half the sum of squares of all its rows is the prior's part of the cost."""
+
+    columns: int
+    """Number of shared unknowns."""
+    weights: Array
+    """(columns,) 1/m and 1/rad of unknowns that are known each by itself; 0 of strips', and where nothing is known."""
+    factors: tuple[PriorFactor, ...]
+    """On the unknowns of strips, then those of crossovers, one row each."""
+    first: Index
+    """(v,) first column of each variable."""
+    considered: tuple[int, ...] = ()
+    """Variables with considered columns: they get a joint covariance, whatever the observations say."""
+    crossovers: int = 0
+    """Rows at the end that are crossovers."""
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Pairs of variables, first < second, that some factor joins."""
+        members = [*(factor.variables for factor in self.factors), self.considered]
+        return sorted({(v, w) for mine in members for k, v in enumerate(mine) for w in mine[k + 1 :]})
+
+    @cached_property
+    def root(self) -> "csr_array":
+        """(rows, columns) of the factors alone."""
+        from scipy.sparse import coo_array  # slow to import
+
+        rows, columns, values, count = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)], 0
+        for factor in self.factors:
+            for v, block in zip(factor.variables, factor.blocks, strict=True):
+                row, column = np.nonzero(block)
+                rows.append(count + row)
+                columns.append(self.first[v] + column)
+                values.append(block[row, column])
+            count += factor.blocks[0].shape[0]
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        return coo_array(entries, shape=(count, self.columns)).tocsr()
+
+    @cached_property
+    def every(self) -> "csr_array":
+        """(rows, columns) of all rows: those of unknowns known each by itself, then the factors'."""
+        from scipy.sparse import csr_array, vstack  # slow to import
+
+        known = np.flatnonzero(self.weights)
+        own = csr_array((self.weights[known], (np.arange(known.size), known)), shape=(known.size, self.columns))
+        return csr_array(vstack([own, self.root]))
+
+    @cached_property
+    def about(self) -> Index:
+        """(rows,) column that each row is chiefly about."""
+        return np.concatenate([np.flatnonzero(self.weights), *(factor.about for factor in self.factors)])
+
+    @cached_property
+    def target(self) -> Array:
+        """(rows of factors,) what the factors' rows are about."""
+        return np.concatenate([np.zeros(0), *(factor.target for factor in self.factors)])
+
+    @cached_property
+    def joined(self) -> frozenset[int]:
+        """Variables that some factor joins with others."""
+        return frozenset(v for factor in self.factors for v in factor.variables)
+
+    @property
+    def group(self) -> Index:
+        """(v,) number of the set of variables that factors join, one with the next, to which each belongs."""
+        from scipy.sparse import coo_array  # slow to import
+        from scipy.sparse.csgraph import connected_components
+
+        one, other = np.array(self.pairs, dtype=np.int64).reshape(-1, 2).T
+        links = coo_array((np.ones(one.size), (one, other)), (self.first.size, self.first.size))
+        return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(np.count_nonzero(self.weights)) + sum(factor.about.size for factor in self.factors)
+
+    def residuals(self, values: Array) -> Array:
+        """(columns + rows of factors,) whitened, of all unknowns (columns,); zero where nothing is known."""
+        own = values * self.weights
+        return np.append(own, self.root @ values - self.target) if self.factors else own
+
+    def cost(self, values: Array) -> float:
+        """Of all unknowns (columns,)."""
+        residuals = self.residuals(values)
+        return 0.5 * float(residuals @ residuals)
+
+    def gradient(self, values: Array) -> Array:
+        """(columns,) per m and rad."""
+        own = values * self.weights**2
+        return own + self.root.T @ (self.root @ values - self.target) if self.factors else own
+
+    def normal(self) -> Array:
+        """(columns, columns) of all rows; for small networks."""
+        own = np.diag(self.weights**2)
+        return own + (self.root.T @ self.root).toarray() if self.factors else own
+
+    def whitening(self, scales: Array) -> "csr_array | None":
+        """(rows, columns) square root of all this information on unknowns in units of `scales` (columns,), of order one
+        where nothing is known; None without factors: then it is the identity.
+        """
+        from scipy.sparse import csr_array, diags_array, vstack  # slow to import
+
+        if not self.factors:
+            return None
+        known = self.every @ diags_array(scales)
+        unknown = np.flatnonzero(np.asarray(abs(known).sum(axis=0)).ravel() == 0.0)
+        ones = csr_array((np.ones(unknown.size), (np.arange(unknown.size), unknown)), (unknown.size, self.columns))
+        return csr_array(vstack([known, ones]))
+
+
+def make_prior(network: Network, variables: Variables) -> Prior:
+    """Of a network."""
+    weights = 1.0 / variables.prior_sigmas
+    factors = list[PriorFactor]()
+    for strip, first in network.numbered_passes:
+        weights[variables.columns_from(first, strip.widths.size)] = 0.0
+        for unknowns, blocks, about in strip.prior.factors(strip.nodes):
+            columns = variables.first[first + about[:, 0]] + about[:, 1]
+            joined = tuple(first + k for k in unknowns)
+            factors.append(PriorFactor(joined, blocks, columns, np.zeros(columns.size)))
+    of_crossovers = list(_of_crossovers(network, variables))
+    return Prior(
+        variables.sigmas.size, weights, (*factors, *of_crossovers), variables.first,
+        tuple(variables.with_considered), len(of_crossovers),
+    )  # fmt: skip
+
+
+def _of_crossovers(network: Network, variables: Variables) -> Iterator[PriorFactor]:
+    """Rows of crossovers, one factor each: they depend on the shifts of two profiles, and on what moves their shots."""
+    crossing, shifts, places = network.crossovers, network.shifts, network.points.places
+    if crossing is None or shifts is None:
+        return
+    effects, shots = dict[int, Array](), crossing.shots
+    ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).swapaxes(2, 3)
+    for p in np.unique(shifts.profile[shots]).tolist():
+        mine = (shifts.profile[shots] == p)[:, :, None, None]
+        effects[len(network.images) + p] = crossing.effect(places, np.where(mine, ways, 0.0))
+    for k, shared in enumerate(network.shared):
+        if shared.kind.moves_footprints:
+            points, motion = footprint_motion(network, shared)
+            index = np.searchsorted(points, shots).clip(max=points.size - 1)
+            moved = np.where((points[index] == shots)[:, :, None, None], motion[index].swapaxes(2, 3), 0.0)
+            effects[network.first_shared + k] = crossing.effect(places, moved)
+    differences = crossing.differences(places)
+    for row, sigma in enumerate(crossing.sigmas.tolist()):
+        mine = [v for v in sorted(effects) if np.any(effects[v][row] != 0.0)]
+        blocks = tuple(effects[v][row][None] / sigma for v in mine)
+        about = np.array([variables.first[mine[0]]])
+        yield PriorFactor(tuple(mine), blocks, about, np.array([-differences[row] / sigma]))
+
+
+
+ANGLE_CODES: dict[Angles, int] = {"camera": CAMERA, "opk-paper": OPK_PAPER, "opk-peer": OPK_PEER}
+"""Code of each."""
+_NAMES = {code: name for name, code in ANGLE_CODES.items()}
+
+
+def angles_of(model: Model) -> Angles:
+    """Name of the one that a model has."""
+    return _NAMES[model.angles]
+
+
+class SharedEffects:
+    """What each image's shared unknowns do to the state of its rays and of its ranges."""
+
+    def __init__(self, network: Network, model: Model) -> None:
+        self._network = network
+        self._mine = {kind: acting_on(network, kind) for kind in (IMAGE, RANGE)}
+        self._kinds = {
+            kind: [[network.shared[k].kind for k in mine] for mine in of_images]
+            for kind, of_images in self._mine.items()
+        }
+        self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
+        self._effects = {
+            (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles_of(model)))
+            for of_images in self._kinds.values()
+            for j, kinds in enumerate(of_images)
+            for kind in kinds
+            if kind.moves_instrument
+        }
+
+    def of_ranges(self, image: int, u: Array) -> Array:
+        """(n, columns, 3 or 4) directions in the states of an image's ranges at normalised lines u (n,): m per unit of
+        the laser's place, then of the range.
+        """
+        kinds = self._kinds[RANGE][image]
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), 3 + (SharedKind.RANGE_BIAS in kinds)))
+        basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
+        for kind in kinds:
+            if kind.moves_instrument:
+                effect = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+                found[:, column : column + kind.width, :3] = effect[:, :, :3]
+            else:
+                found[:, column, 3] = 1.0
+            column += kind.width
+        return found
+
+    def of_rays(self, image: int, u: Array, samples: Array) -> Array:
+        """(n, columns, 6 or 9) directions in the states of an image's rays at normalised lines u (n,) and samples (n,):
+        m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
+        pass.
+        """
+        mine = self._mine[IMAGE][image]
+        kinds = [self._network.shared[k].kind for k in mine]
+        width = 9 if any(kind.is_interior for kind in kinds) else 6
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
+        for k, kind in zip(mine, kinds, strict=True):
+            columns = slice(column, column + kind.width)
+            if kind.moves_instrument:
+                found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+            else:
+                found[:, columns, 6:] = np.swapaxes(self._of_interior(image, k, samples)[0], 0, 1)
+            column += kind.width
+        return found
+
+    def acts_on_rays(self, image: int) -> bool:
+        """Whether shared unknowns act on an image's rays."""
+        return bool(self._mine[IMAGE][image])
+
+    def bends(self, image: int) -> bool:
+        """Whether shared unknowns change the slope of an image's detector line."""
+        return any(bends(self._network, k, image) for k in self._mine[IMAGE][image])
+
+    def slopes(self, image: int, samples: Array, values: Sequence[Array]) -> Array:
+        """(n, 2) m per sample, of an image's detector line where all variables have `values`, in the axes of its
+        pass.
+        """
+        interior, axes = self._network.images[image].interior, self._network.axes_of(image)
+        look, along = interior.looks(samples)
+        if axes is not None:
+            look, along = look @ axes, along @ axes
+        scale = interior.focal_length / look[:, 2:]
+        look, along = look * scale, along * scale
+        for k in self._mine[IMAGE][image]:
+            if self._network.shared[k].kind.is_interior:
+                moved, turned = self._of_interior(image, k, samples)
+                value = values[self._network.first_shared + k]
+                look = look + np.einsum("c,cna->na", value, moved)
+                along = along + np.einsum("c,cna->na", value, turned)
+        return np.asarray(along[:, :2] - look[:, :2] / look[:, 2:] * along[:, 2:])
+
+    def _of_interior(self, image: int, shared: int, samples: Array) -> tuple[Array, Array]:
+        """(width, n, 3) m per m, what an unknown of the interior orientation does to what pixels look along, in the
+        axes of the image's pass and as long as their looks are there; and how it changes, per sample.
+        """
+        interior, axes = self._network.images[image].interior, self._network.axes_of(image)
+        kind = self._network.shared[shared].kind
+        directions, slopes = interior_effect(interior, kind, samples, self._radii[shared])
+        if axes is None:
+            return directions, slopes
+        scale = interior.focal_length / (interior.looks(samples)[0] @ axes)[:, 2:]
+        return directions @ axes * scale, slopes @ axes * scale
+
+
+def bends(network: Network, shared: int, image: int) -> bool:
+    """Whether a shared unknown changes the slope of an image's detector line in the focal plane of its pass."""
+    kind = network.shared[shared].kind
+    return kind.radial_order > 0 or (kind.is_interior and network.axes_of(image) is not None)
+
+
+def _in_axes(axes: Array | None, effect: Array) -> Array:
+    """Effects (..., 6) whose rotations are about the camera's axes, in those of its pass (`Network.axes_of`)."""
+    if axes is None:
+        return effect
+    return np.concatenate([effect[..., :3], effect[..., 3:] @ axes], axis=-1)
+
+
+def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
+    """Points (p,), ascending, whose footprint a shared unknown moves, and how: (p, width, 3) m per rad of an
+    altimeter's boresight, m per m of its lever arm, a row per camera axis; m per m of a profile's height and drift
+    upward, or of its drift eastward and northward.
+    """
+    if shared.kind.of_profile:
+        points = network.footprints_moved(shared)
+        places = network.points.places[points]
+        if shared.kind is SharedKind.PROFILE_DRIFT:
+            return points, along_track(places)[:, None, None] * east_north(places)
+        up = places / np.linalg.norm(places, axis=1, keepdims=True)
+        return points, np.stack([up, along_track(places)[:, None] * up], axis=1)
+    points, chosen = network.beams(shared)
+    ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
+    for j in np.unique(ranges.image).tolist():
+        mine, image = ranges.image == j, network.images[j]
+        since = ranges.times[mine] - image.trajectory.epoch
+        if shared.kind is SharedKind.ALTIMETER_LEVER_ARM:
+            motion[mine] = image.trajectory.pose(since).matrix
+        else:
+            motion[mine] = beam_motion(image, since, network.points.places[points[mine]])
+    return points, motion
+
+
+def along_track(places: Array) -> Array:
+    """(p,) where shots (p, 3) of a profile, the first ones first, lie along it: from -1 at its beginning to 1 at its
+    end, which time does as evenly.
+    """
+    if len(places) < 2:
+        return np.zeros(len(places))
+    apart = places - places.mean(axis=0)
+    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    along *= np.sign(along[-1] - along[0]) or 1.0
+    low, high = along.min(), along.max()
+    return np.asarray((2.0 * along - low - high) / max(high - low, 1.0))
+
+
+def shared_values(network: Network, variables: Variables, orientation: Array) -> tuple[Array, ...]:
+    """Value (width,) of each shared unknown, in the vector (columns,) of all that points share."""
+    first = network.first_shared
+    return tuple(orientation[variables.columns_of(first + k)] for k in range(len(network.shared)))
+
+
+def shift_values(network: Network, variables: Variables, orientation: Array) -> tuple[Array, Array | None]:
+    """(p, 2) m east and north of each shift, and (w,) m and rad of the terrain model's height and tilt, None where they
+    are known, in the vector (columns,) of all that points share.
+    """
+    first, surface = len(network.images), network.surface
+    values = [orientation[variables.columns_of(first + p)] for p in range(len(network.shift_names))]
+    if surface is None or not surface.raised:
+        return np.array(values).reshape(-1, 2), None
+    level = 2 if surface.shift_sigma else 0
+    values[-1], lift = np.pad(values[-1][:level], (0, 2 - level)), values[-1][level:]
+    return np.array(values), lift
+
+
+def pass_values(
+    network: Network, variables: Variables, orientation: Array
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Of each strip its nodes (k, 6) and its trend (w,), in the vector (columns,) of all that points share."""
+    nodes, trends = list[Array](), list[Array]()
+    for strip, first in network.numbered_passes:
+        own = variables.columns_from(first, len(strip.nodes))
+        nodes.append(orientation[own].reshape(-1, 6))
+        trends.append(orientation[own.stop : own.stop + strip.prior.trend_sigmas.size])
+    return tuple(nodes), tuple(trends)
+
+
+def crossover_differences(network: Network, shifts: Array, values: tuple[Array, ...]) -> Array:
+    """(m,) m, heights of the first profile minus those of the second where two cross, by shifts (p, 2) in m of the
+    profiles and values of all shared unknowns.
+    """
+    if network.crossovers is None or network.shifts is None:
+        return np.zeros(0)
+    places, shots = network.points.places, network.crossovers.shots.ravel()
+    moved = footprint_shifts(network, values)[shots]
+    moved += np.einsum("pk,pkj->pj", shifts[network.shifts.profile[shots]], east_north(places[shots]))
+    return network.crossovers.differences(places) + network.crossovers.effect(places, moved.reshape(-1, 4, 3))
+
+
+def footprint_shifts(network: Network, values: tuple[Array, ...]) -> Array:
+    """(n, 3) m by which the values of all shared unknowns move a-priori places."""
+    moved = np.zeros((len(network.points), 3))
+    for shared, value in zip(network.shared, values, strict=True):
+        if shared.kind.moves_footprints:
+            points, motion = footprint_motion(network, shared)
+            moved[points] += np.einsum("k,pkc->pc", value, motion)
+    return moved

@@ -21,7 +21,6 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
-from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.parts import Members, Unknown
@@ -68,8 +67,8 @@ def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple
     plain = np.diagonal(bordered)[:d].copy()
     largest = float(plain.max(initial=0.0)) or 1.0
     jacobian, error = np.zeros((d + 1, d)), np.zeros(d + 1)
-    # Eigenvalues would tell the rank, but their routine is threaded, and waits for a busy second core (as `product` of
-    # adjustment.square_root says). The gradient is kept in directions without curvature, too: the prior balances it.
+    # Eigenvalues would tell the rank, but their routine is threaded, and waits for a busy second core
+    # (`marginals.one_thread`). The gradient is kept in directions without curvature, too: the prior balances it.
     for share in _ROUNDING:
         np.fill_diagonal(bordered[:d, :d], plain + share * largest)
         try:
@@ -184,7 +183,7 @@ class Tree:
         try:
             self._update(coming, new, removed)
         except RuntimeError as error:
-            if self._by_qr or not is_indeterminate(error):
+            if self._by_qr or "Indeterminate" not in str(error):
                 raise
             self._isam, self._by_qr = _isam("QR"), True
             felt = {key for factor in self._factors.values() for key in factor.keys()}  # noqa: SIM118

@@ -83,8 +83,6 @@ class IncrementalAdjustment(Record):
     def __init__(self, settings: SolverSettings | None = None, store: StateStore | None = None) -> None:
         self.settings = settings or SolverSettings()
         self.store: StateStore = InMemory() if store is None else store
-        if self.settings.form != "bundle":
-            raise InputError("incremental adjustment", f"the {self.settings.form} form", "the bundle form")
         self._engine = Engine(self.settings, self.store)
 
     @classmethod

@@ -13,8 +13,15 @@ from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.graph.stereo import heights_at, linear_rows
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, stretches
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.predicted_lines import NEAR, NEAR_ENOUGH, about_predicted_lines
-from mgsgraph.adjustment.rounds import Selection, determined_points, unmarked, without_weak
+from mgsgraph.adjustment.rounds import (
+    NEAR,
+    NEAR_ENOUGH,
+    Selection,
+    about_predicted_lines,
+    determined_points,
+    unmarked,
+    without_weak,
+)
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages

@@ -1,5 +1,5 @@
-"""Rows of an observation at a point (the equations of `factors`, as a thread calls them), and the inner solve, a thread a
-point: with the orientation held, Gauss-Newton to a fixed tolerance.
+"""Rows of an observation at a point (the equations of `factors`, as a thread calls them), and the inner solve, a thread
+a point: with the orientation held, Gauss-Newton to a fixed tolerance.
 
 As `kernel.elimination` does it; what a thread does depends on its own point alone.
 """

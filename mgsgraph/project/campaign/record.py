@@ -16,7 +16,7 @@ from typing import Literal, Self
 
 import msgspec
 
-from mgsgraph.adjustment.settings import Device, Form, Loss, SolverSettings
+from mgsgraph.adjustment.settings import Device, Loss, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.files.writing import claim
 from mgsgraph.results.large_tables import TableForm
@@ -37,8 +37,6 @@ _PIECE = 1 << 20
 class Overrides:
     """Options that overrule all case files alike."""
 
-    form: Form | None = None
-    """Form of the factors."""
     loss: Loss | None = None
     """Robust loss."""
     reject: float | None = None
@@ -56,7 +54,7 @@ class Overrides:
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""
-        chosen = {name: getattr(self, name) for name in ("form", "loss", "reject", "starts", "device")}
+        chosen = {name: getattr(self, name) for name in ("loss", "reject", "starts", "device")}
         return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
 
 

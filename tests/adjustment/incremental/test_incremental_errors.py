@@ -24,7 +24,6 @@ from increments import (
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
@@ -193,9 +192,7 @@ def test_an_image_named_twice_is_removed_once() -> None:
     assert adjustment.images == ["FAN/0", "FAN/2"]
 
 
-def test_the_explicit_form_the_first_prior_and_nothing_at_all() -> None:
-    with pytest.raises(InputError, match="the explicit form"):
-        IncrementalAdjustment(SolverSettings(form="explicit"))
+def test_the_first_prior_and_nothing_at_all() -> None:
     empty = IncrementalAdjustment()
     with pytest.raises(InputError, match=r"image FAN/0: no a-priori sigmas"):
         empty.add(MADE.images[0])

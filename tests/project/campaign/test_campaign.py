@@ -167,9 +167,9 @@ def test_a_campaign_that_moved_as_a_whole_is_known(run: Run, sites: Path, tmp_pa
 
 
 def test_as_written_changes_nothing() -> None:
-    chosen = mgsgraph.SolverSettings(form="explicit", reject=4.0)
+    chosen = mgsgraph.SolverSettings(line="measured", reject=4.0)
     assert AS_WRITTEN.over(chosen) == chosen
-    assert Overrides(reject=0.0, loss="huber").over(chosen) == mgsgraph.SolverSettings(form="explicit", loss="huber")
+    assert Overrides(reject=0.0, loss="huber").over(chosen) == mgsgraph.SolverSettings(line="measured", loss="huber")
 
 
 # --- on a cluster

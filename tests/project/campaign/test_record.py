@@ -23,7 +23,7 @@ def entry(case: str = "a.toml", **changed: Any) -> CampaignEntry:
         "cost": 12.5,
         "iterations": 4,
         "checksums": {case: "0f", "gone": None},
-        "overrides": Overrides("explicit", "huber", 5.0, False, True),
+        "overrides": Overrides("huber", 5.0, False, True),
         "version": "0.1.0",
         "machine": "here",
         "finished": "2026-11-21T19:00:00+00:00",

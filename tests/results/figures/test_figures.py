@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 import mgsgraph
-from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.footprint import footprint
