@@ -27,7 +27,6 @@ from mgsgraph.network.connectivity import (
     Connectivity,
     connectivity,
     connectivity_warnings,
-    cut_image_statement,
     link_statement,
     network_footprints,
 )
@@ -285,7 +284,7 @@ def _points(network: Network, prediction: Prediction) -> Section:
 def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
     points, shots, lost = network.points, network.ranges.point, network.undetermined
-    found = [*cut_image_statement(connected), *connectivity_warnings(connected)]
+    found = connectivity_warnings(connected)
     found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
     found += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
     for mine, what in (
