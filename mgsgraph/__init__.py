@@ -148,7 +148,7 @@ _HOME = {
     "read_scene": "mgsgraph.case.scene",
     "read_solution": "mgsgraph.results.archive",
     "register_by_relief": "mgsgraph.registration.relief",
-    "ReliefSettings": "mgsgraph.registration.search",
+    "ReliefSettings": "mgsgraph.registration.minima",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "to_geopandas": "mgsgraph.export.frames",
