@@ -84,9 +84,9 @@ class NamedShared:
 class Definitions:
     """All passes and shared unknowns, by name."""
 
-    passes: Mapping[str, NamedPass] = field(default_factory=dict)
+    passes: dict[str, NamedPass] = field(default_factory=dict)
     """Images on one trajectory."""
-    shared: Mapping[str, NamedShared] = field(default_factory=dict)
+    shared: dict[str, NamedShared] = field(default_factory=dict)
     """Unknowns that several images share."""
 
     def __bool__(self) -> bool:
@@ -146,18 +146,30 @@ def united(parts: Sequence[Definitions]) -> Definitions:
 
     Raises InputError where parts contradict each other: other nodes, priors, kinds or sigmas, an image of two passes.
     """
-    passes, shared = dict[str, NamedPass](), dict[str, NamedShared]()
+    whole, owner = Definitions({}, {}), dict[str, str]()
     for part in parts:
-        for name, one in part.passes.items():
-            passes[name] = _united_pass(passes[name], one) if name in passes else one
-        for name, unknown in part.shared.items():
-            shared[name] = _united_shared(shared[name], unknown) if name in shared else unknown
-    owner = dict[str, str]()
-    for name, one in passes.items():
+        both: list[tuple[dict[str, Any], dict[str, Any]]] = [(whole.passes, part.passes), (whole.shared, part.shared)]
+        for every, own in both:
+            every |= {name: _united(every[name], one) if name in every else one for name, one in own.items()}
+    for name, one in whole.passes.items():
         for image in one.images:
             if owner.setdefault(image, name) != name:
                 raise InputError(f"image {image}", f"of the passes {owner[image]} and {name}", "one pass")
-    return Definitions(passes, shared)
+    return whole
+
+
+def _united(one: Any, other: Any) -> Any:
+    """A pass, or a shared unknown, of two parts."""
+    where = f"{'pass' if isinstance(one, NamedPass) else 'shared unknown'} {one.name!r}"
+    for part in fields(one):
+        of_parts = getattr(one, part.name), getattr(other, part.name)
+        if part.name not in ("images", "axes", "whole") and not alike(*of_parts):
+            said = "" if is_dataclass(of_parts[0]) else f" ({of_parts[1]}, {of_parts[0]} before)"
+            found = f"{part.name} in one part other than in another{said}"
+            raise InputError(where, found, "the same", "give it another name, or state both alike")
+    if isinstance(one, NamedPass):
+        return replace(one.with_images(other), whole=one.whole and other.whole)
+    return replace(one, images=tuple(dict.fromkeys([*one.images, *other.images])))
 
 
 def joining(
@@ -194,27 +206,6 @@ def latest(parts: Sequence[Definitions]) -> Definitions:
 
     passes = [{name: with_all(one) for name, one in part.passes.items()} for part in parts]
     return united([Definitions(mine, part.shared) for mine, part in zip(passes, parts, strict=True)])
-
-
-def _united_pass(one: NamedPass, other: NamedPass) -> NamedPass:
-    where = f"pass {one.name!r}"
-    if one.nodes is not other.nodes and not alike(one.nodes, other.nodes):
-        raise InputError(where, "other orientation images in one part than in another", "the same")
-    if one.prior is not other.prior and not alike(one.prior, other.prior):
-        raise InputError(where, "another prior in one part than in another", "one")
-    return replace(one.with_images(other), whole=one.whole and other.whole)
-
-
-def _united_shared(one: NamedShared, other: NamedShared) -> NamedShared:
-    where = f"shared unknown {one.name!r}"
-    if one.kind is not other.kind:
-        raise InputError(where, f"a {other.kind}, a {one.kind} before", "one kind", "give it another name")
-    if not np.array_equal(one.sigmas, other.sigmas):
-        found = f"a-priori sigmas {other.sigmas.tolist()} {one.kind.unit}, {one.sigmas.tolist()} before"
-        raise InputError(where, found, "the same")
-    if one.considered != other.considered:
-        raise InputError(where, "considered in one part, estimated in another", "one of them")
-    return replace(one, images=tuple(dict.fromkeys([*one.images, *other.images])))
 
 
 def _axes(one: NamedPass) -> Array:
