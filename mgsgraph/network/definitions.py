@@ -84,9 +84,9 @@ class NamedShared:
 class Definitions:
     """All passes and shared unknowns, by name."""
 
-    passes: dict[str, NamedPass] = field(default_factory=dict)
+    passes: Mapping[str, NamedPass] = field(default_factory=dict)
     """Images on one trajectory."""
-    shared: dict[str, NamedShared] = field(default_factory=dict)
+    shared: Mapping[str, NamedShared] = field(default_factory=dict)
     """Unknowns that several images share."""
 
     def __bool__(self) -> bool:
@@ -146,16 +146,16 @@ def united(parts: Sequence[Definitions]) -> Definitions:
 
     Raises InputError where parts contradict each other: other nodes, priors, kinds or sigmas, an image of two passes.
     """
-    whole, owner = Definitions({}, {}), dict[str, str]()
+    passes, shared, owner = dict[str, NamedPass](), dict[str, NamedShared](), dict[str, str]()
     for part in parts:
-        both: list[tuple[dict[str, Any], dict[str, Any]]] = [(whole.passes, part.passes), (whole.shared, part.shared)]
+        both: list[tuple[dict[str, Any], Mapping[str, Any]]] = [(passes, part.passes), (shared, part.shared)]
         for every, own in both:
             every |= {name: _united(every[name], one) if name in every else one for name, one in own.items()}
-    for name, one in whole.passes.items():
+    for name, one in passes.items():
         for image in one.images:
             if owner.setdefault(image, name) != name:
                 raise InputError(f"image {image}", f"of the passes {owner[image]} and {name}", "one pass")
-    return whole
+    return Definitions(passes, shared)
 
 
 def _united(one: Any, other: Any) -> Any:
