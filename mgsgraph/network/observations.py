@@ -59,7 +59,7 @@ def observed(
 
     Examples
     --------
-    >>> from mgsgraph.network.footprints import observed
+    >>> from mgsgraph.network.observations import observed
     >>> images = {image.name: mgsgraph.KnownImage(image, pair.settings.noise.prior) for image in pair.images}
     >>> print(observed(images, [pair.ties, pair.laser], tie_sigma=0.5))
     Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges)
