@@ -150,11 +150,11 @@ class StripReport:
     name: str
     """Name of the strip."""
     basis: str
-    """Interpolation between its nodes: Lagrange or spline."""
+    """Interpolation between its nodes."""
     images: tuple[str, ...]
     """Names of its images."""
     nodes: int
-    """Number of nodes; a spline has one beyond either end."""
+    """Number of nodes."""
     spacing: float
     """s between nodes, on the average."""
     lines: float
@@ -184,9 +184,9 @@ def strip_reports(solution: Solution) -> list[StripReport]:
 
 
 def node_times(solution: Solution, strip: str | int) -> Array:
-    """(k,) s TDB past J2000 of the nodes within a strip: all but the outer two of a spline."""
+    """(k,) s TDB past J2000 of the nodes of a strip."""
     nodes = solution.network.passes[solution.network.pass_number(strip)].nodes
-    return nodes.inner + nodes.epoch
+    return nodes.times + nodes.epoch
 
 
 def _report(solution: Solution, strip: int) -> StripReport:

@@ -20,13 +20,13 @@ from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
 
-Basis = Literal["lagrange", "spline"]
+Basis = Literal["lagrange"]
 """How orientation between nodes follows from them."""
 
 SUPPORT = 4
 """Nodes that a time depends on."""
 _EVEN = 1e-6
-"""Share of the spacing by which the spacings of a uniform spline may differ."""
+"""Share of a spacing that counts as nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,12 +42,11 @@ class OrientationImages(Record):
     """
 
     basis: Basis
-    """Lagrange's third-order polynomials, or the uniform cubic B-spline."""
+    """Lagrange's third-order polynomials."""
     epoch: float
     """s TDB past J2000 from which the nodes' times count."""
     times: Array
-    """(k,) s past the epoch, increasing: at least four. A spline's are evenly spaced, and the first and the last one
-    lie outside of what it describes."""
+    """(k,) s past the epoch, increasing: at least four."""
     span: tuple[float, float] | None = None
     """s past the epoch, times at which the trend of a prior has s = -1 and 1; None for the first and the last time that
     they describe. Nodes that are continued keep that of the first ones."""
@@ -61,9 +60,6 @@ class OrientationImages(Record):
         steps = np.diff(times)
         if not np.isfinite(self.epoch) or steps.min() <= 0.0:
             raise InputError("orientation images, times", "times that don't increase", "increasing seconds")
-        if self.basis == "spline" and np.ptp(steps) > _EVEN * steps.mean():
-            found = f"spacings of {steps.min():g} to {steps.max():g} s"
-            raise InputError("orientation images, times", found, "even ones for a uniform spline", "take lagrange")
         if self.span is not None and not (np.all(np.isfinite(self.span)) and self.span[0] < self.span[1]):
             raise InputError("orientation images, span", f"{self.span}", "two times, the first one earlier")
         assign(self, times=times)
@@ -72,14 +68,9 @@ class OrientationImages(Record):
         return int(self.times.size)
 
     @property
-    def inner(self) -> Array:
-        """Times, s past the epoch, of the nodes within what they describe: all but the outer two of a spline."""
-        return self.times if self.basis == "lagrange" else self.times[1:-1]
-
-    @property
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, that they describe."""
-        return float(self.inner[0]), float(self.inner[-1])
+        return float(self.times[0]), float(self.times[-1])
 
     @property
     def trend_span(self) -> tuple[float, float]:
@@ -104,9 +95,7 @@ class OrientationImages(Record):
         derivatives per second.
         """
         since = times + (epoch - self.epoch)
-        if self.basis == "lagrange":
-            return _lagrange(since, self.times[first[:, None] + np.arange(SUPPORT)])
-        return _spline(since - self.times[first + 1], float(np.diff(self.times).mean()))
+        return _lagrange(since, self.times[first[:, None] + np.arange(SUPPORT)])
 
     def at(self, times: Array, epoch: float) -> tuple[Index, Array, Array]:
         """The first of its four nodes of each time (n,) in s past `epoch`, and the values and derivatives (n, 4)."""
@@ -126,22 +115,18 @@ class OrientationImages(Record):
         """The nodes of the same grid that times from start to stop, s past the epoch, need, four at least: those that
         are there keep their times and the span of their trend; before and after them the grid goes on at its spacing.
         """
-        beyond, steps = len(self) - self.inner.size >> 1, np.diff(self.times)
-        if self.basis == "spline":
-            steps[:] = steps.mean()
-        first, last = self.coverage
+        steps, (first, last) = np.diff(self.times), self.coverage
         missing = (first - start) / steps[0], (stop - last) / steps[-1]
         before, after = (max(int(np.ceil(count - _EVEN)), 0) for count in missing)
         times = np.concatenate([
             self.times[0] - steps[0] * np.arange(before, 0, -1), self.times,
             self.times[-1] + steps[-1] * np.arange(1, after + 1),
         ])  # fmt: skip
-        inner = times[beyond : times.size - beyond]
-        low = max(int(np.searchsorted(inner, start + _EVEN * steps[0], "right")) - 1, 0)
-        high = min(int(np.searchsorted(inner, stop - _EVEN * steps[-1])), inner.size - 1)
-        while high - low < SUPPORT - 1 and high - low < inner.size - 1:
+        low = max(int(np.searchsorted(times, start + _EVEN * steps[0], "right")) - 1, 0)
+        high = min(int(np.searchsorted(times, stop - _EVEN * steps[-1])), times.size - 1)
+        while high - low < SUPPORT - 1 and high - low < times.size - 1:
             low, high = (low - 1, high) if low > 0 else (low, high + 1)
-        return replace(self, times=times[low : high + 1 + 2 * beyond], span=self.trend_span)
+        return replace(self, times=times[low : high + 1], span=self.trend_span)
 
     def with_nodes_at(self, times: Array) -> "OrientationImages":
         """The same with other nodes."""
@@ -161,23 +146,8 @@ def _lagrange(times: Array, nodes: Array) -> tuple[Array, Array]:
     return values, rates
 
 
-def _spline(since: Array, spacing: float) -> tuple[Array, Array]:
-    """The four cubic B-splines that are not zero at times `since` (n,) after the second one's node."""
-    t = since / spacing
-    rest = 1.0 - t
-    values = np.stack([
-        rest**3, 3.0 * t**3 - 6.0 * t**2 + 4.0, 3.0 * rest**3 - 6.0 * rest**2 + 4.0, t**3
-    ], axis=1) / 6.0  # fmt: skip
-    rates = np.stack([
-        -3.0 * rest**2, 9.0 * t**2 - 12.0 * t, -9.0 * rest**2 + 12.0 * rest, 3.0 * t**2
-    ], axis=1) / (6.0 * spacing)  # fmt: skip
-    return values, rates
-
-
 def evenly_spaced(basis: Basis, epoch: float, coverage: tuple[float, float], spacing: float) -> OrientationImages:
-    """Nodes over a strip at even spacings of at most `spacing` s: at least three intervals; a spline has one more node
-    on either side.
-    """
+    """Nodes over a strip at even spacings of at most `spacing` s: at least three intervals."""
     start, stop = coverage
     if not (np.isfinite(spacing) and spacing > 0.0):
         raise InputError("orientation images, spacing", f"{spacing} s", "a positive number of seconds")
@@ -185,9 +155,7 @@ def evenly_spaced(basis: Basis, epoch: float, coverage: tuple[float, float], spa
         raise InputError("orientation images", f"a strip from {start} to {stop} s", "a start before the stop")
     intervals = max(int(np.ceil((stop - start) / spacing - 1e-9)), SUPPORT - 1)
     step = (stop - start) / intervals
-    beyond = 0 if basis == "lagrange" else 1
-    numbers = np.arange(-beyond, intervals + 1 + beyond, dtype=np.float64)
-    return OrientationImages(basis, epoch, np.asarray(start + step * numbers))
+    return OrientationImages(basis, epoch, np.asarray(start + step * np.arange(intervals + 1, dtype=np.float64)))
 
 
 

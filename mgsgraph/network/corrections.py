@@ -358,9 +358,8 @@ def useful_rays(network: Network, number: int, taken: Mask | None = None) -> Pas
 
 def support_of(nodes: OrientationImages, rays: PassRays, least: int = LEAST) -> Support:
     """The same for any nodes over rays of a pass."""
-    reach = 1 if nodes.basis == "lagrange" else 2
     number, last = np.arange(len(nodes)), len(nodes) - 1
-    start, stop = nodes.times[np.maximum(number - reach, 0)], nodes.times[np.minimum(number + reach, last)]
+    start, stop = nodes.times[np.maximum(number - 1, 0)], nodes.times[np.minimum(number + 1, last)]
     counts, looking = np.zeros((rays.looks.shape[0], len(nodes)), dtype=np.int64), np.zeros(len(nodes), dtype=np.int64)
     for k, (first, end) in enumerate(rays.looks.tolist()):
         times = np.sort(rays.times[rays.line == k])
@@ -420,15 +419,13 @@ def unsupported(found: Support, rays: PassRays, weak: Index) -> InputError:
     """The error for nodes that are closer than the rays support: which ones, what is near them, what would do."""
     spacing = supported_spacing(found.nodes, rays, found.least)
     names = [_node(found, k) for k in weak[:NAMED].tolist()]
-    but_one = "" if found.nodes.basis == "lagrange" else " but one"
     remedy = "leave the pass out, or match more points"
     if np.isfinite(spacing):
-        remedy = f"a spacing of {_rounded_up(spacing)} s is what they support"
-        remedy += ", or other times for the nodes" if found.nodes.basis == "lagrange" else ""
+        remedy = f"a spacing of {_rounded_up(spacing)} s is what they support, or other times for the nodes"
     return InputError(
         f"pass {found.of_pass!r}, nodes closer than the data supports",
         f"of {len(found.nodes)} nodes (times in UTC, and from the pass's beginning) {some(names, weak.size)}",
-        f"{found.least} rays or more near each (up to the next node{but_one}, of two images where two look)",
+        f"{found.least} rays or more near each (up to the next node, of two images where two look)",
         remedy,
     )
 

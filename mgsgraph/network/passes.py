@@ -80,9 +80,7 @@ class NodePrior(BiasAndDrift):
     """What is known of a pass's nodes beforehand; every entry (6,), m along X, Y, Z and rad."""
 
     sigmas: Array
-    """(6,) m and rad, of a node's coefficient about the trend; infinite where nothing is known. A spline's orientation
-    at a node is the mean of three coefficients, 1:4:1, and so known better: to 0.71 of this where they know nothing of
-    each other."""
+    """(6,) m and rad, of a node's coefficient about the trend; infinite where nothing is known."""
     bias: Array
     """(6,) m and rad, sigma of the trend's constant part; 0 where there is none."""
     drift: Array
@@ -221,10 +219,9 @@ class PolynomialPrior(BiasAndDrift):
 
 def require_polynomial_nodes(nodes: OrientationImages) -> None:
     """Raise InputError unless nodes hold polynomials: four of Lagrange's basis."""
-    if nodes.basis != "lagrange" or len(nodes) != SUPPORT:
-        found = f"{len(nodes)} nodes of the basis {nodes.basis}"
-        expected = f"{SUPPORT} of the basis lagrange, which hold a cubic polynomial"
-        raise InputError("polynomial prior", found, expected, "leave the nodes out, or take a process")
+    if len(nodes) != SUPPORT:
+        expected = f"{SUPPORT}, which hold a cubic polynomial"
+        raise InputError("polynomial prior", f"{len(nodes)} nodes", expected, "leave the nodes out, or take a process")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -338,7 +335,7 @@ def _about(unknown: int, columns: Index) -> Index:
 
 
 def normalised(nodes: OrientationImages) -> Array:
-    """(k,) times of the nodes as s = -1 .. 1 over the pass (`trend_span`); a spline's outer ones lie beyond."""
+    """(k,) times of the nodes as s = -1 .. 1 over the pass (`trend_span`)."""
     start, stop = nodes.trend_span
     return (2.0 * nodes.times - start - stop) / (stop - start)
 
