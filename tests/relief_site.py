@@ -13,7 +13,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import read_case
 from mgsgraph.matching.dense import DenseMatches
-from mgsgraph.registration import relief
+from mgsgraph.registration import relief_surfaces
 from mgsgraph.results.archive import write_archive
 from mgsgraph.simulation.imagery import true_matches
 
@@ -39,7 +39,7 @@ def use_matches(monkeypatch: pytest.MonkeyPatch) -> None:
     def densely_matched(*_: Any) -> tuple[tuple[DenseMatches, ...], float]:
         return (matches(),), WINDOW
 
-    monkeypatch.setattr(relief, "densely_matched", densely_matched)
+    monkeypatch.setattr(relief_surfaces, "densely_matched", densely_matched)
 
 
 @cache

@@ -23,7 +23,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
-from mgsgraph.registration import relief
+from mgsgraph.registration import relief, relief_surfaces
 from mgsgraph.registration.minima import (
     CostSurface,
     ReliefProfile,
@@ -435,7 +435,7 @@ def test_images_that_do_not_overlap_are_refused(
     def nothing(*_: Any) -> None:
         raise InputError("images", "no two of them overlap", "images of common ground")
 
-    monkeypatch.setattr(relief, "densely_matched", nothing)
+    monkeypatch.setattr(relief_surfaces, "densely_matched", nothing)
     with pytest.raises(InputError, match="no two of them overlap"):
         call("coregister", relief_site.case_path(), "--solution", relief_site.result(), "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()

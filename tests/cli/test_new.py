@@ -15,7 +15,7 @@ from commands import refused, run
 from rig_files import write_rig
 
 import mgsgraph
-from mgsgraph.case import draft
+from mgsgraph.case import draft, draft_images
 from mgsgraph.case.case_file import decode, read_image
 from mgsgraph.case.draft import draft_case
 from mgsgraph.case.draft_images import DraftImage, named_as
@@ -243,7 +243,7 @@ def test_images_are_read_once_however_many_tables_fail(
         return call
 
     monkeypatch.setattr(draft, "case_of", counted("cases", case_of))
-    monkeypatch.setattr(draft, "read_image", counted("images", read_image))
+    monkeypatch.setattr(draft_images, "read_image", counted("images", read_image))
     made = draft_case([case_file.parent, *tmp_path.glob("n*.pvl")], tmp_path / "case.toml")
     assert made.text.count("# Left out: n") == 5
     assert calls["images"] == 2
