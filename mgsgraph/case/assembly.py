@@ -1,4 +1,7 @@
-"""Points, rays, ranges, shifts and terrain of several files, gathered into one network."""
+"""Points, rays, ranges, shifts and terrain of several files, gathered into one network.
+
+Several control networks as one set of tie points: a point of several files has the measures of all of them.
+"""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -376,7 +379,6 @@ class Parts:
         image = self._numbered(names, lambda k: f"{source}, point {ids[int(point[k])]}")
         require_inside(self.images, image, places, ids, point, source)
         return image
-
 
 
 _SAME_PLACE = 1e-3

@@ -1,4 +1,7 @@
-"""A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name."""
+"""A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name.
+
+Tables and keys of a case file, as its schema has them: for `mgsgraph help case`, and for docs/case_file.md.
+"""
 
 import textwrap
 import types
@@ -295,7 +298,6 @@ def _line_times(entry: ImageInput, folder: Path) -> Path | Literal["mean"] | Non
     if entry.line_times is None:
         return None
     return "mean" if entry.line_times == "mean" else folder / entry.line_times
-
 
 
 HEAD = "head"

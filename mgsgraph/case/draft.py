@@ -1,4 +1,7 @@
-"""A case file for the files that somebody has: what each is says its content, what is missing is said in comments."""
+"""A case file for the files that somebody has: what each is says its content, what is missing is said in comments.
+
+Tables of a case file for files that are no images, each looked at by itself: networks, shots, terrain models.
+"""
 
 import json
 import os
@@ -192,8 +195,6 @@ def _level(path: Path, images: Sequence[PushbroomImage], out: Path) -> float | N
             read_terrain_model(entry, out, images)
             return level
     return None
-
-
 
 
 def _of_one_moment(images: Sequence[DraftImage]) -> list[str]:

@@ -1,5 +1,8 @@
 """[[passes]] of a case file: images on one trajectory, adjusted through its corrections in time; and which images make
 which of them.
+
+[[mountings]] of a case file: how a camera, or the laser, stands against the trajectory that carries it: turned by
+boresight angles, and away by a lever arm; stated, or unknown beside what is stated.
 """
 
 from collections.abc import Sequence
@@ -234,7 +237,6 @@ def _pass(
     axes = mountings(pictures, where, one_camera=entry.prior is not None)
     with errors_from(where, path):
         return Pass(name, mine, entry.nodes_of(pictures, where), entry.prior_of(where, default), axes)
-
 
 
 _LOOSE = 1e-3

@@ -1,4 +1,7 @@
-"""Laser altimetry: shots with their ranges, footprints and, where there are any, measures in images."""
+"""Laser altimetry: shots with their ranges, footprints and, where there are any, measures in images.
+
+The laser altimeters whose archives are read: what each sees of the ground, and how well it ranges. One table.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -105,7 +108,6 @@ ANY = Altimeter("an altimeter", None, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, "s
 """One of which the file says nothing."""
 ALTIMETERS = {one.name: one for one in (MOLA, LOLA, LALT, MLA)}
 """By name."""
-
 
 
 _HALF_LIGHT = 0.5 * SPEED_OF_LIGHT

@@ -1,4 +1,9 @@
-"""The target body: an ellipsoid of revolution in its own frame, planetocentric places, and rays that meet it."""
+"""The target body: an ellipsoid of revolution in its own frame, planetocentric places, and rays that meet it.
+
+A plane on which a block is drawn: azimuthal equidistant about its middle, on the sphere through it.
+
+Error ellipses in a plane: what holds a place with a probability of 95 %.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -248,8 +253,6 @@ def intersect_ellipsoid(
     with np.errstate(invalid="ignore", divide="ignore"):  # a ray that only touches has no derivative
         d_origin = np.eye(3) - directions[:, :, None] * (normal / fall[:, None])[:, None, :]
     return points, d_origin, distance[:, None, None] * d_origin
-
-
 
 
 def centre_of(points: Array) -> Array:

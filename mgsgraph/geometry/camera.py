@@ -1,4 +1,11 @@
-"""Interior orientation of a line camera: from a sample on the detector to the undistorted focal plane."""
+"""Interior orientation of a line camera: from a sample on the detector to the undistorted focal plane.
+
+How the optics of line scanners bend: from the measured place in the focal plane to the ideal one.
+
+The models are those of usgscsm (src/Distortion.cpp, removeDistortion) and of ISIS's distortion maps. Places and
+coefficients are in metres; the files' are in millimetres, and so are the sources' formulas. Where a source defines the
+way from ideal to measured alone, the other way is found by Newton's method. NaN stands where there is no ideal place.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -330,8 +337,6 @@ MODELS: tuple[type[Distortion], ...] = (
     ThemisIrDistortion,
 )  # fmt: skip
 """All of them."""
-
-
 
 
 @dataclass(frozen=True, slots=True, eq=False)

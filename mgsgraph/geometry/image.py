@@ -3,6 +3,12 @@
 Ground to image is Newton's method on the line.
 
 Images that are one and the same: taken at the same times from the same places in the same directions.
+
+Nominal orientation in polynomials of time, fitted to a sampled trajectory: the papers', and ISIS jigsaw's.
+
+The papers' are of X, Y, Z, omega, phi, kappa: Yoon & Shan 2005, eq. 2; order 2 fitted to 31 samples of the SPICE
+orientation over the image is theirs. jigsaw's (CKDEGREE, without OVEREXISTING) are of the camera's three angles against
+J2000, fitted to the records of its attitude table (ISIS SpiceRotation::SetPolynomial); positions stay as they are.
 """
 
 from collections.abc import Sequence
@@ -11,7 +17,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import (
     by_interior,
@@ -27,7 +33,7 @@ from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory
+from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory, require_covered
 from mgsgraph.record import Record
 
 _NEWTON_STEPS = 30
@@ -386,7 +392,6 @@ def _same(one: PushbroomImage, other: PushbroomImage) -> bool:
     return bool(np.any(seen) and np.all(apart[seen] < _PIXELS * pixel[seen]))
 
 
-
 _NODES = 2049
 """Records at which polynomials of the attitude are laid out again; the great arc between two is then on the curve."""
 
@@ -427,10 +432,7 @@ class PolynomialTrajectory:
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
-        beyond = np.flatnonzero(~(np.maximum(self.start - times, times - self.stop) <= slack))
-        if beyond.size:
-            first = float(times[beyond[0]])
-            raise EphemerisGap(where, *(self.epoch + time for time in (first, self.start, self.stop)))
+        require_covered(self.coverage, times, self.epoch, where, slack)
 
     def pose(self, times: Array) -> Pose:
         """Pose at times (n,) in s past the epoch, rates per second; outside the coverage the polynomials go on."""

@@ -1,6 +1,13 @@
 """Several rays to a point: the place nearest to all of them, for arrays of rays (equations: `factors.intersection`).
 
 Where rays meet a terrain model, for arrays of rays: the first meeting with the bilinear surface of its posts.
+
+Crossovers of laser profiles: where two tracks cross, and what each says of the ground's height and slope there.
+
+At a crossing both profiles show the same ground. Each has its height between the two shots around it, and the slope
+of the ground along its track; both slopes together are the ground's gradient G. When the first of the profiles is
+shifted by a horizontal vector d against the second, the crossing moves along both tracks, and the difference of their
+heights changes by -G d.
 """
 
 from typing import NamedTuple
@@ -139,7 +146,6 @@ def _clearance(origins: Array, unit: Array, at: Array, terrain: TerrainGrid) -> 
     known = np.isfinite(at)
     clear[known] = np.linalg.norm(points[known], axis=1) - terrain.at(points[known])
     return clear
-
 
 
 LEAST_ANGLE = 0.1

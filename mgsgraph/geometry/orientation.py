@@ -5,6 +5,15 @@ camera axes, so that the camera frame is turned by it: M = Exp([theta]x)' M_nomi
 nominal omega, phi, kappa, of the papers' product M' = R3 R2 R1 (camera to body, opk-paper) or of M = R3 R2 R1 (body to
 camera, opk-peer). B_k(u) = u^k (Yoon & Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a strip's
 orientation images (Hofmann et al. 1982), or both: whatever acts linearly on the pose.
+
+Orientation images: exterior orientation at a few chosen times only, and between them from the four nearest.
+
+Hofmann, Dorrer & Nave 1982; for HRSC Ebner et al. 2004 and Spiegel 2007. Lagrange's polynomials of third order through
+the four neighbours, whose coefficients are the corrections at the nodes themselves,
+
+    P(t) = sum_i P(t_i) prod_{j != i} (t - t_j) / (t_i - t_j).
+
+All lines of a strip share one trajectory, so nodes are times, not lines.
 """
 
 from collections.abc import Callable
@@ -156,7 +165,6 @@ def evenly_spaced(basis: Basis, epoch: float, coverage: tuple[float, float], spa
     intervals = max(int(np.ceil((stop - start) / spacing - 1e-9)), SUPPORT - 1)
     step = (stop - start) / intervals
     return OrientationImages(basis, epoch, np.asarray(start + step * np.arange(intervals + 1, dtype=np.float64)))
-
 
 
 Angles = Literal["camera", "opk-paper", "opk-peer"]

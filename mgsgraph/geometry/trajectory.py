@@ -7,6 +7,11 @@ Times are counted from an epoch of the trajectory's own, near its middle: epheme
 which is 2e-4 lines of LROC-NAC.
 
 A sampled trajectory that is known against the body alone: how the body turns in inertial space is not.
+
+Times of an archive in s TDB past J2000: terrestrial time as LOLA's records have it, UTC as tables write it.
+
+The difference of TDB and TT is the term of one year that SPICE has (leap seconds kernel: DELTET/K, EB, M), 1.7 ms: to a
+spacecraft 2.7 m of its way. The leap seconds are those of IERS Bulletin C from 1972 up to now.
 """
 
 from collections.abc import Sequence
@@ -110,6 +115,14 @@ class AttitudeTable(Record):
         return matrix, angular_rate
 
 
+def require_covered(coverage: tuple[float, float], times: Array, epoch: float, where: str, slack: float = 0.0) -> None:
+    """Raise EphemerisGap, naming `where`, unless all times (n,), s past the epoch, lie in a coverage widened by `slack`."""
+    start, stop = coverage
+    outside = ~((times >= start - slack) & (times <= stop + slack))
+    if np.any(outside):
+        raise EphemerisGap(where, epoch + float(times[outside][0]), epoch + start, epoch + stop)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose(Record):
     """Position and attitude of a camera at n moments, with their rates (per second, or per line where so said).
@@ -190,10 +203,7 @@ class Trajectory(Record):
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
-        start, stop = self.coverage
-        outside = ~((times >= start - slack) & (times <= stop + slack))
-        if np.any(outside):
-            raise EphemerisGap(where, self.epoch + float(times[outside][0]), self.epoch + start, self.epoch + stop)
+        require_covered(self.coverage, times, self.epoch, where, slack)
 
     def pose(self, times: Array) -> Pose:
         """Pose at times (n,) in s past the epoch, rates per second; outside the tables their outer intervals go on."""
@@ -248,7 +258,6 @@ class FixedTrajectory:
     def pose(self, times: Array) -> Pose:
         """Pose at times (n,) in s past the epoch, rates per second; outside the tables their outer intervals go on."""
         return self.sampled.pose(times)
-
 
 
 J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)

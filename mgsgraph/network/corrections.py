@@ -10,6 +10,14 @@ moves D along a direction of the pixel's own, and by as much as its value, whate
 with r = |(x, y)| (Brown 1971, Eq. 4, radial terms; Wolf, Dewitt & Wilkinson 2014, Eq. 4-25, outward positive).
 R, the *reference radius*, is that of the pixel farthest from the principal point among all images that share the
 unknown, so that k_n is in metres what it moves that pixel outward.
+
+Whether the rays of a network support the orientation images of its passes: nodes with too few rays near them are
+named.
+
+A node is observed by the rays near it: those up to the next node on either side. They must be of points that something
+else places, too (another ray, or an a-priori place): a lone ray tells nothing of orientation. And they must be of two
+lines at least, where two lines look for half of that time or longer: with one alone, position and pointing can't be
+told apart.
 """
 
 from collections.abc import Sequence
@@ -246,7 +254,6 @@ def adjusted_image(network: Network, image: int, values: Sequence[Array]) -> Pus
     """
     picture, adjusted = network.images[image], adjusted_of(network, image, values)
     return replace(picture, interior=adjusted_interior(picture.interior, adjusted)) if adjusted else picture
-
 
 
 LEAST = 3

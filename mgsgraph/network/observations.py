@@ -1,4 +1,19 @@
-"""Observations of images as a network: what is added to one that is already there."""
+"""Observations of images as a network: what is added to one that is already there; terrain models, whose posts become
+its points; and which image carries the range of a shot.
+
+Terrain models: which points lie on one, with what sigma, and which don't, those beside it and those over its holes;
+and posts as points of a network: what a laser shot is, ground that is known but for what all posts of
+the model are off in common.
+
+A post stands for the mean height of its cell. Where cells are smaller than what images can show, posts are averaged to
+cells as large as that.
+
+Which image carries the range of a laser shot: the one that was taken meanwhile, or an image of the pass that was.
+
+Images of a pass are on one trajectory, and orientation images describe it from the first line of the pass to the last
+one: so shots between the lines of two of its images are carried, too, where the table of one of them covers their time.
+One camera carries all shots of a pass: what turns the beam turns it about one set of axes.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -201,7 +216,6 @@ def require_range_sigmas(profile: LaserProfile) -> None:
         likely = "are sigmas in kilometres, where the format has metres?" if small[i] else "is its unit right?"
         raise InputError(f"{profile.source}, shot {profile.ids[i]}", found, "a sigma in m, 0.02 or more",
                          f"{likely} Mend them, or state range_sigma_m in [laser] of a case")  # fmt: skip
-
 
 
 _STEPS = 3
@@ -409,7 +423,6 @@ def with_posts(network: Network, models: Sequence[tuple[TerrainModel, Posts]]) -
     if surface is not None:
         surface = replace(surface, sigmas=np.append(surface.sigmas, np.full(len(points) - surface.sigmas.size, np.inf)))
     return replace(network, points=points, shifts=shifts, shared=tuple(shared), surface=surface)
-
 
 
 _TURNED = 1e-6

@@ -13,7 +13,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated
 from mgsgraph.names import Names
-from mgsgraph.network.definitions import NamedPass, definitions, united, with_definitions
+from mgsgraph.network.joining import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface, joined_control

@@ -1,5 +1,21 @@
 """A pass: images on one trajectory (the lines of one camera, or several cameras of one spacecraft), and its orientation
-images with what is known of them beforehand (`network.passes`).
+images with what is known of them beforehand.
+
+What is known of a pass's orientation images beforehand, as whitened rows on its nodes and its trend.
+
+The trajectory is observed at every node, with a bias and a linear drift that the whole pass shares (Spiegel 2007, as
+corrections to the observed exterior orientation): of a node at time t, s = -1 .. 1 over the pass,
+
+    c(t) = bias + drift s + e(t),
+
+where e has the node's own sigma and, between nodes, the correlation exp(-|dt| / correlation time) of a Gauss-Markov
+process. So a node hangs on the one before it by a smoothness factor, e_k - a e_{k-1} with a = exp(-dt / time) and sigma
+root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it. Closer
+nodes then don't say more than the trajectory knows (`NodePrior`).
+
+Other departures: any Gaussian process (`ProcessPrior`, `network.conditioning`), its rows between neighbouring nodes by
+sequential conditioning (`network.conditioning`). Or none, and the corrections polynomials of time (`PolynomialPrior`):
+four nodes of Lagrange's basis hold a cubic polynomial exactly.
 """
 
 from collections.abc import Iterator
@@ -338,7 +354,6 @@ def normalised(nodes: OrientationImages) -> Array:
     """(k,) times of the nodes as s = -1 .. 1 over the pass (`trend_span`)."""
     start, stop = nodes.trend_span
     return (2.0 * nodes.times - start - stop) / (stop - start)
-
 
 
 _NO_ROTATION = 1e-6

@@ -1,4 +1,12 @@
-"""What a network is made of: points, rays, ranges, shifts, terrain. Struct of arrays, SI units, body-fixed metres."""
+"""What a network is made of: points, rays, ranges, shifts, terrain. Struct of arrays, SI units, body-fixed metres.
+
+Control that lies between measurements: points on the surfaces that pairs of images show, and crossovers of laser
+profiles.
+
+A row of a crossover is the height of the first profile minus that of the second where they cross, which is zero within
+its sigma. It takes the shots as they were measured, and not the network's points: what interpolation between them
+misses, is mostly more than their own noise.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -282,8 +290,6 @@ class Surface(Record):
     def moved(self, places: Array, values: Array) -> Array:
         """(n, 3) m by which values (w,) of its unknowns move the model at places (n, 3) in m."""
         return np.asarray(np.einsum("k,nkj->nj", values, self.directions(places)))
-
-
 
 
 @dataclass(frozen=True, slots=True, eq=False)

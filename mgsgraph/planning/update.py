@@ -22,7 +22,7 @@ from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expect
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
-from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, latest, with_definitions
 from mgsgraph.network.parts import Unknown, part
 from mgsgraph.planning.state import CurrentState, ReducedNetwork, together
 

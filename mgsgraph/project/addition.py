@@ -22,8 +22,7 @@ from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
-from mgsgraph.network.definitions import Definitions, definitions, joining, united, with_definitions
-from mgsgraph.network.joining import seconds
+from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import observed, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.project.project import Measure, Project, all_set_aside

@@ -9,6 +9,9 @@ the likelihood of a shift against another is -D,
 k being the number of shots that count as one, by the correlation r of successive heights at the best shift. The weight
 of a minimum is exp(-D / 2) times the root of its covariance's determinant: the probability that its neighbourhood is
 the right one when all shifts are alike beforehand. Where more is known beforehand, its chi^2 is added to D.
+
+What a registration by relief says: its choices, and each laser profile and terrain model against the surface
+that the images show, before and after the adjustment with stereo rows.
 """
 
 from collections.abc import Sequence
@@ -217,9 +220,6 @@ class CostSurface:
     def clear(self) -> bool:
         """Whether it does so at one place only, which adjustments reach."""
         return self.tied and len(self.possible) == 1 and self.reached
-
-
-
 
 
 MOST_REACH = 20_000.0

@@ -13,6 +13,8 @@ kilometre or two, the camera is 100 km and more away.
 Angles that change along the track bend a profile: from its minima on the grid a profile is fitted with a shift that
 changes linearly along it, by tens of metres. Minima are then compared two by two, over the shots that both have on the
 surface. Their probabilities (`minima`) say whether relief ties the profile: few of them hold all of it.
+
+Loops of the search over shifts: misfits of a profile after thousands of them, and fits of a line to its heights.
 """
 
 import math
@@ -148,7 +150,6 @@ def _left_of_line(heights: Array, weights: Array, along: Array, left: Array) -> 
 def robust_weights(left: Array) -> Array:
     """Factors (...) of the weights of what is left of heights (...), in sigmas, by Huber's loss."""
     return np.asarray(_HUBER / np.maximum(np.abs(left), _HUBER))
-
 
 
 _MOST_SHOTS = 300

@@ -17,8 +17,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import NodePrior, Pass
-from mgsgraph.network.definitions import alike
-from mgsgraph.network.joining import mountings, seconds, straightest
+from mgsgraph.network.joining import alike, mountings, seconds, straightest
 from mgsgraph.project.project import open_project
 from mgsgraph.units import MGON, MRAD
 

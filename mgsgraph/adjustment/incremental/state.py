@@ -19,8 +19,7 @@ from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
-from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, definitions, with_definitions
-from mgsgraph.network.joining import seconds
+from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, seconds, with_definitions
 from mgsgraph.network.parts import (
     KnownImage,
     Members,

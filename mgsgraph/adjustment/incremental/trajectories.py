@@ -18,8 +18,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.definitions import Definitions, NamedPass, united
-from mgsgraph.network.joining import mountings, seconds
+from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, united
 from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
 from mgsgraph.network.passes import PolynomialPrior, normalised
 

@@ -1,4 +1,26 @@
-"""Ground points to a regular grid of heights with sigmas (`surface` has the mathematics)."""
+"""Ground points to a regular grid of heights with sigmas (`surface` has the mathematics).
+
+The map of a terrain model: Lambert's equal-area plane about its middle, north up, and regular posts on it.
+
+It is PROJ's `+proj=laea` on the sphere of the body's equatorial radius with planetocentric latitudes, as
+`matching.chart` lays out (Snyder 1987, p. 182): no zones, poles like any other point, metres true to 1e-4 within a
+hundred kilometres.
+
+Dense matches intersected: ground points, and the two parts of their covariance.
+
+A match says where a pixel of the first image lies in the second, and all its error is between the two. So the point is
+on the pixel's own ray P = O + t u, where the ray (X, D) of the pixel found passes it: with n = u x D and m = D x n
+
+    t = (X - O) m / u m,        dt/d(line, sample) = m dX/d(line, sample) / u m,
+
+dX being how the second ray moves at the point. The matching error, a covariance C of two numbers, is then a length
+along u of variance (dt) C (dt)': a covariance of rank one, and a height error at a map position that is level only
+where the ground is.
+
+The orientation's part is the same for neighbours and changes slowly along the images: it is taken from the posterior
+at nodes, of rays of which the second alone is uncertain, alike on the ground, and is bilinear between them (which keeps
+a covariance one).
+"""
 
 import os
 from collections.abc import Sequence
@@ -183,7 +205,6 @@ def _pixel_sizes(picture: Picture, ground: Ground, pixels: Array) -> Array:
     return np.stack(sizes, axis=1)
 
 
-
 MOST_POSTS = 50_000_000
 """Posts of a terrain model: 0.2 GB for each band."""
 MOST_PIXELS = 1_000_000_000
@@ -291,7 +312,6 @@ def bilinear(values: Array, pixels: Array) -> Array:
     found = between_nodes(values, np.where(inside[:, None], pixels, 0.0))
     found[~inside] = np.nan
     return found
-
 
 
 _REACH = 1.5

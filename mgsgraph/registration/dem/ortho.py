@@ -1,4 +1,7 @@
-"""The first image over the terrain model: every pixel where the model says its ground is seen."""
+"""The first image over the terrain model: every pixel where the model says its ground is seen.
+
+The scene of a terrain model: images with their adjusted orientation, the expected ground, dense matches.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -96,7 +99,6 @@ def _filled(heights: Array) -> Array:
         count = known.sum(axis=0)
         found[holes] = np.where(count > 0, np.where(known, near, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
     return np.where(np.isnan(found), np.nanmean(heights), found)
-
 
 
 _LEAST_SIGMA = 100.0
