@@ -1,8 +1,6 @@
 """One pushbroom image: when each line was taken, from where, and how image and ground places belong together.
 
-Ground to image is Newton's method on the line.
-
-Images that are one and the same: taken at the same times from the same places in the same directions.
+Ground to image is Newton's method on the line. Images that are one and the same: taken at the same times from the same places in the same directions.
 
 Nominal orientation in polynomials of time, fitted to a sampled trajectory: the papers', and ISIS jigsaw's.
 

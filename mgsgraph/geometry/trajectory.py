@@ -116,7 +116,7 @@ class AttitudeTable(Record):
 
 
 def require_covered(coverage: tuple[float, float], times: Array, epoch: float, where: str, slack: float = 0.0) -> None:
-    """Raise EphemerisGap, naming `where`, unless all times (n,), s past the epoch, lie in a coverage widened by `slack`."""
+    """Raise EphemerisGap, naming `where`, unless times (n,), s past the epoch, lie in a coverage widened by `slack`."""
     start, stop = coverage
     outside = ~((times >= start - slack) & (times <= stop + slack))
     if np.any(outside):
