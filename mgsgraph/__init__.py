@@ -108,8 +108,8 @@ if TYPE_CHECKING:
     from mgsgraph.network import Network as Network
     from mgsgraph.network.parts import KnownImage as KnownImage
     from mgsgraph.registration.dem.model import DemSettings as DemSettings
+    from mgsgraph.registration.minima import ReliefSettings as ReliefSettings
     from mgsgraph.registration.relief import register_by_relief as register_by_relief
-    from mgsgraph.registration.relief_records import ReliefSettings as ReliefSettings
     from mgsgraph.results.archive import read_solution as read_solution
     from mgsgraph.results.matching import match_into as match_into
     from mgsgraph.results.page import write_report as write_report
@@ -145,7 +145,7 @@ _HOME = {
     "read_scene": "mgsgraph.case.scene",
     "read_solution": "mgsgraph.results.archive",
     "register_by_relief": "mgsgraph.registration.relief",
-    "ReliefSettings": "mgsgraph.registration.relief_records",
+    "ReliefSettings": "mgsgraph.registration.minima",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "to_geopandas": "mgsgraph.export.frames",

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface
 from mgsgraph.record import meanings
 from mgsgraph.results.archive import FORMAT, array_scalar, kinds_of
 
@@ -99,8 +98,6 @@ def _walk(kind: Any, path: str, said: str) -> Iterator[tuple[str, str, str]]:
         for field in fields(kind):
             below = f"{path}.{field.name}" if path else field.name
             yield from _walk(hints[field.name], below, said_of.get(field.name, ""))
-        if kind is StereoSurface:
-            yield from _walk(PackedSurface, path, said)
     else:
         for one in kinds_of(kind):
             yield from _walk(one, path, said)

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from study import at_least, command, show, table
 
-from mgsgraph.case.groups import window_beside
+from mgsgraph.case.assembly import window_beside
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.export.network_content import source_networks
 from mgsgraph.fetch.store import LOCK, Lock, LockedFile

@@ -41,8 +41,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass, SharedKind
+from mgsgraph.registration.minima import ReliefSettings
 from mgsgraph.registration.relief import profile_names, registered
-from mgsgraph.registration.relief_records import ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, averaged_pair, cells_of
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site

@@ -21,8 +21,8 @@ from study import at_least, chi_square_band, command, show, table, within, write
 
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.image import fit_polynomials
 from mgsgraph.geometry.orientation import polynomial
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.case_files import site_case
 from mgsgraph.simulation.ground import SiteTerrain, cell_means, grid_shift, make_terrain

@@ -21,8 +21,7 @@ from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.network import PointClass
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.dem.checking import HeightChecks
-from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
-from mgsgraph.registration.search import CostSurface
+from mgsgraph.registration.minima import CostSurface, ProfileState, ReliefProfile
 from mgsgraph.results.analysis import (
     components_table,
     likelihood_table,

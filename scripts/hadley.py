@@ -27,8 +27,7 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown

@@ -13,10 +13,9 @@ from mgsgraph.files.networks.network_file import read_control_network
 from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage, fit_attitude
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
-from mgsgraph.geometry.polynomial_trajectory import fit_attitude
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.units import DEG

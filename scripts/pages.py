@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 from file_columns import columns_markdown
 
-from mgsgraph.case.keys import keys_markdown
+from mgsgraph.case.case_file import keys_markdown
 from mgsgraph.cli import group
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -26,11 +26,9 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.files.writing import fresh_file
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import NoDistortion
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
+from mgsgraph.geometry.image import LineTiming, PolynomialTrajectory, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges

@@ -28,8 +28,7 @@ from mgsgraph.files.networks.network_file import read_control_network
 from mgsgraph.files.output.geotiff import geotiff
 from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import NoDistortion
+from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import ISIS_OFFSET, KM

@@ -30,8 +30,8 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief import registered
-from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.ground import PeriodicSurface, add_craters, fractal, make_terrain

@@ -22,8 +22,8 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
-from mgsgraph.registration.dem.map import MapGrid
-from mgsgraph.registration.dem.scene import adjusted_scene
+from mgsgraph.registration.dem.gridding import MapGrid
+from mgsgraph.registration.dem.ortho import adjusted_scene
 from mgsgraph.results.archive import write_archive
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite

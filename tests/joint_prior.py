@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.geometry.orientation_images import OrientationImages
+from mgsgraph.geometry.orientation import OrientationImages
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.node_priors import BiasAndDrift, LinearFactor
+from mgsgraph.network.passes import BiasAndDrift, LinearFactor
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,7 @@ from joint_prior import JointNodePrior
 
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
-from mgsgraph.geometry.orientation import OrientationPrior, polynomial
-from mgsgraph.geometry.orientation_images import OrientationImages
+from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, polynomial
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import (
     GroundPoints,

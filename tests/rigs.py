@@ -11,8 +11,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, SharedKind, SharedUnknown

@@ -9,7 +9,7 @@ from once import once
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface, heights_above
 from mgsgraph.network import Network, PointClass, ProfileShifts
-from mgsgraph.network.control import StereoControl
+from mgsgraph.network.records import StereoControl
 from mgsgraph.simulation.ground import rays_to_sines
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair

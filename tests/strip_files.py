@@ -18,7 +18,7 @@ prior = {}
 
 [[passes]]
 name = "HRSC/01"
-nodes = { basis = "lagrange", spacing_s = 10.0 }
+nodes = { spacing_s = 10.0 }
 prior = { correlation_time_s = 60.0 }
 """
 """Five images by name, the others as what is left; all that is said or left out is what the block was drawn with."""

@@ -51,7 +51,7 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.support import require_observed_nodes
+from mgsgraph.network.corrections import require_observed_nodes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

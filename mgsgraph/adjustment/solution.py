@@ -114,7 +114,7 @@ class Solution(Record):
     shared: tuple[Array, ...] = ()
     """(w,) of each of the network's shared unknowns, in the unit of its kind: one value, or three of a boresight."""
     nodes: tuple[Array, ...] = ()
-    """(k, 6) m and rad, corrections at the orientation images of each strip (of a spline its coefficients)."""
+    """(k, 6) m and rad, corrections at the orientation images of each strip."""
     trends: tuple[Array, ...] = ()
     """(w,) m and rad, of each strip: bias and drift of its observed trajectory (`NodePrior.trend_components`)."""
     lift: Array | None = None

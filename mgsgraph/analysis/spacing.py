@@ -26,11 +26,11 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.sweep import point_covariances
 from mgsgraph.network import Network, NodePrior
-from mgsgraph.network.support import LEAST, pass_rays, require_supported
+from mgsgraph.network.corrections import LEAST, pass_rays, require_supported
 
 _STRETCHES = 10
 """Stretches of time that a strip has at least, whose sums count as independent."""

@@ -21,8 +21,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
-from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
-from mgsgraph.geometry.orientation_images import SUPPORT
+from mgsgraph.geometry.orientation import SUPPORT, Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, NodePrior, Pass, PointClass
@@ -411,11 +410,11 @@ class StripReport:
     name: str
     """Name of the strip."""
     basis: str
-    """Interpolation between its nodes: Lagrange or spline."""
+    """Interpolation between its nodes."""
     images: tuple[str, ...]
     """Names of its images."""
     nodes: int
-    """Number of nodes; a spline has one beyond either end."""
+    """Number of nodes."""
     spacing: float
     """s between nodes, on the average."""
     lines: float
@@ -445,9 +444,9 @@ def strip_reports(solution: Solution) -> list[StripReport]:
 
 
 def node_times(solution: Solution, strip: str | int) -> Array:
-    """(k,) s TDB past J2000 of the nodes within a strip: all but the outer two of a spline."""
+    """(k,) s TDB past J2000 of the nodes of a strip."""
     nodes = solution.network.passes[solution.network.pass_number(strip)].nodes
-    return nodes.inner + nodes.epoch
+    return nodes.times + nodes.epoch
 
 
 def _report(solution: Solution, strip: int) -> StripReport:

@@ -1,6 +1,6 @@
 """What a case file says of a trajectory's correction: where a pass's orientation images stand, and what is known
 beforehand, by [passes.position] and [passes.attitude] or, of one camera (HRSC), by `prior`: a bias, a drift and
-departures that forget themselves in time (`network.node_priors.NodePrior`); and the numbers that a case file may hold.
+departures that forget themselves in time (`network.passes.NodePrior`); and the numbers that a case file may hold.
 """
 
 from collections.abc import Sequence
@@ -11,9 +11,9 @@ import numpy as np
 
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.network import NodePrior, Process
 from mgsgraph.network.joining import seconds, straightest
 from mgsgraph.text import listed
@@ -49,8 +49,6 @@ def three(value: object, where: str, zero: bool = False, infinite: bool = False)
 class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Where the orientation images of a pass stand: evenly spaced, or at times; at most one of the four is said."""
 
-    basis: Basis = "lagrange"
-    """Third-order polynomials through the four nearest, or the uniform cubic B-spline."""
     spacing_s: Positive | None = None
     """Largest spacing; 10 s when nothing is said."""
     spacing_lines: Positive | None = None
@@ -69,7 +67,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
         if self.times_et_s or self.times_utc:
             times = tdb_of_utc(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
-            return OrientationImages(self.basis, epoch, times - epoch)
+            return OrientationImages("lagrange", epoch, times - epoch)
         spacing = self.spacing_s or SPACING
         if self.spacing_lines is not None:
             reference = pictures[straightest(pictures)]
@@ -81,7 +79,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if (stop - start) / spacing > _MOST_NODES:
             found = f"{spacing:.3g} s, {(stop - start) / spacing:.3g} nodes on {stop - start:.6g} s"
             raise InputError(f"{where}, {key}", found, f"at most {_MOST_NODES} nodes", "a larger spacing")
-        return evenly_spaced(self.basis, epoch, (start - epoch, stop - epoch), spacing)
+        return evenly_spaced("lagrange", epoch, (start - epoch, stop - epoch), spacing)
 
 
 _DEFAULTS = {"": (1.0, 3.0 * MGON / MRAD), "bias_": (50.0, 28.0 * MGON / MRAD), "drift_": (10.0, 5.0 * MGON / MRAD)}
@@ -89,7 +87,7 @@ _DEFAULTS = {"": (1.0, 3.0 * MGON / MRAD), "bias_": (50.0, 28.0 * MGON / MRAD), 
 
 
 class NodePriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.node_priors`.
+    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.passes`.
 
     Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
     of the attitude is what Spiegel et al. (papers/003) state of Mars Express; all others are those of simulated blocks.

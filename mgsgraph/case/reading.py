@@ -12,12 +12,10 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.assembly import Parts
+from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
-from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
-from mgsgraph.case.mountings import mounted, mounting_unknowns
-from mgsgraph.case.passes import members, passes_of
+from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of
 from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, ShotsInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
@@ -33,8 +31,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
-from mgsgraph.network.range_images import Members
-from mgsgraph.network.terrain import TerrainModel
+from mgsgraph.network.observations import Members, TerrainModel
 from mgsgraph.record import Record
 
 if TYPE_CHECKING:
@@ -353,10 +350,10 @@ def _read_terrain(
     models = list[TerrainModel]()
     for k, entry in enumerate(wanted.terrain_models):
         if k and not entry.cells:
-            found = "shift = false, a tilt, tracks or control = false in a terrain model after the first"
+            found = "shift = false, a tilt or control = false in a terrain model after the first"
             expected = "a grid with an unknown horizontal place: tie points lie on the first model alone"
             raise InputError(f"{path}, terrain[{k}]", found, expected)
-        model, beneath = read_terrain_model(entry, path, images, terrain_shots(entry))
+        model, beneath = read_terrain_model(entry, path, images)
         if k == 0:
             radii, areoid = as_grid(model) if entry.control else None, beneath
         if entry.cells:
@@ -368,8 +365,3 @@ def _read_terrain(
 def model_name(entry: TerrainInput) -> str:
     """What reports call a terrain model."""
     return entry.name or Path(entry.grids[0]).stem
-
-
-def terrain_shots(entry: TerrainInput) -> Callable[[Path], AltimeterShots]:
-    """How the tracks of a case's terrain model are read."""
-    return lambda file: read_shots(file, version=entry.version)

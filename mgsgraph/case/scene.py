@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.case.passes import members
-from mgsgraph.case.reading import picture_of, read_profile, terrain_shots
+from mgsgraph.case.reading import picture_of, read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
@@ -107,7 +107,7 @@ def _ground(
     body = images[0].body
     terrain: TerrainGrid | None = None
     for model in wanted.terrain_models[:1]:
-        terrain = as_grid(read_terrain_model(model, path, images, terrain_shots(model))[0])
+        terrain = as_grid(read_terrain_model(model, path, images)[0])
     chart = _chart(images, height or 0.0)
     seen = _heights(wanted, images, path, terrain) if height is None else np.array([height])
     if seen.size == 0:

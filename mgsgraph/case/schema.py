@@ -8,14 +8,12 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Device, Line, Loss, SolverSettings
 from mgsgraph.case.motion import Factor, Positive, Sigma, three
-from mgsgraph.case.mountings import MountingInput
-from mgsgraph.case.passes import PassInput
+from mgsgraph.case.passes import MountingInput, PassInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.labels.aberration import Observer
-from mgsgraph.geometry.altimeters import Altimeter
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.altimetry import Altimeter
+from mgsgraph.geometry.image import PushbroomImage, fit_attitude, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.polynomial_trajectory import fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.text import listed
@@ -219,8 +217,6 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     radius: str | tuple[str, ...] = ()
     """MEGDR grid of radii (.img, .lbl) or GeoTIFF in any map projection; several: tiles of one grid."""
-    tracks: str | tuple[str, ...] = ()
-    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[shots]]."""
     topography: str | None = None
     """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
     areoid: str | None = None
@@ -246,12 +242,6 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of its tilts about east and north through the points' middle, which become unknowns; absent: none."""
     name: str = ""
     """What reports call it; the first file's name without its ending when absent."""
-    longest_edge_m: Positive = 5000.0
-    """Longest edge of the tracks' triangles: what lies between tracks farther apart is a hole."""
-    post_step_deg: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)] = 0.005
-    """Step of the grid that the tracks are laid out on."""
-    version: str | None = None
-    """PEDR version letter of the tracks, where their names don't say."""
 
     @property
     def grids(self) -> tuple[str, ...]:
@@ -259,16 +249,11 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         return (self.radius,) if isinstance(self.radius, str) else self.radius
 
     @property
-    def profiles(self) -> tuple[str, ...]:
-        """Files of tracks."""
-        return (self.tracks,) if isinstance(self.tracks, str) else self.tracks
-
-    @property
     def cells(self) -> bool:
         """Whether its posts can lie on the surface that images show: measured by themselves, with a common horizontal
         place that is an unknown, and without tilts.
         """
-        return self.control and self.shift and self.tilt_sigma_mrad is None and bool(self.grids)
+        return self.control and self.shift and self.tilt_sigma_mrad is None
 
 
 class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -1,6 +1,6 @@
-"""The terrain model of a case: grids and their tiles, heights above a sphere or the areoid, tracks of an altimeter."""
+"""The terrain model of a case: grids and their tiles, heights above a sphere or the areoid."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -9,14 +9,13 @@ import numpy as np
 
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import Ellipsoid, east_north, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, areoid_grid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic, track_gaps
-from mgsgraph.network.terrain import box_of, in_degrees
-from mgsgraph.units import DEG, KM
+from mgsgraph.network.observations import box_of, in_degrees
+from mgsgraph.units import KM
 
 if TYPE_CHECKING:
     from mgsgraph.files.rasters.terrain_file import TerrainRaster
@@ -39,7 +38,7 @@ _BEYOND = 8000.0
 
 
 def read_terrain_model(
-    entry: TerrainInput, where: Path, images: Sequence[PushbroomImage], tracks: Callable[[Path], AltimeterShots]
+    entry: TerrainInput, where: Path, images: Sequence[PushbroomImage]
 ) -> tuple["TerrainGrid | TerrainRaster", TerrainGrid | None]:
     """What a terrain model has under images, and the areoid there, where it is known.
 
@@ -49,22 +48,16 @@ def read_terrain_model(
     where : Path
         The case file, to whose folder paths are relative.
     images : sequence of PushbroomImage
-        Under whose ground files are read, and tracks triangulated.
-    tracks : callable
-        Reads a file of shots.
+        Under whose ground files are read.
     """
     folder, place = where.parent, f"{where}, terrain"
-    if bool(entry.grids) == bool(entry.profiles):
-        found = "both radius and tracks" if entry.grids else "neither radius nor tracks"
-        raise InputError(place, found, "one of them")
+    if not entry.grids:
+        raise InputError(place, "no radius", "the files of a grid")
     levels = [key for key in ("areoid", "reference_radius_m", "reference_ellipsoid_m") if getattr(entry, key)]
-    others = [key for key in ("topography", "tracks") if entry.areoid and getattr(entry, key)]
-    if len(levels + others) > 1:
-        raise InputError(place, f"both {levels[0]} and {(levels + others)[1]}", "heights above one reference")
-    ground = _ground(images)
-    if entry.profiles:
-        return _of_tracks(entry, folder, ground, tracks), None
-    files = _Files(entry, folder, images[0].body, _about(ground))
+    levels += ["topography"] if entry.areoid and entry.topography else []
+    if len(levels) > 1:
+        raise InputError(place, f"both {levels[0]} and {levels[1]}", "heights above one reference")
+    files = _Files(entry, folder, images[0].body, _about(_ground(images)))
     areoid = None
     if entry.areoid is not None:
         areoid = as_grid(files.read((entry.areoid,), "areoid"), "areoid")
@@ -187,18 +180,6 @@ def require_level(areoid: TerrainGrid, body: Ellipsoid) -> None:
             f"one within {_LEVEL * body.equatorial / KM:.1f} km of it",
             "check which files hold radii (MEGR...), heights above the areoid (MEGT...) and the areoid (MEGA...)",
         )  # fmt: skip
-
-
-def _of_tracks(
-    entry: TerrainInput, folder: Path, ground: Array, tracks: Callable[[Path], AltimeterShots]
-) -> TerrainGrid:
-    from mgsgraph.geometry.track_terrain import track_terrain  # scipy.spatial takes its time to load
-
-    shots = [tracks(folder / name) for name in entry.profiles]
-    return track_terrain(
-        shots, ground, entry.longest_edge_m, entry.post_step_deg * DEG, entry.vertical_sigma_m,
-        entry.planimetric_sigma_m,
-    )  # fmt: skip
 
 
 def _about(ground: Array) -> Array:

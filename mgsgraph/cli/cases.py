@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import SolverSettings
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.case.reading import Case
-    from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
+    from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
     from mgsgraph.results.results import Overrides
 
 
@@ -313,7 +313,7 @@ def coregister(
     from mgsgraph.case.reading import read_case
     from mgsgraph.files.output.folders import require_replaceable
     from mgsgraph.project.connection import FILE
-    from mgsgraph.registration.relief_records import ReliefSettings
+    from mgsgraph.registration.minima import ReliefSettings
     from mgsgraph.results.archive import read_solution
     from mgsgraph.results.results import case_of
 

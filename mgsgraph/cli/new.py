@@ -19,7 +19,7 @@ def help(ctx: click.Context, words: tuple[str, ...]) -> None:
     group = ctx.find_root().command
     assert isinstance(group, click.Group)
     if words[:1] == (_CASE,) and len(words) <= 2:
-        from mgsgraph.case.keys import keys_text
+        from mgsgraph.case.case_file import keys_text
 
         click.echo(keys_text(words[1] if len(words) > 1 else None))
         return

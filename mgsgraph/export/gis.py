@@ -26,9 +26,8 @@ from mgsgraph.files.output.csv_json import columns, picked
 from mgsgraph.files.output.folders import PROGRAM
 from mgsgraph.files.rasters.coordinate_systems import authority_code, geographic_crs, wkt2
 from mgsgraph.files.writing import fresh_file
-from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.body import PROBABILITY, east_north_up, error_ellipses, geodetic
 from mgsgraph.geometry.footprint import Footprint, Shapes, areas, map_lines, map_points, map_polygon, map_polygons
-from mgsgraph.geometry.map_plane import PROBABILITY, error_ellipses
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints

@@ -13,7 +13,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import PROGRAM
-from mgsgraph.geometry.distortion import (
+from mgsgraph.geometry.camera import (
     CorrectedDistortion,
     Distortion,
     KaguyaDistortion,

@@ -1,4 +1,9 @@
-"""The target body: an ellipsoid of revolution in its own frame, planetocentric places, and rays that meet it."""
+"""The target body: an ellipsoid of revolution in its own frame, planetocentric places, and rays that meet it.
+
+A plane on which a block is drawn: azimuthal equidistant about its middle, on the sphere through it.
+
+Error ellipses in a plane: what holds a place with a probability of 95 %.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -248,3 +253,58 @@ def intersect_ellipsoid(
     with np.errstate(invalid="ignore", divide="ignore"):  # a ray that only touches has no derivative
         d_origin = np.eye(3) - directions[:, :, None] * (normal / fall[:, None])[:, None, :]
     return points, d_origin, distance[:, None, None] * d_origin
+
+
+def centre_of(points: Array) -> Array:
+    """Middle (3,) in m of points (n, 3): the mean of their directions, at their mean distance from the origin."""
+    sound = points[np.all(np.isfinite(points), axis=1)]
+    radii = np.linalg.norm(sound, axis=1)
+    mean = np.mean(sound / radii[:, None], axis=0)
+    return np.asarray(mean / np.linalg.norm(mean) * radii.mean())
+
+
+def plane_coordinates(points: Array, centre: Array) -> Array:
+    """East and north (n, 2) in m of points (n, 3) around a centre (3,), azimuthal equidistant on the sphere through it.
+
+    Distances and directions from the centre are true however large the block is (Snyder 1987, p. 191).
+    """
+    radius, up, axes = _axes(centre)
+    flat = points @ axes.T
+    length = np.linalg.norm(flat, axis=1)
+    angle = np.arctan2(length, points @ up)
+    return np.asarray(flat * np.where(length > 0.0, radius * angle / np.where(length > 0.0, length, 1.0), 0.0)[:, None])
+
+
+def places_at(plane: Array, centre: Array) -> Array:
+    """(n, 3) m, body-fixed, on the sphere through a centre (3,), of east and north (n, 2) in m around it: the inverse
+    of `plane_coordinates`.
+    """
+    radius, up, axes = _axes(centre)
+    length = np.linalg.norm(plane, axis=1)
+    angle = length / radius
+    flat = plane * np.where(length > 0.0, np.sin(angle) / np.where(length > 0.0, length, 1.0), 0.0)[:, None]
+    return np.asarray(radius * (np.cos(angle)[:, None] * up + flat @ axes))
+
+
+def _axes(centre: Array) -> tuple[float, Array, Array]:
+    """Distance of a place (3,) from the origin; unit vectors upward (3,), and eastward and northward (2, 3) there."""
+    radius = float(np.linalg.norm(centre))
+    up = centre / radius
+    planar = float(np.hypot(up[0], up[1]))
+    east = np.array([-up[1], up[0], 0.0]) / planar if planar > 0.0 else np.array([0.0, 1.0, 0.0])
+    return radius, up, np.stack([east, np.cross(up, east)])
+
+
+# --- error ellipses
+
+PROBABILITY = 0.95
+_SIGMAS = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
+"""Semi-axes of such an ellipse in sigmas: chi-square of two degrees of freedom is exponentially distributed."""
+
+
+def error_ellipses(covariances: Array) -> tuple[Array, Array]:
+    """Semi-axes (..., 2), the smaller first, and their directions (..., 2, 2), one in each column, of the ellipses that
+    hold places of covariances (..., 2, 2) with that probability; in the unit whose square these are in.
+    """
+    values, axes = np.linalg.eigh(covariances)
+    return _SIGMAS * np.sqrt(np.maximum(values, 0.0)), axes

@@ -1,14 +1,342 @@
-"""Interior orientation of a line camera: from a sample on the detector to the undistorted focal plane."""
+"""Interior orientation of a line camera: from a sample on the detector to the undistorted focal plane.
 
+How the optics of line scanners bend: from the measured place in the focal plane to the ideal one.
+
+The models are those of usgscsm (src/Distortion.cpp, removeDistortion) and of ISIS's distortion maps. Places and
+coefficients are in metres; the files' are in millimetres, and so are the sources' formulas. Where a source defines the
+way from ideal to measured alone, the other way is found by Newton's method. NaN stands where there is no ideal place.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.distortion import Distortion
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.record import Record
+
+Bent = tuple[Array, Array]
+"""Places (n, 2) in m and their Jacobians (n, 2, 2)."""
+Four = tuple[float, float, float, float]
+Ten = tuple[float, float, float, float, float, float, float, float, float, float]
+
+_STEPS = 20
+_AT_REST = 1e-13
+"""m, 1e-8 of a pixel."""
+
+
+class Distortion(Protocol):
+    """How the optics bend: measured (distorted) focal-plane place to the ideal one."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class NoDistortion:
+    """Ideal optics."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2): the same places."""
+        return place, np.broadcast_to(np.eye(2), (place.shape[0], 2, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class LrocNacDistortion:
+    """LROC narrow angle: y = y_d / (1 + k y_d^2) along the detector (ISIS LroNarrowAngleDistortionMap)."""
+
+    k: float
+    """1/m^2."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        y = place[:, 1]
+        denominator = 1.0 + self.k * y * y
+        return _along_y(place, y / denominator, (1.0 - self.k * y * y) / denominator**2)
+
+
+@dataclass(frozen=True, slots=True)
+class ShadowCamDistortion:
+    """KPLO ShadowCam: y = y_d (1 + k y_d^2) along the detector (ISIS ShadowCamDistortionMap)."""
+
+    k: float
+    """1/m^2."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        square = self.k * place[:, 1] ** 2
+        return _along_y(place, place[:, 1] * (1.0 + square), 1.0 + 3.0 * square)
+
+
+@dataclass(frozen=True, slots=True)
+class RadialDistortion:
+    """Radial polynomial (x, y) = (x_d, y_d) (1 - k0 - k1 r^2 - k2 r^4), r the distorted radius (usgscsm RADIAL, ISIS
+    CameraDistortionMap: CTX, HiRISE).
+    """
+
+    k0: float
+    """no unit."""
+    k1: float
+    """1/m^2."""
+    k2: float
+    """1/m^4."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        square = np.einsum("ni,ni->n", place, place)
+        scale = 1.0 - self.k0 - square * (self.k1 + square * self.k2)
+        slope = -2.0 * (self.k1 + 2.0 * square * self.k2)
+        jacobian = scale[:, None, None] * np.eye(2) + slope[:, None, None] * place[:, :, None] * place[:, None, :]
+        return place * scale[:, None], jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class CahvorDistortion:
+    """Radial polynomial about a centre of its own (usgscsm CAHVOR)."""
+
+    radial: RadialDistortion
+    """Of the place relative to the centre."""
+    x: float
+    """m, centre."""
+    y: float
+    """m, centre."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        centre = np.array([self.x, self.y])
+        ideal, jacobian = self.radial.undistort(place - centre)
+        return ideal + centre, jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class KaguyaDistortion:
+    """Kaguya TC: both coordinates have a polynomial of the distorted radius added (usgscsm KAGUYALISM, ISIS
+    KaguyaTcCameraDistortionMap). The radius has no sign in either, while it has one in the instrument kernel
+    (SEL_TC_V01.TI: r = -(n - CENTER) PIXEL_SIZE).
+    """
+
+    x: Four
+    """Coefficients of powers 0 to 3, m to 1/m^2, the boresight's x in the first."""
+    y: Four
+    """The same for y."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        radius, outward = _polar(place)
+        added, slope = _polynomials(self.x, self.y, radius)
+        return place + added, np.eye(2) + slope[:, :, None] * outward[:, None, :]
+
+
+@dataclass(frozen=True, slots=True)
+class KaguyaMiDistortion:
+    """Kaguya MI: both coordinates have a polynomial of y_d, with its sign, added (ISIS KaguyaMiCameraDistortionMap;
+    support data of MI that ALE writes say ``kaguyalism`` all the same).
+    """
+
+    x: Four
+    """Coefficients of powers 0 to 3, m to 1/m^2, the boresight's x in the first; the last zero for the visible."""
+    y: Four
+    """The same for y."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        added, slope = _polynomials(self.x, self.y, place[:, 1])
+        return place + added, np.eye(2) + slope[:, :, None] * np.array([0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class MocWideAngleDistortion:
+    """MOC wide angle: the angle off the axis is an odd polynomial of the distorted one (ISIS
+    MocWideAngleDistortionMap::SetFocalPlane; y is divided by a scale before).
+    """
+
+    coefficients: tuple[float, float, float, float, float, float]
+    """Of the odd powers 1 to 11 of the angle in rad."""
+    scale: float
+    """Of y, no unit."""
+    focal_length: float
+    """m."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        scaled = place / np.array([1.0, self.scale])
+        radius, outward = _polar(scaled)
+        angle = np.arctan2(radius, self.focal_length)
+        odd = np.zeros(12)
+        odd[1::2] = self.coefficients
+        ideal = np.polynomial.polynomial.polyval(angle, odd)
+        by_angle = np.polynomial.polynomial.polyval(angle, np.polynomial.polynomial.polyder(odd))
+        tangent = np.tan(ideal)
+        stretch = np.where(radius > 0.0, self.focal_length * tangent / np.where(radius > 0.0, radius, 1.0), odd[1])
+        slope = (1.0 + tangent**2) * by_angle / (1.0 + (radius / self.focal_length) ** 2)
+        along = (slope - stretch)[:, None, None] * outward[:, :, None] * outward[:, None, :]
+        jacobian = (stretch[:, None, None] * np.eye(2) + along) / np.array([1.0, self.scale])
+        return scaled * stretch[:, None], jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class ThemisIrDistortion:
+    """THEMIS infrared: x = x_d / k, and y with y (1 + a1) + a2 y^2 = y_d (ISIS ThemisIrDistortionMap)."""
+
+    k: float
+    """no unit, of the band."""
+    a1: float
+    """no unit."""
+    a2: float
+    """1/m."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        square = (1.0 + self.a1) ** 2 + 4.0 * self.a2 * place[:, 1]
+        root = np.sqrt(np.where(square > 0.0, square, np.nan))
+        jacobian = np.zeros((place.shape[0], 2, 2))
+        jacobian[:, 0, 0], jacobian[:, 1, 1] = 1.0 / self.k, 1.0 / root
+        return np.stack([place[:, 0] / self.k, 2.0 * place[:, 1] / (1.0 + self.a1 + root)], axis=1), jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class TransverseDistortion:
+    """Polynomials of third degree from ideal to distorted place (usgscsm TRANSVERSE, computeTransverseDistortion)."""
+
+    x: Ten
+    """Coefficients of 1, x, y, x^2, x y, y^2, x^3, x^2 y, x y^2, y^3: m to 1/m^2."""
+    y: Ten
+    """The same for y_d."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        return _inverted(self._distorted, place)
+
+    def _distorted(self, place: Array) -> Bent:
+        x, y = place.T
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        of = np.array([self.x, self.y])
+        powers = np.array([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+        by_x = np.array([zero, one, zero, 2.0 * x, y, zero, 3.0 * x * x, 2.0 * x * y, y * y, zero])
+        by_y = np.array([zero, zero, one, zero, x, 2.0 * y, zero, x * x, 2.0 * x * y, 3.0 * y * y])
+        return (of @ powers).T, np.stack([(of @ by_x).T, (of @ by_y).T], axis=2)
+
+
+@dataclass(frozen=True, slots=True)
+class DawnDistortion:
+    """(x_d, y_d) = (x, y) (1 + k r^2), r the ideal radius (usgscsm DAWNFC)."""
+
+    k: float
+    """1/m^2."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        return _inverted(RadialDistortion(0.0, -self.k, 0.0).undistort, place)  # the same polynomial, the other way
+
+
+@dataclass(frozen=True, slots=True)
+class RadtanDistortion:
+    """Radial and tangential, of OpenCV, from ideal to distorted place in units of the focal length (usgscsm RADTAN,
+    computeRadTanDistortion).
+    """
+
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+    focal_length: float
+    """m."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        ideal, jacobian = _inverted(self._distorted, place / self.focal_length)
+        return ideal * self.focal_length, jacobian
+
+    def _distorted(self, place: Array) -> Bent:
+        square = np.einsum("ni,ni->n", place, place)[:, None]
+        radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+        slope = 2.0 * (self.k1 + square * (2.0 * self.k2 + square * 3.0 * self.k3))
+        decentred = np.array([self.p2, self.p1])
+        across = 2.0 * (place @ decentred)[:, None]
+        jacobian = (radial + across)[:, :, None] * np.eye(2) + slope[:, :, None] * place[:, :, None] * place[:, None, :]
+        jacobian += 2.0 * (decentred[:, None] * place[:, None, :] + place[:, :, None] * decentred)
+        return place * (radial + across) + square * decentred, jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectedDistortion:
+    """A model with what an adjustment adds to it: (x, y) (1 + c1 r^2 + c2 r^4 + c3 r^6) - (xp, yp), x, y and r being
+    the model's ideal place and its radius.
+    """
+
+    nominal: Distortion
+    """The model."""
+    point: tuple[float, float]
+    """m, (xp, yp): principal point."""
+    radial: tuple[float, float, float]
+    """1/m^2, 1/m^4 and 1/m^6: c1, c2, c3."""
+
+    def undistort(self, place: Array) -> Bent:
+        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
+        ideal, jacobian = self.nominal.undistort(place)
+        square, (c1, c2, c3) = np.einsum("ni,ni->n", ideal, ideal), self.radial
+        scale = 1.0 + square * (c1 + square * (c2 + square * c3))
+        slope = 2.0 * (c1 + square * (2.0 * c2 + square * 3.0 * c3))
+        outward = scale[:, None, None] * np.eye(2) + slope[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
+        return ideal * scale[:, None] - np.array(self.point), outward @ jacobian
+
+
+def _along_y(place: Array, y: Array, slope: Array) -> Bent:
+    """Places whose x stays, with their Jacobians: the slope (n,) of y (n,)."""
+    jacobian = np.zeros((place.shape[0], 2, 2))
+    jacobian[:, 0, 0], jacobian[:, 1, 1] = 1.0, slope
+    return np.stack([place[:, 0], y], axis=1), jacobian
+
+
+def _polar(place: Array) -> tuple[Array, Array]:
+    """Radii (n,) of places (n, 2), and unit vectors (n, 2) outward; zero in the centre."""
+    radius = np.hypot(place[:, 0], place[:, 1])
+    return radius, place / np.where(radius > 0.0, radius, 1.0)[:, None]
+
+
+def _polynomials(x: Four, y: Four, of: Array) -> tuple[Array, Array]:
+    """Values (n, 2) of two polynomials of (n,), and their slopes (n, 2)."""
+    both = np.array([x, y]).T
+    values, slopes = (
+        np.asarray(np.polynomial.polynomial.polyval(of, powers).T, dtype=np.float64)
+        for powers in (both, np.polynomial.polynomial.polyder(both))
+    )
+    return values, slopes
+
+
+def _inverted(distort: Callable[[Array], Bent], place: Array) -> Bent:
+    """Ideal places of distorted ones (n, 2) by Newton's method, and their Jacobians; NaN where it does not settle."""
+    ideal = place
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_STEPS):
+            distorted, forward = distort(ideal)
+            step = np.einsum("nij,nj->ni", _inverse(forward), place - distorted)
+            ideal = ideal + step
+            if not np.any(np.abs(step) > _AT_REST):  # NaN has come to rest, too
+                break
+        settled = (np.abs(step) <= _AT_REST).all(axis=1)
+        jacobian = _inverse(distort(ideal)[1])
+    return np.where(settled[:, None], ideal, np.nan), np.where(settled[:, None, None], jacobian, np.nan)
+
+
+def _inverse(matrices: Array) -> Array:
+    """Of matrices (n, 2, 2); NaN where singular."""
+    (a, b), (c, d) = np.moveaxis(matrices, 0, -1)
+    determinant = a * d - b * c
+    adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
+    return np.asarray(adjugate / np.where(determinant == 0.0, np.nan, determinant)[:, None, None])
+
+
+MODELS: tuple[type[Distortion], ...] = (
+    NoDistortion, RadialDistortion, CahvorDistortion, TransverseDistortion, RadtanDistortion, DawnDistortion,
+    LrocNacDistortion, ShadowCamDistortion, KaguyaDistortion, KaguyaMiDistortion, MocWideAngleDistortion,
+    ThemisIrDistortion,
+)  # fmt: skip
+"""All of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

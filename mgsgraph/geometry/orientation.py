@@ -5,10 +5,19 @@ camera axes, so that the camera frame is turned by it: M = Exp([theta]x)' M_nomi
 nominal omega, phi, kappa, of the papers' product M' = R3 R2 R1 (camera to body, opk-paper) or of M = R3 R2 R1 (body to
 camera, opk-peer). B_k(u) = u^k (Yoon & Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a strip's
 orientation images (Hofmann et al. 1982), or both: whatever acts linearly on the pose.
+
+Orientation images: exterior orientation at a few chosen times only, and between them from the four nearest.
+
+Hofmann, Dorrer & Nave 1982; for HRSC Ebner et al. 2004 and Spiegel 2007. Lagrange's polynomials of third order through
+the four neighbours, whose coefficients are the corrections at the nodes themselves,
+
+    P(t) = sum_i P(t_i) prod_{j != i} (t - t_j) / (t_i - t_j).
+
+All lines of a strip share one trajectory, so nodes are times, not lines.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -16,10 +25,147 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.factors.pose import opk_paper, opk_peer
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
+
+Basis = Literal["lagrange"]
+"""How orientation between nodes follows from them."""
+
+SUPPORT = 4
+"""Nodes that a time depends on."""
+_EVEN = 1e-6
+"""Share of a spacing that counts as nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrientationImages(Record):
+    """The nodes of one strip, and the basis between them.
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.orientation import OrientationImages
+    >>> nodes = OrientationImages("lagrange", 0.0, np.arange(0.0, 50.0, 10.0))
+    >>> len(nodes), nodes.coverage, nodes.spacing
+    (5, (0.0, 40.0), 10.0)
+    """
+
+    basis: Basis
+    """Lagrange's third-order polynomials."""
+    epoch: float
+    """s TDB past J2000 from which the nodes' times count."""
+    times: Array
+    """(k,) s past the epoch, increasing: at least four."""
+    span: tuple[float, float] | None = None
+    """s past the epoch, times at which the trend of a prior has s = -1 and 1; None for the first and the last time that
+    they describe. Nodes that are continued keep that of the first ones."""
+
+    def __post_init__(self) -> None:
+        if self.basis not in get_args(Basis):
+            raise InputError("orientation images, basis", repr(self.basis), f"one of {', '.join(get_args(Basis))}")
+        times = frozen(self.times, "orientation images, times", (None,))
+        if times.size < SUPPORT:
+            raise InputError("orientation images", f"{times.size} nodes", f"at least {SUPPORT}", "a smaller spacing")
+        steps = np.diff(times)
+        if not np.isfinite(self.epoch) or steps.min() <= 0.0:
+            raise InputError("orientation images, times", "times that don't increase", "increasing seconds")
+        if self.span is not None and not (np.all(np.isfinite(self.span)) and self.span[0] < self.span[1]):
+            raise InputError("orientation images, span", f"{self.span}", "two times, the first one earlier")
+        assign(self, times=times)
+
+    def __len__(self) -> int:
+        return int(self.times.size)
+
+    @property
+    def coverage(self) -> tuple[float, float]:
+        """First and last time, s past the epoch, that they describe."""
+        return float(self.times[0]), float(self.times[-1])
+
+    @property
+    def trend_span(self) -> tuple[float, float]:
+        """Times, s past the epoch, between which a prior's trend is counted from s = -1 to 1."""
+        return self.coverage if self.span is None else self.span
+
+    @property
+    def spacing(self) -> float:
+        """S between them, on the average."""
+        return float(np.ptp(self.times)) / (len(self) - 1)
+
+    def first_of_four(self, times: Array, epoch: float) -> Index:
+        """(n,) the first of the four nodes, one after the other, that times (n,) in s past `epoch` depend on.
+
+        Before the first and after the last node the nearest four go on.
+        """
+        since = times + (epoch - self.epoch)
+        return np.clip(np.searchsorted(self.times, since, side="right") - 2, 0, self.times.size - SUPPORT)
+
+    def around(self, first: Index, times: Array, epoch: float) -> tuple[Array, Array]:
+        """Basis values (n, 4) of the four nodes from `first` (n,) on at times (n,) in s past `epoch`, and their
+        derivatives per second.
+        """
+        since = times + (epoch - self.epoch)
+        return _lagrange(since, self.times[first[:, None] + np.arange(SUPPORT)])
+
+    def at(self, times: Array, epoch: float) -> tuple[Index, Array, Array]:
+        """The first of its four nodes of each time (n,) in s past `epoch`, and the values and derivatives (n, 4)."""
+        first = self.first_of_four(times, epoch)
+        return first, *self.around(first, times, epoch)
+
+    def dense(self, times: Array, epoch: float) -> tuple[Array, Array]:
+        """Values and derivatives per second (n, k) of all basis functions; for short lists of times."""
+        first, values, rates = self.at(times, epoch)
+        result = np.zeros((2, times.size, self.times.size))
+        for k in range(SUPPORT):
+            result[0, np.arange(times.size), first + k] = values[:, k]
+            result[1, np.arange(times.size), first + k] = rates[:, k]
+        return result[0], result[1]
+
+    def over(self, start: float, stop: float) -> "OrientationImages":
+        """The nodes of the same grid that times from start to stop, s past the epoch, need, four at least: those that
+        are there keep their times and the span of their trend; before and after them the grid goes on at its spacing.
+        """
+        steps, (first, last) = np.diff(self.times), self.coverage
+        missing = (first - start) / steps[0], (stop - last) / steps[-1]
+        before, after = (max(int(np.ceil(count - _EVEN)), 0) for count in missing)
+        times = np.concatenate([
+            self.times[0] - steps[0] * np.arange(before, 0, -1), self.times,
+            self.times[-1] + steps[-1] * np.arange(1, after + 1),
+        ])  # fmt: skip
+        low = max(int(np.searchsorted(times, start + _EVEN * steps[0], "right")) - 1, 0)
+        high = min(int(np.searchsorted(times, stop - _EVEN * steps[-1])), times.size - 1)
+        while high - low < SUPPORT - 1 and high - low < times.size - 1:
+            low, high = (low - 1, high) if low > 0 else (low, high + 1)
+        return replace(self, times=times[low : high + 1], span=self.trend_span)
+
+    def with_nodes_at(self, times: Array) -> "OrientationImages":
+        """The same with other nodes."""
+        return replace(self, times=times)
+
+
+def _lagrange(times: Array, nodes: Array) -> tuple[Array, Array]:
+    """Lagrange's polynomials through nodes (n, 4) at times (n,), and their derivatives."""
+    values, rates = np.ones(nodes.shape), np.zeros(nodes.shape)
+    for i in range(SUPPORT):
+        for j in range(SUPPORT):
+            if j != i:
+                span = nodes[:, i] - nodes[:, j]
+                factor = (times - nodes[:, j]) / span
+                rates[:, i] = rates[:, i] * factor + values[:, i] / span
+                values[:, i] *= factor
+    return values, rates
+
+
+def evenly_spaced(basis: Basis, epoch: float, coverage: tuple[float, float], spacing: float) -> OrientationImages:
+    """Nodes over a strip at even spacings of at most `spacing` s: at least three intervals."""
+    start, stop = coverage
+    if not (np.isfinite(spacing) and spacing > 0.0):
+        raise InputError("orientation images, spacing", f"{spacing} s", "a positive number of seconds")
+    if not start < stop:
+        raise InputError("orientation images", f"a strip from {start} to {stop} s", "a start before the stop")
+    intervals = max(int(np.ceil((stop - start) / spacing - 1e-9)), SUPPORT - 1)
+    step = (stop - start) / intervals
+    return OrientationImages(basis, epoch, np.asarray(start + step * np.arange(intervals + 1, dtype=np.float64)))
+
 
 Angles = Literal["camera", "opk-paper", "opk-peer"]
 """What the rotation part of a coefficient is: about the camera axes, or added to omega, phi, kappa."""

@@ -1,5 +1,6 @@
 """Whether the geometry of an image can be: units that were mistaken, and tables that contradict themselves."""
 
+
 import numpy as np
 
 from mgsgraph.errors import InputError

@@ -2,11 +2,11 @@
 
 from mgsgraph.network.conditioning import Process as Process
 from mgsgraph.network.network import Network as Network
-from mgsgraph.network.node_priors import NodePrior as NodePrior
-from mgsgraph.network.node_priors import PassPrior as PassPrior
-from mgsgraph.network.node_priors import PolynomialPrior as PolynomialPrior
-from mgsgraph.network.node_priors import ProcessPrior as ProcessPrior
+from mgsgraph.network.passes import NodePrior as NodePrior
 from mgsgraph.network.passes import Pass as Pass
+from mgsgraph.network.passes import PassPrior as PassPrior
+from mgsgraph.network.passes import PolynomialPrior as PolynomialPrior
+from mgsgraph.network.passes import ProcessPrior as ProcessPrior
 from mgsgraph.network.records import HELD as HELD
 from mgsgraph.network.records import TERRAIN as TERRAIN
 from mgsgraph.network.records import GroundPoints as GroundPoints

@@ -8,9 +8,6 @@ m = 1 loses nothing.
 
 Values that hardly differ make covariances singular to the precision of numbers. So stationary processes of m > 1 have
 white noise of `NUGGET` times their sigma added, and covariances of neighbours are factorised in extended precision.
-
-Coefficients c of a uniform cubic B-spline aren't values: these are (c_{k-1} + 4 c_k + c_{k+1}) / 6. The inverse of this
-filter, sqrt(3) z^|j| with z = sqrt(3) - 2 (Unser et al. 1993), gives the covariance of the coefficients.
 """
 
 import math
@@ -21,13 +18,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import OrientationImages
+from mgsgraph.geometry.orientation import OrientationImages
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.record import Record
 
 ProcessKind = Literal["white", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter"]
 """The kinds of processes."""
-_LONGEST = 1e9
+_LONGEST_TIME = 1e9
 """s; a process that takes longer to forget itself can't be told from a constant."""
 
 
@@ -77,7 +74,7 @@ class Process(Record):
             raise InputError(f"{where}, sigmas", f"{sigmas.tolist()}", "three positive finite numbers")
         assign(self, sigmas=sigmas)
         timed = self.kind in ("gauss-markov", "matern-3/2", "matern-5/2")
-        _require(where, "correlation time", self.correlation_time, "s", timed, _LONGEST)
+        _require(where, "correlation time", self.correlation_time, "s", timed, _LONGEST_TIME)
         _require(where, "frequency", self.frequency, "Hz", self.kind == "jitter", math.inf)
         _require(where, "bandwidth", self.bandwidth, "Hz", self.kind == "jitter", self.frequency)
 
@@ -144,8 +141,6 @@ _WINDOW = 48
 """Nodes before one that stand for all of them."""
 _SAMPLES = 32
 """Nodes at which the divergence is taken."""
-_POLE, _REACH = math.sqrt(3.0) - 2.0, 32
-"""Of the inverse filter of a spline, and its length."""
 _FINE: Any = np.longdouble
 
 
@@ -190,13 +185,13 @@ def conditionals(processes: Sequence[Process], axis: int, nodes: OrientationImag
     Raises
     ------
     InputError
-        Where no number of neighbours is enough, and for an integrated Wiener process on a spline.
+        Where no number of neighbours is enough.
     """
     kinds = {one.kind for one in processes}
     count = len(nodes)
-    if nodes.basis == "lagrange" and kinds == {"white"}:
+    if kinds == {"white"}:
         return Conditionals(np.zeros((count, 0)), np.sqrt(variances(processes, axis, nodes)), 0.0)
-    if nodes.basis == "lagrange" and len(processes) == 1 and kinds == {"gauss-markov"}:
+    if len(processes) == 1 and kinds == {"gauss-markov"}:
         return _gauss_markov(processes[0], axis, nodes.times)
     memory, divergence = _memory(processes, axis, nodes)
     root, along, own = _windows(processes, axis, nodes, np.arange(count), memory)
@@ -285,14 +280,7 @@ def _covariance(
     processes: Sequence[Process], axis: int, nodes: OrientationImages, one: Array, other: Array
 ) -> Array:
     """Of the coefficients at times (s past the nodes' epoch) along one axis; the times broadcast."""
-    if nodes.basis == "lagrange":
-        return np.asarray(sum(p.sigmas[axis] ** 2 * _of_values(p, nodes.trend_span, one, other) for p in processes))
-    if any(not p.stationary for p in processes):
-        found = "an integrated Wiener process on a spline"
-        raise InputError("process prior", found, "a stationary process", "take the basis lagrange")
-    # on whole numbers of spacings, so that white noise meets itself
-    steps = np.abs(np.rint((one - other) / nodes.spacing)).astype(np.int64)
-    return np.asarray(_of_coefficients(processes, axis, nodes.spacing, int(steps.max()))[steps])
+    return np.asarray(sum(p.sigmas[axis] ** 2 * _of_values(p, nodes.trend_span, one, other) for p in processes))
 
 
 def _of_values(process: Process, span: tuple[float, float], one: Array, other: Array) -> Array:
@@ -304,13 +292,3 @@ def _of_values(process: Process, span: tuple[float, float], one: Array, other: A
         return found
     # a node at the origin needs a variance: of a constant, so that no spacing is too small for it
     return np.asarray(found + _AT_ORIGIN**2 * (0.5 * (span[1] - span[0])) ** 3 / 3.0)
-
-
-def _of_coefficients(processes: Sequence[Process], axis: int, spacing: float, most: int) -> Array:
-    """(most + 1,) covariance of a spline's coefficients that are 0 .. most spacings apart."""
-    numbers, total = np.arange(most + 1), np.zeros(most + 1, dtype=_FINE)
-    for n in range(-_REACH, _REACH + 1):
-        weight = 3.0 * (abs(n) + (1.0 + _POLE**2) / (1.0 - _POLE**2)) * _POLE ** abs(n)
-        apart = (numbers + n).astype(_FINE) * spacing
-        total += weight * sum(p.sigmas[axis] ** 2 * p.covariance(apart, 0.0 * apart, 0.0) for p in processes)
-    return np.asarray(total)

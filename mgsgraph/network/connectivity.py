@@ -12,20 +12,11 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
-from mgsgraph.text import NAMED, listed, many, some
+from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import KM
 
 if TYPE_CHECKING:
     from mgsgraph.geometry.footprint import Footprint
-
-
-def _neighbours(images: int, pairs: Index) -> list[list[tuple[int, int]]]:
-    """For each image the images that a pair joins to it, with the pair's row."""
-    found: list[list[tuple[int, int]]] = [[] for _ in range(images)]
-    for row, (i, j) in enumerate(pairs.tolist()):
-        found[i].append((j, row))
-        found[j].append((i, row))
-    return found
 
 
 def groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
@@ -39,40 +30,6 @@ def groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
     return sorted(map(tuple, map(np.ndarray.tolist, sorted(found, key=lambda one: one[0]))), key=len, reverse=True)
 
 
-def bridges_and_cuts(images: int, pairs: Index, linked: Mask) -> tuple[Mask, Index]:
-    """Pairs (p,) and images whose loss parts an island: the depth-first search of Hopcroft & Tarjan (1973)."""
-    rows = np.flatnonzero(linked)
-    beside = _neighbours(images, pairs[rows])
-    depth, low, children = [-1] * images, [0] * images, [0] * images
-    bridges, cuts = np.zeros(len(pairs), dtype=bool), set[int]()
-    for root in range(images):
-        if depth[root] >= 0:
-            continue
-        depth[root] = 0
-        path = [(root, -1, iter(beside[root]))]
-        while path:
-            image, through, others = path[-1]
-            for other, row in others:
-                if depth[other] < 0:
-                    depth[other] = low[other] = len(path)
-                    children[image] += 1
-                    path.append((other, row, iter(beside[other])))
-                    break
-                if row != through:
-                    low[image] = min(low[image], depth[other])
-            else:
-                path.pop()
-                if path:
-                    parent = path[-1][0]
-                    low[parent] = min(low[parent], low[image])
-                    bridges[rows[through]] = low[image] > depth[parent]
-                    if low[image] >= depth[parent] and parent != root:
-                        cuts.add(parent)
-        if children[root] > 1:
-            cuts.add(root)
-    return bridges, np.array(sorted(cuts), dtype=np.int64)
-
-
 def spine(images: int, pairs: Index, points: Index) -> Index:
     """Rows of the maximum spanning tree of each island by common points, weakest first."""
     from scipy.sparse import coo_array  # slow to import
@@ -82,6 +39,32 @@ def spine(images: int, pairs: Index, points: Index) -> Index:
     rows = rows[points[rows] > 0]
     ranks = coo_array((np.arange(1.0, rows.size + 1.0), tuple(pairs[rows].T)), (images, images))
     return rows[np.sort(minimum_spanning_tree(ranks).data).astype(np.int64)[::-1] - 1]
+
+
+def bridges(images: int, pairs: Index, linked: Mask, tree: Index) -> Mask:
+    """(p,) links whose loss splits an island: rows of its spanning `tree` that no other link goes around.
+
+    Every other link marks both its images with one random number. The exclusive or of all marks in a branch of the tree
+    is that of the links that lead out of it: zero where there are none.
+    """
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import breadth_first_order
+
+    marks = np.where(linked, np.random.default_rng(0).integers(1, 2**63, len(pairs)), 0)
+    marks[tree] = 0
+    branch = np.zeros(images + 1, dtype=np.int64)
+    for side in pairs.T:
+        np.bitwise_xor.at(branch, side, marks)
+    roots = [(one[0], images) for one in groups(images, pairs[tree])]  # of all islands in one tree
+    edges = np.concatenate([pairs[tree], roots])
+    joined = coo_array((np.ones(len(edges)), tuple(edges.T)), (images + 1, images + 1))
+    order, parent = breadth_first_order(joined, images, directed=False)
+    for image in order[:0:-1].tolist():
+        branch[parent[image]] ^= branch[image]
+    found = np.zeros(len(pairs), dtype=bool)
+    one, other = pairs[tree].T
+    found[tree] = branch[np.where(parent[one] == other, one, other)] == 0
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,8 +89,6 @@ class Connectivity:
     """Images that are connected by common points, largest island first."""
     bridges: Mask
     """(p,) True for a pair whose common points alone join two parts of the block."""
-    cut_images: Index
-    """Images without which their island falls apart."""
     spine: Index
     """Rows of `pairs`: for each island the links that hold it together best (maximum spanning tree), weakest first.
     Two parts that one of them joins have no pair with more points in common."""
@@ -193,7 +174,7 @@ def connectivity(network: Network, footprints: Sequence["Footprint"], used: Mask
     distances[areas == 0.0] = gaps(footprints, pairs[areas == 0.0])
     points, seen = common.sum(axis=1), np.zeros(m, dtype=np.int64)
     seen[linked[~apart, 0]] = shared[~apart].sum(axis=1)
-    bridges, cut_images = bridges_and_cuts(m, pairs, points > 0)
+    tree = spine(m, pairs, points)
     return Connectivity(
         footprints=tuple(footprints),
         seen=seen,
@@ -203,9 +184,8 @@ def connectivity(network: Network, footprints: Sequence["Footprint"], used: Mask
         shares=share,
         gaps=distances,
         islands=tuple(groups(m, pairs[points > 0])),
-        bridges=bridges,
-        cut_images=cut_images,
-        spine=spine(m, pairs, points),
+        bridges=bridges(m, pairs, points > 0, tree),
+        spine=tree,
     )
 
 
@@ -278,7 +258,6 @@ def connectivity_json(connected: Connectivity) -> dict[str, Any]:
         "links": int(connected.links.size),
         "weakest_joints": [_pair(connected, row) for row in connected.spine[:WEAKEST].tolist()],
         "bridges": [_pair(connected, row) for row in np.flatnonzero(connected.bridges).tolist()],
-        "cut_images": [names[j] for j in connected.cut_images],
         "unconnected_images": [names[j] for j in connected.unconnected] if len(names) > 1 else [],
         "overlaps_without_common_points": [_pair(connected, row) for row in worth_tying(connected).tolist()],
         "common_points_without_overlap": [_pair(connected, row) for row in connected.apart.tolist()],
@@ -375,14 +354,3 @@ def _named(connected: Connectivity, rows: Index, said: Sequence[str]) -> str:
 def _overlap(connected: Connectivity, row: int) -> str:
     area, share = float(connected.areas[row]) / KM**2, float(connected.shares[row])
     return f" and overlap by {area:.4g} km^2, {100.0 * share:.0f} % of the smaller one" if area > 0.0 else ""
-
-
-def cut_image_statement(connected: Connectivity) -> list[str]:
-    """A sentence about images without which the block falls apart, where there are any."""
-    cuts = connected.cut_images
-    if cuts.size == 0:
-        return []
-    names = [connected.names[j] for j in cuts[:NAMED]]
-    if cuts.size <= NAMED:
-        return [f"the block falls apart without {listed(names) if len(names) < 3 else 'any of ' + ', '.join(names)}"]
-    return [f"the block falls apart without any of {cuts.size} images: {some(names, cuts.size)}"]

@@ -15,20 +15,21 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import number_of
-from mgsgraph.network.control import Crossovers, StereoControl
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
     TERRAIN,
+    Crossovers,
     GroundPoints,
     ImageRays,
     PointClass,
     ProfileShifts,
     Ranges,
     ShiftTerm,
+    StereoControl,
     Surface,
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
-from mgsgraph.record import Record, card
+from mgsgraph.record import Record
 from mgsgraph.text import some
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -396,17 +397,6 @@ class Network(Record):
             members = np.flatnonzero(self.points.classes == point_class)
             if members.size:
                 yield point_class, members
-
-    def _repr_html_(self) -> str:
-        """For notebooks: each image with its points and rays."""
-        counts = np.bincount(self.rays.image, minlength=len(self.images))
-        shots = np.bincount(self.ranges.image, minlength=len(self.images))
-        rows = [("image", "lines", "samples", "rays", "ranges")]
-        rows += [
-            (image.name, str(image.lines), str(image.samples), str(counts[j]), str(shots[j]))
-            for j, image in enumerate(self.images)
-        ]
-        return card(repr(self), (), rows, head=1)
 
     def __repr__(self) -> str:
         classes = ", ".join(f"{members.size} {name.name.lower()}" for name, members in self.of_class())

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.orientation_images import SUPPORT
-from mgsgraph.geometry.records import Index, Mask, chosen_rows, concatenated
+from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
+from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated
 from mgsgraph.names import Names
-from mgsgraph.network.control import joined_control
-from mgsgraph.network.definitions import NamedPass, definitions, united, with_definitions
+from mgsgraph.network.joining import NamedPass, definitions, united, with_definitions
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass
-from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
+from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface, joined_control
 from mgsgraph.record import Record
 
 
@@ -299,14 +297,17 @@ def joined(networks: Sequence[Network]) -> Network:
     number = {name: j for j, name in enumerate(images)}
     image_of = [np.array([number[image.name] for image in net.images], dtype=np.int64) for net in networks]
     place_of, points = _joined_points(networks)
-    rays = _joined_rays(networks, place_of, image_of, points.ids, tuple(images))
-    ranges = Ranges(
-        *_columns(
-            (p[one.point], j[one.image], one.times, one.values, one.sigmas, _marks(one.rejected, one.point.size))
-            for one, p, j in zip((net.ranges for net in networks), place_of, image_of, strict=True)
-        )
-    )
-    _require_single_ranges(ranges, points.ids, tuple(images))
+    rays = ImageRays(*_columns(
+        (p[one.point], j[one.image], one.places, one.sigmas, one.back_projected, one.rejected)
+        for one, p, j in zip((net.rays for net in networks), place_of, image_of, strict=True)
+    ))  # fmt: skip
+    ranges = Ranges(*_columns(
+        (p[one.point], j[one.image], one.times, one.values, one.sigmas, one.rejected)
+        for one, p, j in zip((net.ranges for net in networks), place_of, image_of, strict=True)
+    ))  # fmt: skip
+    _require_once(points.ids, tuple(images), "measured there before", rays.point, rays.image)
+    keys = ranges.point, ranges.image, ranges.times, ranges.values
+    _require_once(points.ids, tuple(images), "the same range twice", *keys)
     areoid = next((net.areoid for net in networks if net.areoid is not None), None)
     found = Network(
         *image_columns(list(images.values())), points, rays, ranges,
@@ -328,7 +329,8 @@ def _joined_considered(networks: Sequence[Network]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _columns(rows: Iterable[tuple[NDArray[Any], ...]]) -> list[NDArray[Any]]:
+def _columns(rows: Iterable[tuple[Any, ...]]) -> list[NDArray[Any]]:
+    """Columns of all networks one after another; a network's marks are there where they were given as None."""
     return [concatenated(column) for column in zip(*rows, strict=True)]
 
 
@@ -356,42 +358,14 @@ def _joined_points(networks: Sequence[Network]) -> tuple[list[Index], GroundPoin
     return place_of, GroundPoints(ids, classes[source], kinds[source], places[source], chosen_rows(covariances, source))
 
 
-def _joined_rays(
-    networks: Sequence[Network],
-    place_of: list[Index],
-    image_of: list[Index],
-    ids: Names,
-    images: tuple[str, ...],
-) -> ImageRays:
-    point, image, places, sigmas, projected, rejected = _columns(
-        (p[one.point], j[one.image], one.places, one.sigmas, *_flags(one))
-        for one, p, j in zip((net.rays for net in networks), place_of, image_of, strict=True)
-    )
-    code = np.sort(point * len(images) + image)
-    for again in code[:-1][code[1:] == code[:-1]][:1].tolist():
-        i, j = divmod(again, len(images))
-        raise InputError(
-            f"point {ids[i]}, image {images[j]}", "measured there before", "one measure per image and point",
-            "take one of the measures out",
-        )  # fmt: skip
-    return ImageRays(point, image, places, sigmas, projected, rejected)
-
-
-def _require_single_ranges(ranges: Ranges, ids: Names, images: tuple[str, ...]) -> None:
-    order = np.lexsort((ranges.values, ranges.times, ranges.image, ranges.point))
-    keys = np.column_stack([ranges.point, ranges.image, ranges.times, ranges.values])[order]
-    for k in np.flatnonzero(np.all(keys[1:] == keys[:-1], axis=1))[:1].tolist():
-        i, j = int(keys[k, 0]), int(keys[k, 1])
-        where = f"point {ids[i]}, image {images[j]}"
-        raise InputError(where, "the same range twice", "one", "take one of them out")
-
-
-def _flags(rays: ImageRays) -> tuple[Mask, Mask]:
-    return _marks(rays.back_projected, rays.point.size), _marks(rays.rejected, rays.point.size)
-
-
-def _marks(marks: Mask | None, size: int) -> Mask:
-    return np.zeros(size, dtype=bool) if marks is None else marks
+def _require_once(ids: Names, images: tuple[str, ...], found: str, point: Index, image: Index, *more: Array) -> None:
+    """Raise InputError where the same row is there twice."""
+    keys = (point, image, *more)
+    order = np.lexsort(keys[::-1])
+    again = np.all([one[order][1:] == one[order][:-1] for one in keys], axis=0)
+    for k in order[:-1][again][:1].tolist():
+        where = f"point {ids[int(point[k])]}, image {images[int(image[k])]}"
+        raise InputError(where, found, "one measure per image and point", "take one of the measures out")
 
 
 def _joined_shifts(networks: Sequence[Network], place_of: list[Index], count: int) -> ProfileShifts | None:

@@ -45,59 +45,66 @@ class SharedKind(StrEnum):
     ('m', 1, True)
     """
 
-    ATTITUDE_TIME = "attitude-time bias"
+    ATTITUDE_TIME = "attitude-time bias", "s", "", "pose rays"
     """s: attitude at time t is the nominal one of t + bias."""
-    POSITION_TIME = "position-time bias"
+    POSITION_TIME = "position-time bias", "s", "", "pose rays ranges"
     """s: position at time t is the nominal one of t + bias; of the ranges, too."""
-    CAMERA_BORESIGHT = "camera boresight"
+    CAMERA_BORESIGHT = "camera boresight", "rad", "x y z", "pose rays"
     """rad: a small rotation of the camera about its own axes x, y, z."""
-    ALTIMETER_BORESIGHT = "altimeter boresight"
+    ALTIMETER_BORESIGHT = "altimeter boresight", "rad", "x y z", "footprints"
     """rad: a small rotation of the laser's beam about the camera's axes; moves a-priori footprints."""
-    RANGE_BIAS = "range bias"
+    RANGE_BIAS = "range bias", "m", "", "ranges"
     """m: what measured ranges are too long."""
-    FOCAL_LENGTH = "focal length"
+    FOCAL_LENGTH = "focal length", "m", "", "interior rays"
     """m: to be added to the nominal one."""
-    PRINCIPAL_POINT = "principal point"
+    PRINCIPAL_POINT = "principal point", "m", "x y", "interior rays"
     """m: where the optical axis meets the focal plane farther along the camera's x and y."""
-    RADIAL_DISTORTION_1 = "radial distortion k1"
+    RADIAL_DISTORTION_1 = "radial distortion k1", "m", "", "interior rays"
     """m: what ideal places at the reference radius lie farther outward, and in proportion to the radius's cube."""
-    RADIAL_DISTORTION_2 = "radial distortion k2"
+    RADIAL_DISTORTION_2 = "radial distortion k2", "m", "", "interior rays"
     """m: the same in proportion to its fifth power."""
-    RADIAL_DISTORTION_3 = "radial distortion k3"
+    RADIAL_DISTORTION_3 = "radial distortion k3", "m", "", "interior rays"
     """m: the same in proportion to its seventh power."""
-    ORBIT_POSITION = "orbit position"
+    ORBIT_POSITION = "orbit position", "m", "radial along across", "pose rays ranges"
     """m: what images are farther out, along their flight and to its left than their orbits say; of the ranges, too."""
-    LINE_RATE = "line rate"
+    LINE_RATE = "line rate", "", "", "pose rays"
     """Ratio: by what share the line period is longer than the nominal one, about the image's middle line."""
-    CAMERA_LEVER_ARM = "camera lever arm"
+    CAMERA_LEVER_ARM = "camera lever arm", "m", "x y z", "pose rays"
     """m: where the camera is farther along its own axes x, y, z than the trajectory says; not of the ranges."""
-    ALTIMETER_LEVER_ARM = "altimeter lever arm"
+    ALTIMETER_LEVER_ARM = "altimeter lever arm", "m", "x y z", "ranges footprints"
     """m: where the laser is farther along the camera's axes x, y, z; moves a-priori footprints as much."""
-    PROFILE_HEIGHT = "profile height"
+    PROFILE_HEIGHT = "profile height", "m", "middle drift", "profile footprints"
     """m: what the shots of a laser profile are too low, in its middle, and how much more at its end (drift)."""
-    PROFILE_DRIFT = "profile drift"
+    PROFILE_DRIFT = "profile drift", "m", "east north", "profile footprints"
     """m: what is to be added east and north to the shots at a laser profile's end, taken off at its beginning."""
 
-    @property
-    def width(self) -> int:
-        """Number of columns: three angles or axes of the flight, height and drift, east and north, or one."""
-        if self.turns or self.is_lever_arm or self is SharedKind.ORBIT_POSITION:
-            return 3
-        return 2 if self.of_profile or self is SharedKind.PRINCIPAL_POINT else 1
+    unit: str
+    """Unit of its values; empty for a ratio."""
+    components: tuple[str, ...]
+    """Names of its columns; one empty name where there is but one."""
+    width: int
+    """Number of columns."""
+    moves_pose: bool
+    """Whether it changes where the camera is or how it stands."""
+    is_interior: bool
+    """Whether it is of the camera's interior orientation (`network.corrections`)."""
+    acts_on_rays: bool
+    """Whether it acts on image rays."""
+    acts_on_ranges: bool
+    """Whether it acts on laser ranges: they begin where the camera is, and know nothing of attitude."""
+    moves_footprints: bool
+    """Whether it moves a-priori positions of laser footprints."""
+    of_profile: bool
+    """Whether it is of a laser profile, and of no images."""
 
-    @property
-    def of_profile(self) -> bool:
-        """Whether it is of a laser profile, and of no images."""
-        return self in (SharedKind.PROFILE_HEIGHT, SharedKind.PROFILE_DRIFT)
-
-    @property
-    def unit(self) -> str:
-        """Unit of its values; empty for a ratio."""
-        if self in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME):
-            return "s"
-        if self is SharedKind.LINE_RATE:
-            return ""
-        return "rad" if self.turns else "m"
+    def __new__(cls, name: str, unit: str = "", components: str = "", effects: str = "") -> "SharedKind":
+        """A kind by its name, unit, components and what it acts on, in words."""
+        one = str.__new__(cls, name)
+        one._value_, one.unit, one.components = name, unit, tuple(components.split()) or ("",)
+        one.width, one.moves_pose, one.is_interior = len(one.components), "pose" in effects, "interior" in effects
+        one.acts_on_rays, one.acts_on_ranges = "rays" in effects, "ranges" in effects
+        one.moves_footprints, one.of_profile = "footprints" in effects, "profile" in effects
+        return one
 
     @property
     def reported(self) -> tuple[float, str]:
@@ -107,29 +114,17 @@ class SharedKind(StrEnum):
     @property
     def turns(self) -> bool:
         """Whether it is a rotation about a camera's axes."""
-        return self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT)
+        return self.unit == "rad"
 
     @property
     def radial_order(self) -> int:
         """1, 2 or 3 for k1, k2, k3 of a radial distortion; else 0."""
-        radial = SharedKind.RADIAL_DISTORTION_1, SharedKind.RADIAL_DISTORTION_2, SharedKind.RADIAL_DISTORTION_3
-        return radial.index(self) + 1 if self in radial else 0
-
-    @property
-    def is_interior(self) -> bool:
-        """Whether it is of the camera's interior orientation (`network.corrections`)."""
-        return self in (SharedKind.FOCAL_LENGTH, SharedKind.PRINCIPAL_POINT) or self.radial_order > 0
+        return int(self[-1]) if self.startswith("radial distortion") else 0
 
     @property
     def is_lever_arm(self) -> bool:
         """Whether it is a place of an instrument along a camera's axes."""
-        return self in (SharedKind.CAMERA_LEVER_ARM, SharedKind.ALTIMETER_LEVER_ARM)
-
-    @property
-    def moves_pose(self) -> bool:
-        """Whether it changes where the camera is or how it stands."""
-        turned = (SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT, SharedKind.LINE_RATE)
-        return self in (*turned, SharedKind.POSITION_TIME, SharedKind.ORBIT_POSITION, SharedKind.CAMERA_LEVER_ARM)
+        return self.endswith("lever arm")
 
     @property
     def moves_instrument(self) -> bool:
@@ -137,36 +132,9 @@ class SharedKind(StrEnum):
         return self.moves_pose or self is SharedKind.ALTIMETER_LEVER_ARM
 
     @property
-    def acts_on_rays(self) -> bool:
-        """Whether it acts on image rays."""
-        return self.moves_pose or self.is_interior
-
-    @property
-    def acts_on_ranges(self) -> bool:
-        """Whether it acts on laser ranges: they begin where the camera is, and know nothing of attitude."""
-        moved = (SharedKind.POSITION_TIME, SharedKind.ORBIT_POSITION, SharedKind.ALTIMETER_LEVER_ARM)
-        return self is SharedKind.RANGE_BIAS or self in moved
-
-    @property
     def of_laser(self) -> bool:
         """Whether it acts on laser rows alone."""
-        return self is SharedKind.RANGE_BIAS or self.moves_footprints
-
-    @property
-    def moves_footprints(self) -> bool:
-        """Whether it moves a-priori positions of laser footprints."""
-        return self in (SharedKind.ALTIMETER_BORESIGHT, SharedKind.ALTIMETER_LEVER_ARM) or self.of_profile
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """Names of its columns; one empty name where there is but one."""
-        if self is SharedKind.PROFILE_DRIFT:
-            return ("east", "north")
-        if self is SharedKind.ORBIT_POSITION:
-            return ("radial", "along", "across")
-        if self is SharedKind.PROFILE_HEIGHT:
-            return ("middle", "drift")
-        return {1: ("",), 2: ("x", "y"), 3: ("x", "y", "z")}[self.width]
+        return not self.acts_on_rays
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
-from mgsgraph.network.definitions import Definitions, definitions, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
 from mgsgraph.planning.coverage import ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork

@@ -22,8 +22,8 @@ from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.definitions import joining
 from mgsgraph.network.footprints import footprints_in_images
+from mgsgraph.network.joining import joining
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.candidates import (
     Candidate,

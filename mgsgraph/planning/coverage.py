@@ -12,8 +12,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.connectivity import network_footprints
-from mgsgraph.network.definitions import Definitions, definitions
 from mgsgraph.network.footprints import visible_places
+from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import KnownImage, known_images
 from mgsgraph.planning.state import NetworkState, correction_of
 

@@ -24,7 +24,7 @@ from mgsgraph.kernel.rows import Rows
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
-from mgsgraph.network.definitions import Definitions, definitions, latest, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, latest, with_definitions
 from mgsgraph.network.parts import (
     KnownImage,
     Unknown,

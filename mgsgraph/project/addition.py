@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ImagesByName
-from mgsgraph.case.assembly import laser_profile, shots_in_images
+from mgsgraph.case.assembly import in_images, laser_profile, shots_in_images, with_sigmas
 from mgsgraph.case.case_file import decode, plain_image, read_image, read_images
-from mgsgraph.case.groups import in_images, with_sigmas
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput, ShotsInput
@@ -23,11 +22,9 @@ from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
-from mgsgraph.network.definitions import Definitions, definitions, joining, united, with_definitions
-from mgsgraph.network.joining import seconds
-from mgsgraph.network.observations import observed
+from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
+from mgsgraph.network.observations import observed, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
-from mgsgraph.network.terrain import over_terrain
 from mgsgraph.project.project import Measure, Project, all_set_aside
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore

@@ -16,7 +16,7 @@ from mgsgraph.adjustment.settings import Device, SolverSettings
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.network import Network
-from mgsgraph.network.definitions import Definitions, definitions
+from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.project.addition import Addition, NewImage, images_alone, images_of_case
 from mgsgraph.project.project import Project

@@ -18,7 +18,7 @@ from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, Network
-from mgsgraph.network.control import StereoControl
+from mgsgraph.network.records import StereoControl
 from mgsgraph.results.archive import pack, unpack
 
 COLUMNS: dict[str, dict[str, tuple[str, tuple[int, ...]]]] = {

@@ -16,7 +16,6 @@ from mgsgraph.analysis.places import View
 from mgsgraph.analysis.posterior import Posterior, posterior_of, stands_alone
 from mgsgraph.case.case_file import decode, read_image, read_images
 from mgsgraph.case.passes import members
-from mgsgraph.case.reading import terrain_shots
 from mgsgraph.case.schema import CaseInput, TerrainInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, errors_from
@@ -27,7 +26,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.network.footprints import Corrections, Registration, footprints_in_images
 from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
@@ -278,7 +277,7 @@ def open_view(
         entries = (TerrainInput(radius=str(Path.cwd() / terrain), reference_radius_m=reference_radius),)
         path = terrain
     for entry in entries:
-        return view, as_grid(read_terrain_model(entry, path, seen.images, terrain_shots(entry))[0]), seen.warning
+        return view, as_grid(read_terrain_model(entry, path, seen.images)[0]), seen.warning
     surface = view.solution.network.surface if terrain is True and view.solution is not None else None
     return view, None if surface is None else surface.grid, seen.warning
 

@@ -10,8 +10,8 @@ from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.project.project import Project
+from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief import profile_names, register_by_relief
-from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 from mgsgraph.results.relief import write_coregistration
 from mgsgraph.workers import Progress, no_progress
 

@@ -16,7 +16,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
 from mgsgraph.network import TERRAIN, ImageRays, Network, ProfileShifts, Ranges, Surface
-from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, with_definitions
+from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, with_definitions
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.project.columns import Cells, StoredGrids, StoredPoints, index_among
 from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings

@@ -9,15 +9,23 @@ the likelihood of a shift against another is -D,
 k being the number of shots that count as one, by the correlation r of successive heights at the best shift. The weight
 of a minimum is exp(-D / 2) times the root of its covariance's determinant: the probability that its neighbourhood is
 the right one when all shifts are alike beforehand. Where more is known beforehand, its chi^2 is added to D.
+
+What a registration by relief says: its choices, and each laser profile and terrain model against the surface
+that the images show, before and after the adjustment with stereo rows.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.stereo_surface import SurfaceHeights
+from mgsgraph.network import PointClass
+from mgsgraph.record import Record
 
 _AS_STATED = 10.0
 """Shots by whose weight stated sigmas are believed beforehand: the papers state ten times too much for MOLA."""
@@ -27,7 +35,6 @@ _ALIKE = 5.0
 """m, up to which two fits are the same."""
 FITTED = 4
 """Level, slope and two shifts, which misfits have lost."""
-_NONE = np.zeros(2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,26 +47,13 @@ class Minimum:
     """chi^2."""
     covariance: Array
     """(2, 2) m^2, of the shift."""
-    change: Array
+    change: Array = field(default_factory=lambda: np.zeros(2))
     """(2,) m east and north, from the middle of the profile to its end, of the shift."""
-    weight: float
-    """Probability."""
+    weight: float = float("nan")
+    """Probability; NaN of a minimum by itself, whose covariance is by the sigmas that are stated."""
 
 
-class Bowl(NamedTuple):
-    """A minimum of the misfit by itself."""
-
-    shift: Array
-    """(2,) m east and north."""
-    misfit: float
-    """chi^2."""
-    covariance: Array
-    """(2, 2) m^2, by the sigmas that are stated."""
-    change: Array = _NONE
-    """(2,) m, of the shift from the middle of the profile to its end."""
-
-
-def local_minima(shifts: Array, misfits: Array) -> list[Bowl]:
+def local_minima(shifts: Array, misfits: Array) -> list[Minimum]:
     """Local minima of a misfit (k, k) over shifts (k,), refined by a paraboloid through neighbours; lowest first."""
     filled = np.where(np.isfinite(misfits), misfits, np.inf)
     inner = filled[1:-1, 1:-1]
@@ -70,7 +64,7 @@ def local_minima(shifts: Array, misfits: Array) -> list[Bowl]:
 
 
 def weighted(
-    bowls: Sequence[Bowl],
+    minima: Sequence[Minimum],
     misfits: Array,
     lowest: Array,
     shots: Index,
@@ -82,7 +76,7 @@ def weighted(
 
     Parameters
     ----------
-    bowls : sequence of n
+    minima : sequence of n
         In any order.
     misfits, lowest : (n,)
         chi^2 of each, and of the one that fits best, over the shots of both.
@@ -99,11 +93,11 @@ def weighted(
     misfits, lowest = misfits + _AS_STATED, lowest + _AS_STATED
     scale = float(np.min(lowest / freedom)) * alike
     logs = -0.5 * (freedom * np.log(misfits / lowest) + variances) / alike - 0.5 * known
-    logs += np.array([0.5 * np.linalg.slogdet(one.covariance)[1] for one in bowls])
+    logs += np.array([0.5 * np.linalg.slogdet(one.covariance)[1] for one in minima])
     weights = np.exp(logs - logs.max())
     every = [
-        Minimum(one.shift, one.misfit, scale * one.covariance, one.change, float(weight / weights.sum()))
-        for one, weight in zip(bowls, weights, strict=True)
+        replace(one, covariance=scale * one.covariance, weight=float(weight / weights.sum()))
+        for one, weight in zip(minima, weights, strict=True)
     ]
     return tuple(sorted(every, key=lambda one: -one.weight))
 
@@ -149,21 +143,231 @@ def shots_alike(left: Array) -> float:
 _NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
-def _refined(shifts: Array, misfits: Array, row: int, column: int) -> Bowl:
+def _refined(shifts: Array, misfits: Array, row: int, column: int) -> Minimum:
     """The paraboloid through a minimum and its eight neighbours."""
     step = shifts[1] - shifts[0]
     i, j = (part.ravel() for part in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"))
     values = misfits[row - 1 : row + 2, column - 1 : column + 2].ravel()
     here, at = misfits[row, column], np.array([shifts[row], shifts[column]])
     if not np.all(np.isfinite(values)):
-        return Bowl(at, float(here), np.eye(2) * step**2)
+        return Minimum(at, float(here), np.eye(2) * step**2)
     terms = np.stack([np.ones(9), i, j, 0.5 * i * i, i * j, 0.5 * j * j], axis=1)
     c, gi, gj, hii, hij, hjj = np.linalg.lstsq(terms, values, rcond=None)[0]
     hessian = np.array([[hii, hij], [hij, hjj]])
     if not (hii > 0.0 and np.linalg.det(hessian) > 1e-6 * hii * hjj):
-        return Bowl(at, float(here), np.eye(2) * step**2)
+        return Minimum(at, float(here), np.eye(2) * step**2)
     move = -np.linalg.solve(hessian, [gi, gj])
     if np.abs(move).max() > 1.0:
-        return Bowl(at, float(here), 2.0 * np.linalg.inv(hessian) * step**2)
+        return Minimum(at, float(here), 2.0 * np.linalg.inv(hessian) * step**2)
     misfit = min(float(here), float(c + 0.5 * np.array([gi, gj]) @ move))
-    return Bowl(at + step * move, misfit, 2.0 * np.linalg.inv(hessian) * step**2)
+    return Minimum(at + step * move, misfit, 2.0 * np.linalg.inv(hessian) * step**2)
+
+
+REACH = 1500.0
+"""m, shifts that are searched, in every direction, at least."""
+_CLEAR = 1e-3
+"""Weight of the second-best minimum up to which the best is the only one."""
+_MOST_POSSIBLE = 5
+"""Minima above that weight up to which relief ties a profile: more are a plain, in which noise fits anywhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CostSurface:
+    """Misfit of a profile (or of several together) over shifts."""
+
+    name: str
+    """Of the profile."""
+    shifts: Array
+    """(k,) m, eastward and northward alike."""
+    misfits: Array
+    """(k, k) chi^2, by shift east (rows) and north (columns); NaN where too few shots are on the surface."""
+    shots: int
+    """On the surface, at most."""
+    minima: tuple[Minimum, ...]
+    """Likeliest first."""
+    span: tuple[float, float] = (0.0, 0.0)
+    """Numbers of the first and the last shot that both images see, before any shift."""
+    reached: bool = True
+    """False where adjustments have not come to the likeliest minimum: then it isn't clear."""
+
+    def best(self, count: int) -> Array:
+        """(count, 2) m east and north, by which each shot of the profile is to be moved to the likeliest minimum."""
+        first, last = self.span
+        along = (2.0 * np.arange(count) - first - last) / max(last - first, 1.0)
+        found = self.minima[0]
+        return np.asarray(found.shift + found.change * np.clip(along, -1.0, 1.0)[:, None])
+
+    @property
+    def scale(self) -> float:
+        """Least misfit per shot: in its units misfits are chi-square."""
+        lowest = float(np.nanmin(self.misfits)) if np.any(np.isfinite(self.misfits)) else 0.0
+        return lowest / max(self.shots - FITTED, 1) or 1.0
+
+    @property
+    def possible(self) -> tuple[Minimum, ...]:
+        """Minima one of which may be the right one."""
+        return tuple(one for one in self.minima if one.weight >= _CLEAR)
+
+    @property
+    def tied(self) -> bool:
+        """Whether relief ties the profile at all: few minima are possible, each narrow beside the shifts searched."""
+        widest = (0.25 * np.ptp(self.shifts) / 2.0) ** 2
+        return 0 < len(self.possible) <= _MOST_POSSIBLE and all(
+            float(np.linalg.eigvalsh(one.covariance)[-1]) < widest for one in self.possible
+        )
+
+    @property
+    def clear(self) -> bool:
+        """Whether it does so at one place only, which adjustments reach."""
+        return self.tied and len(self.possible) == 1 and self.reached
+
+
+MOST_REACH = 20_000.0
+"""m, up to which shifts may be searched: images are a few kilometres wide."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefSettings(Record):
+    """How laser and images are registered by relief.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.ReliefSettings(reach=500.0, terrain="spline")
+    >>> settings.reach, settings.crossovers
+    (500.0, True)
+    """
+
+    footprint: float | None = None
+    """m, diameter on the ground of all shots; that of each profile's altimeter (`Case.footprints`) when None."""
+    reach: float = REACH
+    """m, up to which shifts are searched."""
+    spacing: float | None = None
+    """m between dense matches; a quarter of the smallest footprint when None, but not less than the matching's own."""
+    images: tuple[str, ...] = ()
+    """Names of those to match; all of the case when empty."""
+    terrain: Literal["cells", "spline"] = "cells"
+    """Posts of terrain models lie on the surface that the images show, or tie points stay on the surface of those
+    of the first model, as in an adjustment without relief."""
+    crossovers: bool = True
+    """Where two laser profiles cross, their heights agree."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing)):
+            if value is not None and not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
+        if self.reach > MOST_REACH:
+            found, most = f"shifts up to {self.reach:g} m", f"{MOST_REACH:g} m at most"
+            raise InputError("registration by relief, reach", found, most, "mend the orientation or the profiles first")
+
+
+class ProfileState(NamedTuple):
+    """A laser profile and the surface by one orientation of the images; n shots."""
+
+    points: Array
+    """(n, 3) m, body-fixed, of the footprints."""
+    heights: SurfaceHeights
+    """Of the footprints above the surface."""
+    cost: CostSurface
+    """Misfit over shifts of the profile from here: its minimum is at zero where images and laser agree."""
+
+    @property
+    def misplacement(self) -> Array:
+        """(2,) m east and north, by which the profile has to move onto the surface; NaN where relief doesn't tie it."""
+        return self.cost.minima[0].shift if self.cost.tied else np.full(2, np.nan)
+
+    @property
+    def misplacement_covariance(self) -> Array:
+        """(2, 2) m^2, of the misplacement: that of all possible minima about the likeliest, by their weights; NaN where
+        relief doesn't tie the profile.
+        """
+        if not self.cost.tied:
+            return np.full((2, 2), np.nan)
+        weights = np.array([one.weight for one in self.cost.possible])
+        off = np.array([one.shift for one in self.cost.possible]) - self.misplacement
+        each = np.array([one.covariance for one in self.cost.possible]) + off[:, :, None] * off[:, None]
+        return np.asarray(np.einsum("k,kij->ij", weights / weights.sum(), each))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReliefProfile(Record):
+    """One laser profile, or one terrain model, against the stereo surface.
+
+    Examples
+    --------
+    >>> profile = registration.profiles[0]
+    >>> print(f"{profile.taken.sum()} shots: {profile.rms_before:.0f} m before, {profile.rms_after:.1f} m after")
+    114 shots: 839 m before, 1.0 m after
+    >>> np.sqrt(np.diagonal(profile.covariance)).round(1)
+    array([62.5, 62.6])
+    """
+
+    name: str
+    """Of the profile or the model."""
+    point_class: PointClass
+    """What it consists of: laser shots, or posts."""
+    mine: Index
+    """(n,) its points in the network, in the order of their times."""
+    taken: Mask
+    """(n,) whether they lie on the surface and take part."""
+    sigmas: Array
+    """(n,) m, of the heights above the surface, along its normal; of no meaning for shots that don't take part."""
+    before: ProfileState
+    """By the adjustment without stereo rows: its orientation, the footprints where it shifts the profile."""
+    after: ProfileState
+    """The same by the adjustment with them."""
+    shift: Array
+    """(2,) m east and north, adjusted."""
+    covariance: Array
+    """(2, 2) m^2, of the shift."""
+
+    @property
+    def of_posts(self) -> bool:
+        """Whether it is a terrain model."""
+        return self.point_class is PointClass.POST
+
+    @property
+    def unit(self) -> str:
+        """What one of its points is called."""
+        return "post" if self.of_posts else "shot"
+
+    @property
+    def rms_before(self) -> float:
+        """m, of the heights of the shots above the surface, before."""
+        return _rms(self.before.heights, self.taken)
+
+    @property
+    def rms_after(self) -> float:
+        """m, of the heights of the shots above the surface, after."""
+        return _rms(self.after.heights, self.taken)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReliefRegistration(Record):
+    """Laser and images, registered.
+
+    Examples
+    --------
+    >>> for profile in registration.profiles:
+    ...     print(f"{profile.name}: shifted by {np.hypot(*profile.shift):.0f} m")
+    ap18933l: shifted by 180 m
+    ap19043l: shifted by 62 m
+    >>> registration.solution.shifts.shape
+    (2, 2)
+    """
+
+    name: str
+    """Of the case."""
+    settings: ReliefSettings
+    """Choices."""
+    before: Solution
+    """Adjusted without stereo rows."""
+    solution: Solution
+    """Adjusted with them."""
+    profiles: tuple[ReliefProfile, ...]
+    """Those of the network."""
+
+
+def _rms(found: SurfaceHeights, taken: Mask) -> float:
+    """Of the heights of the shots taken, where the surface is known; NaN without any."""
+    taken = found.covered & taken
+    return float(np.sqrt(np.mean(found.heights[taken] ** 2))) if np.any(taken) else float("nan")

@@ -4,14 +4,14 @@ Ties make images agree with one another, ranges fix heights; nothing of that hol
 does: the images are matched densely with their adjusted orientation, the disparities are averaged over the footprint
 (`geometry.stereo_surface`), each profile is searched over shifts (`search`), and the network is adjusted again with one
 row more per shot: its height above the surface, which moves with the orientation; and one where two profiles cross
-(`geometry.crossovers`). What the profile's shift, the images' orientation and the shots' own places contribute, their
+(`geometry.altimetry`). What the profile's shift, the images' orientation and the shots' own places contribute, their
 covariances decide.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,14 +31,23 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import TERRAIN, Network, PointClass
-from mgsgraph.network.control import Crossovers, StereoControl, crossovers
-from mgsgraph.network.terrain import with_posts
-from mgsgraph.registration.minima import shots_alike
-from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
+from mgsgraph.network.observations import with_posts
+from mgsgraph.network.records import Crossovers, StereoControl, crossovers
+from mgsgraph.registration.minima import (
+    CostSurface,
+    ProfileState,
+    ReliefProfile,
+    ReliefRegistration,
+    ReliefSettings,
+    shots_alike,
+)
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
-from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
+from mgsgraph.registration.search import Expected, StereoPair, search
 from mgsgraph.text import some
 from mgsgraph.workers import Progress, no_progress
+
+if TYPE_CHECKING:
+    pass
 
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
@@ -383,4 +392,3 @@ def _level_sigma(heights: Array, directions: int) -> float:
     along = np.linspace(-1.0, 1.0, heights.size)
     left = heights - np.polyval(np.polyfit(along, heights, 1), along)
     return float(np.sqrt(np.mean(left**2) * shots_alike(left) ** directions))
-

@@ -18,9 +18,9 @@ from mgsgraph.geometry.stereo_surface import LEAST_SHARE, StereoSurface, average
 from mgsgraph.matching.scene import Scene
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import points_in_images
-from mgsgraph.network.terrain import Posts, TerrainModel, posts_of
-from mgsgraph.registration.dem.scene import adjusted_scene, densely_matched, expected_ground
-from mgsgraph.registration.relief_records import ReliefSettings
+from mgsgraph.network.observations import Posts, TerrainModel, posts_of
+from mgsgraph.registration.dem.ortho import adjusted_scene, densely_matched, expected_ground
+from mgsgraph.registration.minima import ReliefSettings
 from mgsgraph.registration.search import StereoPair
 from mgsgraph.workers import Progress
 

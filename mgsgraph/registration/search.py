@@ -13,24 +13,145 @@ kilometre or two, the camera is 100 km and more away.
 Angles that change along the track bend a profile: from its minima on the grid a profile is fitted with a shift that
 changes linearly along it, by tens of metres. Minima are then compared two by two, over the shots that both have on the
 surface. Their probabilities (`minima`) say whether relief ties the profile: few of them hold all of it.
+
+Loops of the search over shifts: misfits of a profile after thousands of them, and fits of a line to its heights.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import StereoSurface
-from mgsgraph.registration.minima import FITTED, Bowl, Minimum, local_minima, merged, shots_alike, weighted
-from mgsgraph.registration.shift_trials import left_of_lines, misfits_of_shifts, robust_weights
+from mgsgraph.registration.minima import (
+    REACH,
+    CostSurface,
+    Minimum,
+    local_minima,
+    merged,
+    shots_alike,
+    weighted,
+)
 
-REACH = 1500.0
-"""m, shifts that are searched, in every direction, at least."""
+_HUBER = 2.0
+"""Sigmas from which on a shot counts linearly."""
+_ROUNDS = 3
+"""Of reweighting."""
+
+
+@cached_kernel
+def misfits_of_shifts(
+    shifts: Array, places: Array, others: Array, place_by_shift: Array, other_by_shift: Array, epipolar: Array,
+    pixels_per_metre: Array, variances: Array, along: Array, first: Array, step: Array, finer: int, fine: Array,
+    covered: Mask, noise: Array,
+) -> tuple[Array, Index]:  # fmt: skip
+    """Sums of the losses (s,) of heights about a line along the track, and (s,) how many shots are on the surface.
+
+    Parameters
+    ----------
+    shifts : (s, 2)
+        m east and north.
+    places, others, place_by_shift, other_by_shift, epipolar, pixels_per_metre, along
+        Of n shots, as in `search`.
+    variances : (n,)
+        m^2, of the heights of shots.
+    first, step : (2,)
+        First node of the surface, and pixels between nodes.
+    finer : int
+        Nodes of `fine` (2, ., .), the surface's disparities, that make one of the surface's.
+    covered, noise : (r, c)
+        Of the surface's nodes: whether it is known there, and its variance in pixels^2.
+    """
+    count, n = len(shifts), len(places)
+    result, shots = np.empty(count), np.empty(count, dtype=np.int64)
+    heights, weights, left = np.empty(n), np.empty(n), np.empty(n)
+    rows, columns = covered.shape
+    for k in range(count):
+        east, north = shifts[k, 0], shifts[k, 1]
+        shots[k] = 0
+        for i in range(n):
+            heights[i] = weights[i] = 0.0
+            line = places[i, 0] + place_by_shift[i, 0, 0] * east + place_by_shift[i, 0, 1] * north
+            sample = places[i, 1] + place_by_shift[i, 1, 0] * east + place_by_shift[i, 1, 1] * north
+            row, column = (line - first[0]) / step[0], (sample - first[1]) / step[1]
+            if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= columns - 1.0):
+                continue
+            r, c = min(int(row), rows - 2), min(int(column), columns - 2)
+            if not (covered[r, c] and covered[r + 1, c] and covered[r, c + 1] and covered[r + 1, c + 1]):
+                continue
+            parallax = 0.0
+            for j in range(2):
+                other = others[i, j] + other_by_shift[i, j, 0] * east + other_by_shift[i, j, 1] * north
+                parallax += epipolar[i, j] * (other - _between(fine[j], row * finer, column * finer))
+            scale = pixels_per_metre[i]
+            heights[i] = parallax / scale
+            weights[i] = 1.0 / (variances[i] + noise[int(row + 0.5), int(column + 0.5)] / scale**2)
+            shots[k] += 1
+        result[k] = _left_of_line(heights, weights, along, left)
+    return result, shots
+
+
+@cached_kernel
+def left_of_lines(heights: Array, weights: Array, along: Array) -> tuple[Array, Array]:
+    """Of heights (s, n) in m with weights (s, n) in 1/m^2 about a line along the track: (s,) sums of the losses, and
+    (s, n) what is left of each, in sigmas.
+    """
+    losses, left = np.empty(len(heights)), np.empty(heights.shape)
+    for k in range(len(heights)):
+        losses[k] = _left_of_line(heights[k], weights[k], along, left[k])
+    return losses, left
+
+
+@compiled
+def _between(values: Array, row: float, column: float) -> float:
+    """Linear between four nodes."""
+    r, c = min(int(row), values.shape[0] - 2), min(int(column), values.shape[1] - 2)
+    v, u = row - r, column - c
+    upper = (1.0 - u) * values[r, c] + u * values[r, c + 1]
+    lower = (1.0 - u) * values[r + 1, c] + u * values[r + 1, c + 1]
+    return float((1.0 - v) * upper + v * lower)
+
+
+@compiled
+def _left_of_line(heights: Array, weights: Array, along: Array, left: Array) -> float:
+    """Sum of Huber's losses about the robust line; fills what is `left` (n,), in sigmas."""
+    for k in range(heights.size):
+        left[k] = 0.0
+    for _ in range(_ROUNDS):
+        n0 = n1 = n2 = right0 = right1 = 0.0
+        for k in range(heights.size):
+            ratio = abs(left[k])
+            weight = weights[k] if ratio <= _HUBER else weights[k] * _HUBER / ratio
+            n0 += weight
+            n1 += weight * along[k]
+            n2 += weight * along[k] ** 2
+            right0 += weight * heights[k]
+            right1 += weight * along[k] * heights[k]
+        n0, n2 = n0 + 1e-12, n2 + 1e-12
+        determinant = n0 * n2 - n1 * n1
+        level = (n2 * right0 - n1 * right1) / determinant
+        slope = (n0 * right1 - n1 * right0) / determinant
+        for k in range(heights.size):
+            left[k] = (heights[k] - level - slope * along[k]) * math.sqrt(weights[k])
+    loss = 0.0
+    for k in range(heights.size):
+        ratio = abs(left[k])
+        loss += 2.0 * _HUBER * ratio - _HUBER**2 if ratio > _HUBER else ratio**2
+    return loss
+
+
+def robust_weights(left: Array) -> Array:
+    """Factors (...) of the weights of what is left of heights (...), in sigmas, by Huber's loss."""
+    return np.asarray(_HUBER / np.maximum(np.abs(left), _HUBER))
+
+
 _MOST_SHOTS = 300
 """Of a profile, evenly taken, that are enough to find a minimum; more where there are few shifts."""
 _MOST_TRIALS = 1_500_000
@@ -41,16 +162,12 @@ _LEAST_SHARE = 0.8
 """Of the most shots that any shift has on the surface, below which a shift is none: half of them fit by chance."""
 _NEARLY_ALL = 0.9
 """Of the most shots: shifts by whose best a shot beside the surface counts."""
-_CLEAR = 1e-3
-"""Weight of the second-best minimum up to which the best is the only one."""
 _MOST_COMPARED = 40
 """Minima, the lowest, that are compared with one another."""
 _LEAST_COMPARED = 4
 """Of them, however badly the others fit."""
 _WORST_COMPARED = 10.0
 """Times the lowest misfit on the grid up to which a minimum may be the lowest after the fit."""
-_MOST_POSSIBLE = 5
-"""Minima above that weight up to which relief ties a profile: more are a plain, in which noise fits anywhere."""
 _CHANGE = 50.0
 """m, sigma of the change of a shift from the middle of a profile to its end."""
 _RIGID = 1e-3
@@ -74,57 +191,6 @@ class StereoPair(NamedTuple):
     """First and second."""
     corrections: tuple[OrientationCorrection, OrientationCorrection]
     """Of their nominal orientations."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CostSurface:
-    """Misfit of a profile (or of several together) over shifts."""
-
-    name: str
-    """Of the profile."""
-    shifts: Array
-    """(k,) m, eastward and northward alike."""
-    misfits: Array
-    """(k, k) chi^2, by shift east (rows) and north (columns); NaN where too few shots are on the surface."""
-    shots: int
-    """On the surface, at most."""
-    minima: tuple[Minimum, ...]
-    """Likeliest first."""
-    span: tuple[float, float] = (0.0, 0.0)
-    """Numbers of the first and the last shot that both images see, before any shift."""
-    reached: bool = True
-    """False where adjustments have not come to the likeliest minimum: then it isn't clear."""
-
-    def best(self, count: int) -> Array:
-        """(count, 2) m east and north, by which each shot of the profile is to be moved to the likeliest minimum."""
-        first, last = self.span
-        along = (2.0 * np.arange(count) - first - last) / max(last - first, 1.0)
-        found = self.minima[0]
-        return np.asarray(found.shift + found.change * np.clip(along, -1.0, 1.0)[:, None])
-
-    @property
-    def scale(self) -> float:
-        """Least misfit per shot: in its units misfits are chi-square."""
-        lowest = float(np.nanmin(self.misfits)) if np.any(np.isfinite(self.misfits)) else 0.0
-        return lowest / max(self.shots - FITTED, 1) or 1.0
-
-    @property
-    def possible(self) -> tuple[Minimum, ...]:
-        """Minima one of which may be the right one."""
-        return tuple(one for one in self.minima if one.weight >= _CLEAR)
-
-    @property
-    def tied(self) -> bool:
-        """Whether relief ties the profile at all: few minima are possible, each narrow beside the shifts searched."""
-        widest = (0.25 * np.ptp(self.shifts) / 2.0) ** 2
-        return 0 < len(self.possible) <= _MOST_POSSIBLE and all(
-            float(np.linalg.eigvalsh(one.covariance)[-1]) < widest for one in self.possible
-        )
-
-    @property
-    def clear(self) -> bool:
-        """Whether it does so at one place only, which adjustments reach."""
-        return self.tied and len(self.possible) == 1 and self.reached
 
 
 class Expected(NamedTuple):
@@ -296,16 +362,17 @@ def _seen(moved: _Moved, shifts: Array) -> tuple[Array, Array]:
 
 
 def _compared(
-    surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step: float, reach: float, expected: Expected | None
+    surface: StereoSurface, moved: _Moved, begin: Sequence[Minimum], step: float, reach: float,
+    expected: Expected | None,
 ) -> tuple[Minimum, ...]:
     """Minima with their weights, the likeliest first; each is compared with the lowest over the shots of both.
 
     Fits that leave the shifts searched, up to `reach` m, are none.
     """
-    if not bowls:
+    if not begin:
         return ()
     change = _CHANGE if expected is None else _RIGID
-    fitted = _bent(surface, moved, np.array([one.shift for one in bowls]), step, change)
+    fitted = _bent(surface, moved, np.array([one.shift for one in begin]), step, change)
     heights, weights, _ = _exact(surface, moved, fitted.along(moved))
     misfits, left = left_of_lines(heights, weights, moved.along)
     counts = np.count_nonzero(weights, axis=1)
@@ -335,7 +402,7 @@ def _compared(
     variances = np.sum(np.where(both, logs[first] - logs, 0.0), axis=1)
     known = np.zeros(len(both)) if expected is None else expected.misfits(fitted.shifts)
     found = [
-        Bowl(shift, float(misfit), covariance, change)
+        Minimum(shift, float(misfit), covariance, change)
         for shift, misfit, covariance, change in zip(
             fitted.shifts, misfits, fitted.covariances, fitted.changes, strict=True
         )

@@ -25,11 +25,9 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import json_object, opened, understood
-from mgsgraph.geometry.distortion import MODELS, Distortion
-from mgsgraph.geometry.image import ExteriorOrientation
-from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
+from mgsgraph.geometry.camera import MODELS, Distortion
+from mgsgraph.geometry.image import ExteriorOrientation, PolynomialTrajectory
 from mgsgraph.geometry.records import Array, assign
-from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory
 from mgsgraph.network import NodePrior, PolynomialPrior, ProcessPrior
 
@@ -46,7 +44,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
 }
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
-_KIND_NAMES |= {one.__name__ for one in (NodePrior, PolynomialPrior, ProcessPrior, PackedSurface)}
+_KIND_NAMES |= {one.__name__ for one in (NodePrior, PolynomialPrior, ProcessPrior)}
 _AGAIN = "write it anew with the program that made it"
 _HEADER = re.compile(
     rb"\x93NUMPY\x01\x00(..)\{'descr': '([<|][biufU]\d{1,9})', 'fortran_order': (True|False), "
@@ -154,8 +152,6 @@ def to_arrays(value: Any, where: str, arrays: Arrays) -> Any:
     if isinstance(value, np.ndarray):
         arrays[where] = value
         return {"array": where}
-    if isinstance(value, StereoSurface):
-        value = packed(value)
     if is_dataclass(value):
         parts = {field.name: to_arrays(getattr(value, field.name), _at(where, field.name), arrays)
                  for field in fields(value)}
@@ -213,8 +209,6 @@ def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
         return {key: from_arrays(item, options[1], _at(where, key), arrays) for key, item in value.items()}
     if kind in _KINDS:
         return _record(value, _KINDS[kind][value["kind"]], where, arrays)
-    if kind is StereoSurface and value.get("kind") == PackedSurface.__name__:
-        return _record(value, PackedSurface, where, arrays).surface
     return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
 
 

@@ -13,7 +13,7 @@ from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
-from mgsgraph.network.terrain import Coverage, coverage
+from mgsgraph.network.observations import Coverage, coverage
 from mgsgraph.results.section import Section
 from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
 from mgsgraph.units import MRAD

@@ -27,14 +27,13 @@ from mgsgraph.network.connectivity import (
     Connectivity,
     connectivity,
     connectivity_warnings,
-    cut_image_statement,
     link_statement,
     network_footprints,
 )
+from mgsgraph.network.corrections import support
 from mgsgraph.network.footprints import crossings, footprints_in_images
 from mgsgraph.network.joining import mounting_angles
-from mgsgraph.network.support import support
-from mgsgraph.network.terrain import coverage
+from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
@@ -285,7 +284,7 @@ def _points(network: Network, prediction: Prediction) -> Section:
 def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
     points, shots, lost = network.points, network.ranges.point, network.undetermined
-    found = [*cut_image_statement(connected), *connectivity_warnings(connected)]
+    found = connectivity_warnings(connected)
     found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
     found += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
     for mine, what in (

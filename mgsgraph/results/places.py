@@ -16,7 +16,7 @@ from mgsgraph.files.writing import begins
 from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric, require_near
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.time_scales import utc_of_tdb, utc_texts
+from mgsgraph.geometry.trajectory import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network.footprints import Crossing, Registration
 from mgsgraph.results.section import Section

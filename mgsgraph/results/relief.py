@@ -15,7 +15,7 @@ from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
+from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
 from mgsgraph.results.section import Section, drawn, write_sections_into
 from mgsgraph.text import many, root_mean_square, some

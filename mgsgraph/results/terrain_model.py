@@ -19,11 +19,15 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.registration.dem.checking import check_figures, check_profiles
-from mgsgraph.registration.dem.gridding import HeightGrid
-from mgsgraph.registration.dem.map import MapGrid
+from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid
 from mgsgraph.registration.dem.model import Dem, DemSettings, dem_of, ortho_grid, require_reference
-from mgsgraph.registration.dem.ortho import ortho_tiles
-from mgsgraph.registration.dem.scene import adjusted_names, adjusted_scene, densely_matched, expected_ground
+from mgsgraph.registration.dem.ortho import (
+    adjusted_names,
+    adjusted_scene,
+    densely_matched,
+    expected_ground,
+    ortho_tiles,
+)
 from mgsgraph.results.section import Section
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM

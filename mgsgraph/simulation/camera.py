@@ -18,8 +18,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import NoDistortion
+from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Trajectory

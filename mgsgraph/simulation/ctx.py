@@ -19,8 +19,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.geometry.orientation import Basis, OrientationCorrection, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.simulation.camera import interior_orientation

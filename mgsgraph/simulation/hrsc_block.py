@@ -15,8 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import Basis, OrientationCorrection, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
 from mgsgraph.record import Record

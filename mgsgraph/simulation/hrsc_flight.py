@@ -13,12 +13,11 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior
-from mgsgraph.network.node_priors import normalised
+from mgsgraph.network.passes import normalised
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO, hrsc_interior, line_image, one_rate
 from mgsgraph.simulation.ground import SiteTerrain

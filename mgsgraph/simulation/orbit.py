@@ -442,7 +442,7 @@ def nominal_trajectory(flown: SitePass, duration: float, errors: KernelErrors, r
 
 def _without_trend(noise: Array, u: Array) -> Array:
     """Noise (n, 3) of records at u (n,) less the polynomial that the papers' fit to samples of the image takes of it
-    (`geometry.polynomial_trajectory`): trends of the attitude are drawn with the other errors, once.
+    (`geometry.image`): trends of the attitude are drawn with the other errors, once.
     """
     samples = np.linspace(-1.0, 1.0, _SAMPLES)
     between = np.stack([np.interp(samples, u, column) for column in noise.T], axis=1)

@@ -19,16 +19,21 @@ import numpy as np
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, intersect_ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import LrocNacDistortion
+from mgsgraph.geometry.camera import InteriorOrientation, LrocNacDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior, polynomial
-from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import (
+    SUPPORT,
+    OrientationCorrection,
+    OrientationImages,
+    OrientationPrior,
+    evenly_spaced,
+    polynomial,
+)
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, Pass, PointClass, ProfileShifts, Ranges
 from mgsgraph.network.joining import mountings, seconds
-from mgsgraph.network.node_priors import PolynomialPrior
+from mgsgraph.network.passes import PolynomialPrior
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, interior_orientation, line_image, one_rate
 from mgsgraph.simulation.hrsc_flight import strip_correction

@@ -13,8 +13,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import TiePoints
-from mgsgraph.geometry.altimeters import MOLA
-from mgsgraph.geometry.altimetry import SPOT_WIDTHS
+from mgsgraph.geometry.altimetry import MOLA, SPOT_WIDTHS
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection

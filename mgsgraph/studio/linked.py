@@ -22,9 +22,8 @@ from scipy.spatial import KDTree
 
 from mgsgraph.analysis.places import terrain_slopes
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.body import east_north_up, error_ellipses, geodetic, planetocentric
 from mgsgraph.geometry.intersection import meet_terrain
-from mgsgraph.geometry.map_plane import error_ellipses
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid

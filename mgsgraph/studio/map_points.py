@@ -14,8 +14,7 @@ from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.statistics import counts, medians, span
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.csv_json import digits, plain
-from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
-from mgsgraph.geometry.map_plane import places_at
+from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.studio.marks import projected

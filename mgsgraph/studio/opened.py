@@ -21,8 +21,8 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
@@ -294,7 +294,7 @@ class Opened:
 
     def map_places(self, points: Array) -> Array:
         """(n, 2) m on the map, of points (n, 3) in m, body-fixed; NaN where there is none."""
-        return east_north(points, self.centre)
+        return plane_coordinates(points, self.centre)
 
     def footprints(self) -> list[Array]:
         """Of each image its outline (k, 2) in m on the map."""

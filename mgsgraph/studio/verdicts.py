@@ -18,8 +18,8 @@ import msgspec
 import numpy as np
 
 from mgsgraph.atomic_write import resolved
+from mgsgraph.case.assembly import in_images
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.groups import in_images
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
 from mgsgraph.export.exchange import ExchangeSetting, earlier_network, with_head

@@ -24,8 +24,8 @@ from mgsgraph.geometry.altimetry import footprint_covariances
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import GroundPoints, Network, PointClass, ProfileShifts, SharedUnknown
-from mgsgraph.network.control import Crossovers, crossovers
 from mgsgraph.network.parts import part
+from mgsgraph.network.records import Crossovers, crossovers
 from mgsgraph.results.archive import read_solution, write_archive
 
 AZIMUTHS = (5.0, -25.0, 40.0, 80.0)

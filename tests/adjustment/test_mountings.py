@@ -12,7 +12,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import Detector
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, NodePrior, Pass, SharedKind, SharedUnknown
 from mgsgraph.network.corrections import correction_parts, designs

@@ -12,7 +12,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile, orientation_profiles
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network, NodePrior, Pass
 
 PLACES = 7

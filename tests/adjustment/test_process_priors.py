@@ -12,11 +12,10 @@ from networks import network, pair
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
 from mgsgraph.network import Network, Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.conditioning import ProcessKind, dense_covariance
-from mgsgraph.network.node_priors import normalised
+from mgsgraph.network.passes import normalised
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 
 TIGHT = SolverSettings(cost_tolerance=1e-14, step_tolerance=1e-9)

@@ -18,7 +18,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
+from mgsgraph.geometry.image import PolynomialTrajectory, fit_polynomials
 from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.network.corrections import Adjusted, adjusted_interior, reference_radius
 from mgsgraph.network.parts import bundles, joined

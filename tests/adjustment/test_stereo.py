@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,11 +18,10 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.stereo_surface import heights_above, packed
+from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
 from mgsgraph.planning.plan import Targets, TargetSigmas
 from mgsgraph.planning.state import CurrentState, state_of_solution
-from mgsgraph.results import archive as archive_arrays
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair
@@ -247,12 +245,7 @@ def test_a_profile_of_unknown_height_and_drift_is_raised_to_the_surface() -> Non
     assert abs(abs(drift) - 5.0) < 4.0 * sigmas[1] < 80.0
 
 
-@pytest.mark.parametrize("form", [packed, lambda surface: surface])
-def test_a_solution_with_stereo_rows_is_archived_whole(
-    form: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As it is written now, and as earlier versions wrote it: whole, and as large as ten times that."""
-    monkeypatch.setattr(archive_arrays, "packed", form)
+def test_a_solution_with_stereo_rows_is_archived_whole(tmp_path: Path) -> None:
     found = adjust_network(stereo_network(pair()), SolverSettings())
     write_archive(found, tmp_path / "solution.npz")
     read = read_solution(tmp_path / "solution.npz")
@@ -260,8 +253,6 @@ def test_a_solution_with_stereo_rows_is_archived_whole(
     whole = surface(pair())
     for name in ("first", "step", "places", "covered", "sigmas", "roughness"):
         np.testing.assert_array_equal(getattr(read.network.stereo.surfaces[0], name), getattr(whole, name))
-    each = (tmp_path / "solution.npz").stat().st_size / whole.covered.size  # bytes per node
-    assert (each < 6.0) is (form is packed)
     posterior = Posterior.of(read)
     shot = found.network.points.ids[-1]
     scale = np.abs(found.covariances[-1]).max()

@@ -20,8 +20,7 @@ from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.weak import spectrum, weak_directions
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
-from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior, evenly_spaced
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
@@ -33,21 +32,19 @@ PRIOR = NodePrior(
 )
 
 
-def stripped(net: Network, basis: Basis = "lagrange", nodes: int = 6, prior: NodePrior = PRIOR) -> Network:
+def stripped(net: Network, nodes: int = 6, prior: NodePrior = PRIOR) -> Network:
     """Each image a strip of its own."""
     strips = []
     for j, image in enumerate(net.images):
         epoch, (start, stop) = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
-        strips.append(
-            Pass(image.name, np.array([j]), evenly_spaced(basis, epoch, (start, stop), (stop - start) / nodes), prior)
-        )
+        mine = evenly_spaced("lagrange", epoch, (start, stop), (stop - start) / nodes)
+        strips.append(Pass(image.name, np.array([j]), mine, prior))
     return replace(net, passes=tuple(strips))
 
 
-@pytest.mark.parametrize("basis", ["lagrange", "spline"])
 @pytest.mark.parametrize("line", ["predicted", "measured"])
-def test_forms_agree(basis: Basis, line: str) -> None:
-    net = stripped(network(pair(ties=60, shots=12)), basis)
+def test_forms_agree(line: str) -> None:
+    net = stripped(network(pair(ties=60, shots=12)))
     settings = SolverSettings(line=line, **TIGHT)  # type: ignore[arg-type]
     bundle = adjust_network(net, settings)
     explicit = by_gtsam(bundle)
@@ -134,10 +131,9 @@ def test_a_free_strip_names_its_datum() -> None:
         adjust_network(net, SolverSettings())
 
 
-@pytest.mark.parametrize("basis", ["lagrange", "spline"])
-def test_poses_and_projections_follow_from_the_whole_covariance(basis: Basis) -> None:
+def test_poses_and_projections_follow_from_the_whole_covariance() -> None:
     """Against J S J' with derivatives of the corrected pose by differences and the dense covariance of all unknowns."""
-    net = stripped(network(pair(ties=60, shots=12)), basis)
+    net = stripped(network(pair(ties=60, shots=12)))
     solution = adjust_network(net, SolverSettings(**TIGHT))
     posterior, image, line = Posterior.of(solution), net.images[1], np.array([0.37 * net.images[1].lines])
     first, nodes = int(net.first_of_passes[1]), solution.nodes[1]

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Pass, PolynomialPrior
 
 POSITION = np.array([[30.0, 40.0, 50.0], [5.0, 6.0, 7.0]])

@@ -13,10 +13,10 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.analysis.separability import inseparable
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network, NodePrior, Pass, Process, ProcessPrior
 from mgsgraph.network.conditioning import dense_covariance
-from mgsgraph.network.node_priors import normalised
+from mgsgraph.network.passes import normalised
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 
 ERRORS = TrajectoryErrors(correlation_time=30.0, position_wander=10.0)

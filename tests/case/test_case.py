@@ -11,7 +11,7 @@ import pytest
 from msgspec import structs
 
 import mgsgraph
-from mgsgraph.case.groups import merged
+from mgsgraph.case.assembly import merged
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.networks.network_file import read_network

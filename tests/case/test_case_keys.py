@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 import mgsgraph
-from mgsgraph.case.keys import HEAD, key_tables, keys_text
+from mgsgraph.case.case_file import HEAD, key_tables, keys_text
 from mgsgraph.case.schema import CaseInput, ImageInput
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError

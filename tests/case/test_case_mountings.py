@@ -8,7 +8,7 @@ from rig_files import PASS, write_rig
 from rigs import TURN, rig
 
 import mgsgraph
-from mgsgraph.case.mountings import MountingInput, mounted_images, mounting_unknowns
+from mgsgraph.case.passes import MountingInput, mounted_images, mounting_unknowns
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array

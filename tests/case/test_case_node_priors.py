@@ -17,8 +17,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import NodePrior, Pass
-from mgsgraph.network.definitions import alike
-from mgsgraph.network.joining import mountings, seconds, straightest
+from mgsgraph.network.joining import alike, mountings, seconds, straightest
 from mgsgraph.project.project import open_project
 from mgsgraph.units import MGON, MRAD
 
@@ -90,13 +89,6 @@ def test_spacing_in_seconds_and_lines(folder: Path) -> None:
         assert (times[-1] - times[0]) / (step.size - 1) > spacing or step.size == 3  # one fewer would be too few
 
 
-def test_spline_reaches_beyond(folder: Path) -> None:
-    nodes = pass_of(folder, 'nodes = { basis = "spline", spacing_s = 4.0 }').nodes
-    lagrange = pass_of(folder, "nodes = { spacing_s = 4.0 }").nodes
-    assert len(nodes) == len(lagrange) + 2
-    assert nodes.coverage == pytest.approx(lagrange.coverage)
-
-
 def test_nodes_at_given_times(folder: Path) -> None:
     evenly = pass_of(folder, "nodes = { spacing_s = 4.0 }").nodes
     wanted = np.sort(np.concatenate([evenly.times, evenly.times[3:5] + 1.0])) + evenly.epoch
@@ -154,7 +146,7 @@ WRONG = {
     "two passes": (TWO, r"passes\[0\]: images HRSC/00/.. and HRSC/01/.., 39\d minutes apart; expected images of one"),
     "an unknown key": (ONE + "spacing = 3", "'spacing'.*name, images, nodes, position, attitude, prior"),
     "an unknown unit": (ONE + "nodes = { spacing_km = 3 }", r"passes\[0\]\.nodes.*'spacing_km'.*'spacing_s'"),
-    "an unknown basis": (ONE + 'nodes = { basis = "linear" }', r"'linear'; expected one of 'lagrange', 'spline'"),
+    "a basis": (ONE + 'nodes = { basis = "lagrange" }', "basis: a word of earlier versions"),
     "two spacings": (ONE + "nodes = { spacing_s = 3, spacing_lines = 30 }", "spacing_s and spacing_lines; expected"),
     "text": (ONE + 'nodes = { spacing_s = "often" }', r"passes\[0\]\.nodes\.spacing_s"),
     "negative spacing": (ONE + "nodes = { spacing_s = -3 }", r"passes\[0\]\.nodes\.spacing_s"),
@@ -165,7 +157,6 @@ WRONG = {
     "times that go back": (ONE + "nodes = { times_et_s = [1, 2, 4, 3] }", "times that don't increase"),
     "times of another pass": (ONE + "nodes = { times_et_s = [1, 2, 3, 4] }", "00/S1.*lines within its nodes'"),
     "nan": (ONE + "nodes = { times_et_s = [1, 2, nan, 4] }", "nan; expected a number"),
-    "uneven spline": (ONE + 'nodes = { basis = "spline", times_et_s = [1, 2, 4, 5] }', "even ones for a uniform"),
     "no prior at all": (ONE + "prior = { position_sigma_m = 0 }", "position_sigma_m: 0.*from 1e-9 to 1e9"),
     "two numbers": (ONE + "prior = { position_bias_sigma_m = [1, 2] }", "or three \\(0 for none\\)"),
     "infinite bias": (ONE + "prior = { position_bias_sigma_m = inf }", "position_bias_sigma_m: inf"),

@@ -14,10 +14,10 @@ import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.network import Pass, ProcessPrior
 from mgsgraph.network.joining import found_passes, mountings
-from mgsgraph.network.node_priors import normalised
+from mgsgraph.network.passes import normalised
 from mgsgraph.units import MRAD
 
 

@@ -12,7 +12,7 @@ import mgsgraph
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.schema import ShotsInput
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimeters import LOLA, MLA, MOLA
+from mgsgraph.geometry.altimetry import LOLA, MLA, MOLA
 
 
 @pytest.mark.parametrize(

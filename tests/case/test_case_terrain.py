@@ -16,8 +16,7 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, PointClass, Surface
-from mgsgraph.network.observations import nominal_ground
-from mgsgraph.network.terrain import coverage, posts_of, terrain_ground
+from mgsgraph.network.observations import coverage, nominal_ground, posts_of, terrain_ground
 from mgsgraph.project.campaign import checksums
 from mgsgraph.results.ground import control_section
 from mgsgraph.results.inventory import inventory
@@ -217,33 +216,6 @@ def test_the_difference_of_two_grids_of_one_kind_is_no_areoid(name: str) -> None
         require_level(areoid, MARS)
 
 
-def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
-    """Three profiles side by side, in the form in which the Orbital Data Explorer serves them."""
-    folder = case_file.parent
-    profiles.write_profile(folder / "one.csv")
-    rows = (folder / "one.csv").read_text(encoding="utf-8").splitlines()
-    names = []
-    for k, east in enumerate((-0.06, 0.0, 0.06)):
-        moved = [rows[0]]
-        for row in rows[1:]:
-            values = row.split(",")
-            moved.append(",".join([f"{float(values[0]) + east:.9f}", *values[1:-1], f"{18933 + k}"]))
-        names.append(f"track{k}.csv")
-        (folder / names[-1]).write_text("\n".join(moved) + "\n", encoding="utf-8")
-    path = add(case_file, f"tracks = {names!r}\nlongest_edge_m = 6000.0".replace("'", '"'))
-    net = mgsgraph.read_case(path).network
-    assert net.surface is not None
-    assert net.surface.grid.gaps is not None
-    there = np.isfinite(net.surface.sigmas)
-    assert there.sum() > 0
-    assert np.all(net.surface.sigmas[there] >= 10.0)
-    assert "track0.csv" in inventory(mgsgraph.read_case(path))
-    assert {"track0.csv", "track1.csv", "track2.csv"} <= {Path(name).name for name in checksums(path)}
-    add(case_file, f"tracks = {names!r}\nlongest_edge_m = 100.0".replace("'", '"'))
-    with pytest.raises(InputError, match=r"edges up to 0\.1 km"):
-        mgsgraph.read_case(case_file)
-
-
 def test_between_tracks_ties_are_held_by_what_interpolation_misses(tmp_path: Path) -> None:
     """Counts beside MEGDR's radii are taken: cells with shots in every fourth column of posts."""
     site, path = plain_site(), write_site(plain_site(), tmp_path)
@@ -317,14 +289,14 @@ def test_any_projection_has_the_same_posts_and_the_same_adjustment(case_file: Pa
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ("shift = false", "neither radius nor tracks"),
-        ('radius = "a.img"\ntracks = "b.csv"', "both radius and tracks"),
+        ("shift = false", "no radius"),
+        ('tracks = "b.csv"', "tracks: a word of earlier versions; expected radius"),
         ('radius = "a.img"\nareoid = "b.img"\ntopography = "c.img"', "both areoid and topography"),
         ('radius = "a.tif"\nareoid = "b.img"\nreference_radius_m = 3396000.0', "both areoid and reference_radius_m"),
         ('radius = "a.tif"\nreference_radius_m = 1.0\nreference_ellipsoid_m = [3.4e6, 3.3e6]', "both reference"),
         ('radius = "a.img"\nreference_radius_m = 3396190.0', "a.img: a MEGDR grid, beside reference_radius_m"),
         ('radius = "a.img"\ntilt_sigma_mrad = -1.0', "tilt_sigma_mrad"),
-        ('radius = "a.img"\npost_step_deg = 3.0', "post_step_deg"),
+        ('radius = "a.img"\npost_step_deg = 3.0', "post_step_deg: a word of earlier versions"),
     ],
 )
 def test_what_it_cannot_say(case_file: Path, keys: str, said: str) -> None:

@@ -23,10 +23,15 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
 from mgsgraph.registration import relief, relief_surfaces
-from mgsgraph.registration.minima import local_minima, weighted
-from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
+from mgsgraph.registration.minima import (
+    CostSurface,
+    ReliefProfile,
+    ReliefRegistration,
+    ReliefSettings,
+    local_minima,
+    weighted,
+)
 from mgsgraph.registration.relief_surfaces import cells_of
-from mgsgraph.registration.search import CostSurface
 from mgsgraph.results.figures.relief import relief_sheets
 from mgsgraph.results.figures.sheet import save
 from mgsgraph.results.relief import (

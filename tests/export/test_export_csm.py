@@ -25,9 +25,8 @@ from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.distortion import RadialDistortion
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.geometry.camera import RadialDistortion
+from mgsgraph.geometry.image import LineTiming, PushbroomImage, fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.simulation.case_files import json_text, support_data

@@ -24,9 +24,9 @@ from mgsgraph.export.spice import NaifIds, SpiceNaming, write_spice
 from mgsgraph.export.spice_back import spice_differences
 from mgsgraph.export.spice_nodes import TOLERANCE, reprojection
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.distortion import RadialDistortion
+from mgsgraph.geometry.camera import RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import NodePrior, Pass, PolynomialPrior, SharedKind, SharedUnknown
 from mgsgraph.network.joining import mountings, seconds

@@ -21,12 +21,10 @@ from mgsgraph.export import spice, spice_back
 from mgsgraph.export.spice import MissionClock, NaifIds, SpiceNaming, write_spice
 from mgsgraph.export.spice_back import spice_differences
 from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, Reprojection, adjusted_nodes, reprojection
-from mgsgraph.geometry import distortion as optics
-from mgsgraph.geometry.distortion import Distortion, LrocNacDistortion, RadialDistortion
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.orientation_images import evenly_spaced
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.geometry import camera as optics
+from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.image import LineTiming, PushbroomImage, fit_polynomials
+from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
 from mgsgraph.simulation.case_files import image_file
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair

@@ -24,7 +24,7 @@ from mgsgraph.fetch.needs import Archives
 from mgsgraph.fetch.store import Lock
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.writing import claimed
-from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.geometry.trajectory import tdb_of_utc
 
 QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from strategies import along
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
+from mgsgraph.geometry.camera import Distortion, InteriorOrientation, LrocNacDistortion, NoDistortion, RadialDistortion
 from mgsgraph.units import MM
 
 LROC = LrocNacDistortion(1.81e-5 / MM**2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
-from mgsgraph.geometry.crossovers import TrackHeight, crossing, gradient
+from mgsgraph.geometry.intersection import TrackHeight, crossing, gradient
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG
 

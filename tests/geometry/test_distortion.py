@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import differences
 
-from mgsgraph.geometry import distortion as models
+from mgsgraph.geometry import camera as models
 from mgsgraph.units import MM
 
 TC1_X, TC1_Y = (-9.6499e-4, 9.8441e-4, 8.5773e-6, -3.7438e-6), (-1.3796e-3, 1.3502e-5, 2.7251e-6, -6.1938e-6)

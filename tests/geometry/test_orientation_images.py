@@ -1,4 +1,4 @@
-"""Orientation images: what the two bases between them can follow, and how they are laid out."""
+"""Orientation images: what Lagrange's polynomials between them can follow, and how they are laid out."""
 
 import numpy as np
 import pytest
@@ -7,24 +7,20 @@ from hypothesis import strategies as st
 from strategies import along
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 
-BASES = pytest.mark.parametrize("basis", ["lagrange", "spline"])
 EPOCH = 1.3e8
 NODES = np.array([0.0, 3.0, 5.0, 9.0, 10.0, 14.0, 20.0])
 
 
-def images(basis: Basis) -> OrientationImages:
-    if basis == "lagrange":
-        return OrientationImages("lagrange", EPOCH, NODES)
-    return evenly_spaced("spline", EPOCH, (0.0, 20.0), 4.0)
+def images() -> OrientationImages:
+    return OrientationImages("lagrange", EPOCH, NODES)
 
 
-@BASES
 @given(st.floats(-2.0, 22.0))
-def test_the_basis_sums_to_one_and_to_the_time(basis: Basis, time: float) -> None:
-    """So that a constant and a linear drift of the nodes are those of the orientation, for a spline, too."""
-    nodes = images(basis)
+def test_the_basis_sums_to_one_and_to_the_time(time: float) -> None:
+    """So that a constant and a linear drift of the nodes are those of the orientation."""
+    nodes = images()
     values, rates = nodes.dense(np.array([time]), EPOCH)
     assert values.sum() == pytest.approx(1.0, abs=1e-12)
     assert rates.sum() == pytest.approx(0.0, abs=1e-12)
@@ -34,15 +30,14 @@ def test_the_basis_sums_to_one_and_to_the_time(basis: Basis, time: float) -> Non
 
 @given(st.floats(-2.0, 22.0), st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4))
 def test_lagrange_goes_through_any_cubic(time: float, coefficients: list[float]) -> None:
-    nodes, cubic = images("lagrange"), np.polynomial.Polynomial(coefficients, domain=(0.0, 20.0), window=(-1.0, 1.0))
+    nodes, cubic = images(), np.polynomial.Polynomial(coefficients, domain=(0.0, 20.0), window=(-1.0, 1.0))
     values, rates = nodes.dense(np.array([time]), EPOCH)
     assert values[0] @ cubic(nodes.times) == pytest.approx(cubic(time), abs=1e-10)
     assert rates[0] @ cubic(nodes.times) == pytest.approx(cubic.deriv()(time), abs=1e-10)
 
 
-@BASES
-def test_a_node_depends_on_its_own_neighbourhood_alone(basis: Basis) -> None:
-    nodes = images(basis)
+def test_a_node_depends_on_its_own_neighbourhood_alone() -> None:
+    nodes = images()
     times = np.linspace(*nodes.coverage, 301)
     first, values, _ = nodes.at(times, EPOCH)
     inner = (times > nodes.times[1]) & (times < nodes.times[-2])
@@ -53,44 +48,30 @@ def test_a_node_depends_on_its_own_neighbourhood_alone(basis: Basis) -> None:
 
 
 def test_lagrange_is_the_node_itself_at_a_node() -> None:
-    nodes = images("lagrange")
+    nodes = images()
     np.testing.assert_allclose(nodes.dense(nodes.times, EPOCH)[0], np.eye(len(nodes)), atol=1e-14)
 
 
-@BASES
 @pytest.mark.parametrize("time", [1.3, 6.0, 12.7, 19.1])
-def test_rates_against_differences(basis: Basis, time: float) -> None:
-    nodes = images(basis)
+def test_rates_against_differences(time: float) -> None:
+    nodes = images()
     want = along(lambda step: nodes.dense(np.array([time + step]), EPOCH)[0][0], 1e-2)
     np.testing.assert_allclose(nodes.dense(np.array([time]), EPOCH)[1][0], want, atol=1e-9)
 
 
-def test_a_spline_bends_nowhere() -> None:
-    """Value, slope and curvature go on across a node; Lagrange's slope does not."""
-    nodes = images("spline")
-    below, above = (nodes.dense(nodes.times[2:-2] + step, EPOCH) for step in (-1e-7, 1e-7))
-    for one, other in zip(below, above, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-6)
-    lagrange = images("lagrange")
-    below, above = (lagrange.dense(lagrange.times[2:-2] + step, EPOCH) for step in (-1e-7, 1e-7))
-    assert np.abs(below[1] - above[1]).max() > 1e-3
-
-
-@BASES
-def test_another_epoch_is_the_same_time(basis: Basis) -> None:
-    nodes, times = images(basis), np.array([1.0, 7.5, 19.0])
+def test_another_epoch_is_the_same_time() -> None:
+    nodes, times = images(), np.array([1.0, 7.5, 19.0])
     for one, other in zip(nodes.at(times, EPOCH), nodes.at(times - 40.0, EPOCH + 40.0), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
-@BASES
 @given(length=st.floats(0.5, 2000.0), spacing=st.floats(0.3, 500.0))
-def test_even_spacing_covers_the_strip_with_no_larger_steps(basis: Basis, length: float, spacing: float) -> None:
-    nodes = evenly_spaced(basis, EPOCH, (5.0, 5.0 + length), spacing)
+def test_even_spacing_covers_the_strip_with_no_larger_steps(length: float, spacing: float) -> None:
+    nodes = evenly_spaced("lagrange", EPOCH, (5.0, 5.0 + length), spacing)
     np.testing.assert_allclose(nodes.coverage, (5.0, 5.0 + length), rtol=1e-9)
     steps = np.diff(nodes.times)
     assert steps.max() <= spacing * (1.0 + 1e-6)
-    assert len(nodes) == 4 or basis == "spline" or steps.max() > 0.4 * min(spacing, length / 3.0)
+    assert len(nodes) == 4 or steps.max() > 0.4 * min(spacing, length / 3.0)
 
 
 def test_bad_nodes() -> None:
@@ -98,9 +79,7 @@ def test_bad_nodes() -> None:
         OrientationImages("lagrange", EPOCH, np.arange(3.0))
     with pytest.raises(InputError, match="increasing"):
         OrientationImages("lagrange", EPOCH, np.array([0.0, 2.0, 2.0, 3.0]))
-    with pytest.raises(InputError, match="even ones for a uniform spline"):
-        OrientationImages("spline", EPOCH, NODES)
-    with pytest.raises(InputError, match="one of lagrange, spline"):
+    with pytest.raises(InputError, match="one of lagrange"):
         OrientationImages("cubic", EPOCH, NODES)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"-1\.0 s; expected a positive number"):
         evenly_spaced("lagrange", EPOCH, (0.0, 10.0), -1.0)

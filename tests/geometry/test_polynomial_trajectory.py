@@ -14,8 +14,7 @@ from strategies import along
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_attitude, fit_polynomials
+from mgsgraph.geometry.image import PolynomialTrajectory, PushbroomImage, fit_attitude, fit_polynomials
 from mgsgraph.geometry.trajectory import AttitudeTable
 from mgsgraph.simulation.pair import simulate_pair
 

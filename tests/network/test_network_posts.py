@@ -12,7 +12,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.network import PointClass, SharedKind
-from mgsgraph.network.terrain import TerrainModel, posts_of, with_posts
+from mgsgraph.network.observations import TerrainModel, posts_of, with_posts
 from mgsgraph.units import DEG
 
 RADIUS = 3_390_000.0

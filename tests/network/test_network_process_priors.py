@@ -5,10 +5,10 @@ import pytest
 from scipy.special import gamma, kv
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.network import NodePrior, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.conditioning import DIVERGENCE, ProcessKind, dense_covariance
-from mgsgraph.network.node_priors import LinearFactor, normalised
+from mgsgraph.network.passes import LinearFactor, normalised
 
 EVEN = evenly_spaced("lagrange", 3e8, (10.0, 70.0), 2.5)
 UNEVEN = OrientationImages("lagrange", 3e8, np.array([0.0, 1.0, 1.5, 1.75, 2.5, 5.0, 8.0, 9.0, 9.5, 12.0, 15.0, 20.0]))
@@ -44,10 +44,8 @@ def covariance(prior: PassPrior, nodes: OrientationImages) -> np.ndarray:
     return np.asarray(inverse[: 6 * len(nodes), : 6 * len(nodes)])
 
 
-@pytest.mark.parametrize("nodes", [EVEN, UNEVEN, evenly_spaced("spline", 3e8, (0.0, 40.0), 3.0)], ids=str)
+@pytest.mark.parametrize("nodes", [EVEN, UNEVEN], ids=str)
 def test_a_gauss_markov_process_has_todays_rows(nodes: OrientationImages) -> None:
-    if nodes.basis == "spline":
-        pytest.skip("of a spline, a process is one of values, not of coefficients")
     bias = np.array([200.0, 0.0, 100.0, 4e-4, 3e-4, 0.0])
     attitude = Process("gauss-markov", SIZE * 1e-6, 7.0)
     old = NodePrior(np.concatenate([SIZE, SIZE * 1e-6]), bias, 0.5 * TREND, 7.0)
@@ -61,13 +59,10 @@ def test_a_gauss_markov_process_has_todays_rows(nodes: OrientationImages) -> Non
     assert new.divergence(nodes) == 0.0
 
 
-@pytest.mark.parametrize("basis", ["lagrange", "spline", "uneven"])
+@pytest.mark.parametrize("nodes", [EVEN, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("kind", ["white", "gauss-markov", "matern-3/2", "matern-5/2", "jitter", "integrated-wiener"])
-def test_rows_between_neighbours_are_the_whole_process(kind: ProcessKind, basis: str) -> None:
+def test_rows_between_neighbours_are_the_whole_process(kind: ProcessKind, nodes: OrientationImages) -> None:
     """The Kullback-Leibler divergence of the rows' density from the dense process, all of it, is what was promised."""
-    if basis == "spline" and kind == "integrated-wiener":
-        pytest.skip("refused, see below")
-    nodes = {"lagrange": EVEN, "spline": evenly_spaced("spline", 0.0, (0.0, 60.0), 2.5), "uneven": UNEVEN}[basis]
     prior = ProcessPrior((process(kind),), (process(kind, 1e-6),), TREND, TREND)
     s, count = normalised(nodes), len(nodes)
     found = information(prior, nodes)
@@ -83,16 +78,6 @@ def test_rows_between_neighbours_are_the_whole_process(kind: ProcessKind, basis:
     want = prior.own_sigmas(nodes)
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance(prior, nodes))).reshape(-1, 6), want, rtol=0.02)
     assert np.all(want >= np.sqrt(TREND**2 + (s[:, None] * TREND) ** 2))
-
-
-def test_a_spline_s_values_are_the_process() -> None:
-    nodes = evenly_spaced("spline", 0.0, (0.0, 60.0), 2.5)
-    one = process("matern-3/2")
-    to_values, _ = nodes.dense(nodes.inner, 0.0)
-    values = to_values @ dense_covariance((one,), 0, nodes) @ to_values.T
-    apart = np.abs(nodes.inner[:, None] - nodes.inner)
-    want = SIZE[0] ** 2 * one.covariance(apart, 0.0 * apart, 0.0)
-    np.testing.assert_allclose(values, want, atol=1e-9 * SIZE[0] ** 2)
 
 
 @pytest.mark.parametrize(("kind", "order"), [("gauss-markov", 0.5), ("matern-3/2", 1.5), ("matern-5/2", 2.5)])
@@ -213,14 +198,7 @@ def factors_of(prior: PassPrior, nodes: OrientationImages) -> list[LinearFactor]
         (lambda: ProcessPrior(process("white"), (process("white"),), NONE, NONE), "position: no tuple"),  # type: ignore[arg-type]
         (lambda: ProcessPrior((process("integrated-wiener"),), (process("white"),), NONE, TREND), "without bias"),
         (lambda: PolynomialPrior(np.ones((5, 3)), np.ones((1, 3))), "degree of 0 to 3"),
-        (lambda: factors_of(PolynomialPrior(np.ones((1, 3)), np.ones((1, 3))), EVEN), "25 nodes of the basis lagrange"),
-        (
-            lambda: factors_of(
-                ProcessPrior((process("integrated-wiener"),), (process("white"),), TREND, TREND),
-                evenly_spaced("spline", 0.0, (0.0, 9.0), 1.0),
-            ),
-            "take the basis lagrange",
-        ),
+        (lambda: factors_of(PolynomialPrior(np.ones((1, 3)), np.ones((1, 3))), EVEN), "25 nodes; expected 4"),
         (
             lambda: factors_of(
                 ProcessPrior((process("matern-5/2"),), (process("white"),), NONE, NONE),

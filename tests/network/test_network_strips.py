@@ -10,10 +10,9 @@ from joint_prior import JointNodePrior
 from networks import as_nodes, network, pair
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
 from mgsgraph.network import NodePrior, Pass
-from mgsgraph.network.node_priors import normalised
+from mgsgraph.network.passes import normalised
 
 TIMES = np.array([0.0, 2.0, 3.0, 7.0, 11.0])
 NODES = OrientationImages("lagrange", 0.0, TIMES)

@@ -15,11 +15,11 @@ from mgsgraph.case.schema import ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network, Pass, PointClass, SharedKind
-from mgsgraph.network.footprints import footprints_in_images
+from mgsgraph.network.footprints import Registration, footprints_in_images
 from mgsgraph.network.joining import mountings
-from mgsgraph.network.range_images import Members, Registration, carriers, shots_carried
+from mgsgraph.network.observations import Members, carriers, shots_carried
 
 SHOTS = 40
 

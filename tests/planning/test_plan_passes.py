@@ -11,7 +11,7 @@ from mgsgraph.adjustment.incremental.trajectories import extended, with_expected
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.network.definitions import Definitions, definitions, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, with_definitions
 from mgsgraph.network.parts import KnownImage, known_images, with_images, without_images
 from mgsgraph.planning.candidates import PlannedTies, planned_image
 from mgsgraph.planning.coverage import ImageCoverage

@@ -12,10 +12,9 @@ from mgsgraph.analysis.places import View
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.altimeters import LOLA
-from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots
+from mgsgraph.geometry.altimetry import LOLA, AltimeterShots, joined_shots
 from mgsgraph.geometry.records import frozen_mask
-from mgsgraph.geometry.time_scales import utc_of_tdb
+from mgsgraph.geometry.trajectory import utc_of_tdb
 from mgsgraph.network.footprints import Registration, crossings, footprints_in_images
 from mgsgraph.project.reading import OrientedImages, ShotChoice, search_shots
 from mgsgraph.results.places import crossings_section, crossings_table, selection_table

@@ -12,9 +12,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import averaged_surface
-from mgsgraph.registration.minima import Minimum, local_minima, merged, weighted
-from mgsgraph.registration.relief_records import ReliefSettings
-from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
+from mgsgraph.registration.minima import CostSurface, Minimum, ReliefSettings, local_minima, merged, weighted
+from mgsgraph.registration.search import Expected, StereoPair, search
 
 NOISE = 0.05
 """pixels, of a dense match."""

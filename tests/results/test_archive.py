@@ -22,9 +22,9 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.distortion import CahvorDistortion, KaguyaDistortion, LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.camera import CahvorDistortion, KaguyaDistortion, LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.image import fit_polynomials
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.network import ImageRays

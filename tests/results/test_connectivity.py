@@ -17,11 +17,8 @@ from mgsgraph.network.connectivity import (
     Connectivity,
     connectivity_json,
     connectivity_statements,
-    cut_image_statement,
 )
-from mgsgraph.results.figures.connectivity import (
-    connectivity_sheet,
-)
+from mgsgraph.results.figures.connectivity import connectivity_sheet
 from mgsgraph.results.figures.sheet import save
 from mgsgraph.results.inventory import inventory
 from mgsgraph.results.tables import connectivity_table
@@ -61,7 +58,6 @@ def block() -> Connectivity:
         gaps=np.array([0.0, 0.0, 0.0, 2.2e5, 0.0, 0.0]),
         islands=((0, 1, 2, 3), (4, 5), (6,)),
         bridges=np.array([False, False, False, True, True, False]),
-        cut_images=np.array([2]),
         spine=np.array([3, 4, 2, 0]),
     )
 
@@ -83,7 +79,6 @@ def test_words_of_a_block() -> None:
     assert "(I0, I1, I2, I3), (I4, I5), (I6)" in islands
     assert untied.startswith("1 pair of images overlaps without any common point: I5 and I6 by 500 km^2, 60 %")
     assert "I2 and I3 (3 points, 220 km apart)" in apart
-    assert cut_image_statement(block()) == ["the block falls apart without I2"]
 
 
 def test_slivers_are_not_worth_ties() -> None:
@@ -99,7 +94,7 @@ def test_plain_values_of_a_block() -> None:
     assert record["weakest_joints"][0] == {
         "images": ["I2", "I3"], "common_points": 3, "overlap_km2": 0.0, "overlap_share": 0.0, "gap_km": 220.0,
     }
-    assert (record["cut_images"], record["unconnected_images"]) == (["I2"], ["I6"])
+    assert record["unconnected_images"] == ["I6"]
 
 
 def test_rejected_points_do_not_hold_the_block(solution: Solution) -> None:

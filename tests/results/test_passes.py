@@ -20,7 +20,7 @@ from mgsgraph.analysis.statistics import node_times, strip_corrections, strip_re
 from mgsgraph.case.reading import read_case
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network, Pass, PolynomialPrior
 from mgsgraph.network.joining import seconds
 from mgsgraph.results.archive import read_solution, write_archive
@@ -32,23 +32,18 @@ from mgsgraph.results.results import solution_json, statements, summary_table
 from mgsgraph.units import ARCSEC, MGON
 
 
-def with_basis(basis: Basis) -> Network:
+def respaced() -> Network:
     """The block with nodes every 3 s."""
     strips = []
     for strip in block().network.passes:
-        nodes = evenly_spaced(basis, strip.nodes.epoch, strip.nodes.coverage, 3.0)
+        nodes = evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 3.0)
         strips.append(replace(strip, nodes=nodes))
     return replace(block().network, passes=tuple(strips))
 
 
 @pytest.fixture(scope="module")
 def solution() -> Solution:
-    return adjust_network(with_basis("lagrange"), SolverSettings(), "block")
-
-
-@pytest.fixture(scope="module")
-def spline() -> Solution:
-    return adjust_network(with_basis("spline"), SolverSettings(), "block")
+    return adjust_network(respaced(), SolverSettings(), "block")
 
 
 @pytest.fixture(scope="module")
@@ -68,10 +63,9 @@ def mixed() -> Solution:
 
 
 @pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
-@pytest.mark.parametrize("basis", ["lagrange", "spline"])
-def test_the_course_is_what_each_image_has(basis: Basis, angles: Angles) -> None:
+def test_the_course_is_what_each_image_has(angles: Angles) -> None:
     """Lengths of corrections, and sums of variances, are those of the images' own profiles, whatever the axes."""
-    solved = adjust_network(with_basis(basis), SolverSettings(angles=angles), "block")
+    solved = adjust_network(respaced(), SolverSettings(angles=angles), "block")
     for image in (0, 2, 9):
         profile = orientation_profile(solved, image, 7)
         course = strip_corrections(solved, image // 5, profile.times)
@@ -104,18 +98,6 @@ def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
         found, true = (strip_corrections(one, k, times) for one in (solution, truth))
         errors.append((found.values - true.values) / found.sigmas)
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2.0
-
-
-def test_nodes_of_a_spline_within_the_strip(spline: Solution) -> None:
-    one = spline.network.passes[0]
-    times = node_times(spline, 0)
-    assert times.size == len(one.nodes) - 2
-    c = spline.nodes[0]
-    want = (c[:-2] + 4.0 * c[1:-1] + c[2:]) / 6.0
-    np.testing.assert_allclose(
-        np.linalg.norm(strip_corrections(spline, 0, times).values[:, :3], axis=1),
-        np.linalg.norm(want[:, :3], axis=1), rtol=1e-9,
-    )  # fmt: skip
 
 
 # --- tables and words
@@ -259,7 +241,7 @@ def test_files(solution: Solution, mixed: Solution, tmp_path: Path) -> None:
 # --- the archive
 
 
-@pytest.mark.parametrize("which", ["solution", "spline", "mixed"])
+@pytest.mark.parametrize("which", ["solution", "mixed"])
 def test_the_same_solution_comes_back(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     solved: Solution = request.getfixturevalue(which)
     write_archive(solved, tmp_path / "solution.npz")
@@ -267,7 +249,6 @@ def test_the_same_solution_comes_back(which: str, request: pytest.FixtureRequest
     write_archive(back, tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "solution.npz").read_bytes()
     assert type(back.network.passes[0].prior) is type(solved.network.passes[0].prior)
-    assert back.network.passes[0].nodes.basis == solved.network.passes[0].nodes.basis
     assert solution_json(back) == solution_json(solved)
 
 

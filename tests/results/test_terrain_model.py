@@ -4,7 +4,6 @@ import csv
 import errno
 import json
 import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 import rasterio
 from full_disk import files_of_at_most
-from rasterio.crs import CRS
 from rasterio.warp import transform
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -104,24 +102,6 @@ def test_rasters_are_cloud_optimized(folder: Path, name: str) -> None:
     assert cogeo.cog_validate(folder / name, strict=True, quiet=True) == (True, [], [])
     with rasterio.open(folder / name) as file:
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-
-
-def test_xarray_has_the_bands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("xarray", reason="the extra [tables] is not installed")
-    found = made().to_xarray()
-    with rasterio.open(folder / "dem.tif") as file:
-        for k, name in enumerate(found.data_vars, start=1):
-            np.testing.assert_array_equal(found[name].to_numpy().astype(np.float32), file.read(k))
-            assert found[name].attrs["units"] == file.units[k - 1]
-        x, y = file.xy(*np.divmod(np.arange(file.height * file.width), file.width))
-        np.testing.assert_allclose(found["x"], np.reshape(x, file.shape)[0], rtol=0.0, atol=1e-6)
-        np.testing.assert_allclose(found["y"], np.reshape(y, file.shape)[:, 0], rtol=0.0, atol=1e-6)
-        assert CRS.from_wkt(found["spatial_ref"].attrs["crs_wkt"]) == file.crs
-        transform = [float(one) for one in found["spatial_ref"].attrs["GeoTransform"].split()]
-        assert transform == pytest.approx(list(file.transform.to_gdal()))
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"pip install .mgsgraph\[tables\]"):
-        made().to_xarray()
 
 
 def test_the_ortho_image_shows_the_ground_where_it_is(folder: Path) -> None:

@@ -20,7 +20,7 @@ import study  # noqa: E402
 
 from mgsgraph.case.reading import read_case  # noqa: E402
 from mgsgraph.errors import InputError  # noqa: E402
-from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory  # noqa: E402
+from mgsgraph.geometry.image import PolynomialTrajectory  # noqa: E402
 from mgsgraph.network import PointClass  # noqa: E402
 from mgsgraph.simulation.files import write_site  # noqa: E402
 from mgsgraph.simulation.site import simulate_site  # noqa: E402

@@ -8,7 +8,7 @@ from networks import pair
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.geometry.image import fit_polynomials
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, displaced_footprints
 from mgsgraph.simulation.pair import simulate_pair
 

@@ -312,7 +312,7 @@ def test_a_table_is_kept_with_what_only_the_case_says(tmp_path: Path, suffix: st
 
 
 def test_verdicts_of_a_case_that_holds_some_of_the_images(tmp_path: Path) -> None:
-    from mgsgraph.case.groups import in_images
+    from mgsgraph.case.assembly import in_images
     from mgsgraph.files.networks.pvl_writing import write_pvl_network
 
     seen = tuple(ControlMeasure(f"SIM/{name}", MeasureType.MANUAL, 1.0, 1.0) for name in "XY")

@@ -11,8 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.variables import SharedEffects, Variables, acting_on, angles_of
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import polynomial
-from mgsgraph.geometry.orientation_images import SUPPORT
+from mgsgraph.geometry.orientation import SUPPORT, polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.kernel.rows import IMAGE, Model

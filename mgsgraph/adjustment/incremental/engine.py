@@ -31,7 +31,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.network.definitions import Definitions, definitions
+from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images
 
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.names import number_of
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
-from mgsgraph.network.definitions import Definitions, definitions, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, with_definitions
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import (
     KnownImage,

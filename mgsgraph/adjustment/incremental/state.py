@@ -19,9 +19,7 @@ from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.network import HELD, Network, SharedKind
-from mgsgraph.network.definitions import Definitions, NamedPass, NamedShared, definitions, with_definitions
-from mgsgraph.network.joining import seconds
-from mgsgraph.network.node_priors import normalised
+from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, definitions, seconds, with_definitions
 from mgsgraph.network.parts import (
     KnownImage,
     Members,
@@ -35,6 +33,7 @@ from mgsgraph.network.parts import (
     without_images,
     without_points,
 )
+from mgsgraph.network.passes import normalised
 from mgsgraph.network.shared import image_effect
 from mgsgraph.units import KM
 

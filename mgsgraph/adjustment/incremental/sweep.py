@@ -24,7 +24,7 @@ from mgsgraph.adjustment.rounds import (
 )
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
+from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.names import Names

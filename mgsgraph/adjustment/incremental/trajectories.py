@@ -18,10 +18,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.definitions import Definitions, NamedPass, united
-from mgsgraph.network.joining import mountings, seconds
-from mgsgraph.network.node_priors import PolynomialPrior, normalised
+from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, united
 from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
+from mgsgraph.network.passes import PolynomialPrior, normalised
 
 _UNTURNED = 1e-3
 """Of a mounting's matrix, by which two statements of it may differ."""

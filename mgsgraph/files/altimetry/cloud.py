@@ -23,7 +23,7 @@ from mgsgraph.files.opening import read_bytes
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.time_scales import require_years, tdb_of_utc
+from mgsgraph.geometry.trajectory import require_years, tdb_of_utc
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import KM
 

@@ -17,11 +17,10 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.decoding import Name, Number, validated
 from mgsgraph.files.opening import LARGEST_TEXT, decoded_text, head_of, json_object, name_of, read_bytes
-from mgsgraph.geometry.altimeters import YEARS
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.time_scales import require_years
+from mgsgraph.geometry.trajectory import YEARS, require_years
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 

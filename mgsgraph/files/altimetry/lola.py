@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shot_values import crossings, positions, shots_with
-from mgsgraph.geometry.altimeters import LOLA
-from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.altimetry import LOLA, AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.time_scales import tdb_of_tt
+from mgsgraph.geometry.trajectory import tdb_of_tt
 from mgsgraph.units import DEG
 
 SPOTS = 5

@@ -20,10 +20,9 @@ from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positi
 from mgsgraph.files.altimetry.tables import plain_name
 from mgsgraph.files.opening import number_of, read_bytes
 from mgsgraph.files.pvl import Block, Document, whole_label
-from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, Altimeter
-from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, Altimeter, AltimeterShots
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.time_scales import tdb_of_utc
+from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.names import Names
 from mgsgraph.units import DEG, KM
 

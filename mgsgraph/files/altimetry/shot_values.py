@@ -11,11 +11,10 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.pvl import Block
-from mgsgraph.geometry.altimeters import Altimeter
-from mgsgraph.geometry.altimetry import AltimeterShots, exchanged_units, require_lengths
+from mgsgraph.geometry.altimetry import Altimeter, AltimeterShots, exchanged_units, require_lengths
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, require_near
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.geometry.time_scales import require_years, utc_of_tdb
+from mgsgraph.geometry.trajectory import require_years, utc_of_tdb
 from mgsgraph.units import DEG, KM
 
 _PAUSE = 1800.0

@@ -39,11 +39,10 @@ from mgsgraph.files.altimetry.shot_values import (
 )
 from mgsgraph.files.csv_columns import PlainRows, numbers_of, short_names
 from mgsgraph.files.opening import finite_number, name_of
-from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, MOLA, Altimeter
-from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, LOLA, MLA, MOLA, Altimeter, AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.geometry.time_scales import require_years, tdb_of_tt, tdb_of_utc
+from mgsgraph.geometry.trajectory import require_years, tdb_of_tt, tdb_of_utc
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, KM, SPEED_OF_LIGHT
 

@@ -19,8 +19,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import finite_number
 from mgsgraph.files.pvl import Block
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import Distortion, RadialDistortion
+from mgsgraph.geometry.camera import Distortion, InteriorOrientation, RadialDistortion
 from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.units import ISIS_OFFSET, MM

@@ -49,8 +49,7 @@ from mgsgraph.files.cameras.camera import (
 from mgsgraph.files.labels.image_label import bytes_around, cube_of, cube_size, data_location
 from mgsgraph.files.opening import ANY_SIZE, number_of, opened, read_text, understood
 from mgsgraph.files.pvl import Block
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import NoDistortion
+from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import MILLISECOND, MM
 

@@ -35,8 +35,7 @@ from mgsgraph.files.cameras.camera import (
     radial,
     scaled_interior,
 )
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import MocWideAngleDistortion, NoDistortion, ThemisIrDistortion
+from mgsgraph.geometry.camera import InteriorOrientation, MocWideAngleDistortion, NoDistortion, ThemisIrDistortion
 from mgsgraph.units import ISIS_OFFSET, MM
 
 # --- MOC

@@ -31,8 +31,7 @@ from mgsgraph.files.cameras.camera import (
     uniform,
 )
 from mgsgraph.files.opening import number_of
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import Four, KaguyaDistortion, KaguyaMiDistortion, LrocNacDistortion
+from mgsgraph.geometry.camera import Four, InteriorOrientation, KaguyaDistortion, KaguyaMiDistortion, LrocNacDistortion
 from mgsgraph.units import ISIS_OFFSET, MM
 
 # --- LROC

@@ -32,8 +32,7 @@ from mgsgraph.files.spice.kernels import (
     utc_time,
 )
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.distortion import MocWideAngleDistortion
+from mgsgraph.geometry.camera import InteriorOrientation, MocWideAngleDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.text import listed

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.distortion import (
+from mgsgraph.geometry.camera import (
     CahvorDistortion,
     DawnDistortion,
     Distortion,

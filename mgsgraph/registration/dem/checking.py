@@ -29,8 +29,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import beam_motion
 from mgsgraph.record import Record
-from mgsgraph.registration.dem.gridding import HeightGrid
-from mgsgraph.registration.dem.map import bilinear
+from mgsgraph.registration.dem.gridding import HeightGrid, bilinear
 from mgsgraph.text import root_mean_square
 
 OUTSIDE = 3.0

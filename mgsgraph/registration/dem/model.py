@@ -9,21 +9,18 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.errors import InputError, library, require
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
 from mgsgraph.matching.scene import Scene
 from mgsgraph.record import Record
 from mgsgraph.registration.dem.checking import CheckProfile, HeightChecks, checked
-from mgsgraph.registration.dem.gridding import HeightGrid, gridded
-from mgsgraph.registration.dem.map import MapGrid
-from mgsgraph.registration.dem.points import intersected
+from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, gridded, intersected
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM
 from mgsgraph.workers import Progress, no_progress
 
 if TYPE_CHECKING:
-    from xarray import Dataset
 
     from mgsgraph.matching.dense import DenseMatches
 
@@ -121,43 +118,6 @@ class Dem(Record):
     def covered(self) -> float:
         """m^2 with heights."""
         return float(np.isfinite(self.heights).sum()) * self.model.map.post**2
-
-    def to_xarray(self) -> "Dataset":
-        """The bands of dem.tif as a Dataset of xarray (extra ``[tables]``) over y (northward, falling) and x (eastward)
-        in m of the map; the variable `spatial_ref` has the coordinate system as CF and rioxarray know it.
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-        """
-        xarray, grid = library("xarray", "tables", "terrain model"), self.model.map
-        system, there = grid.crs, np.isfinite(self.heights)
-        bands = {
-            "height": (self.heights, "m", f"height above {self.reference}"),
-            "sigma": (self.model.sigmas, "m", "sigma of the height, for sigma0 = 1"),
-            "sigma_by_matching": (self.model.matching, "m", "its part by matching and relief"),
-            "sigma_by_orientation": (self.model.orientation, "m", "its part by the orientation, common to neighbours"),
-            "number_of_points": (self.model.counts.astype(np.float64), "1", "points that the height is of"),
-        }
-        variables = {
-            name: (("y", "x"), np.where(there, values, np.nan),
-                   {"units": unit, "long_name": meaning, "grid_mapping": "spatial_ref"})
-            for name, (values, unit, meaning) in bands.items()
-        }  # fmt: skip
-        corner = f"{grid.west!r} {grid.post!r} 0.0 {grid.north!r} 0.0 {-grid.post!r}"
-        reference = xarray.Variable((), 0, {"crs_wkt": system, "spatial_ref": system, "GeoTransform": corner})
-        return xarray.Dataset(
-            variables,
-            {
-                "y": ("y", grid.north - (np.arange(grid.rows) + 0.5) * grid.post,
-                      {"units": "m", "standard_name": "projection_y_coordinate"}),
-                "x": ("x", grid.west + (np.arange(grid.columns) + 0.5) * grid.post,
-                      {"units": "m", "standard_name": "projection_x_coordinate"}),
-                "spatial_ref": reference,
-            },
-            {"title": f"Terrain model {self.name}", "images": ", ".join(self.images)},
-        )  # fmt: skip
 
     def __repr__(self) -> str:
         grid = self.model.map

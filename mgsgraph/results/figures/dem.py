@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.analysis.two_step_statistics import TwoStepStatistics
 from mgsgraph.files.rasters.raster_file import open_raster, read_band
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.registration.dem.checking import check_figures
 from mgsgraph.registration.dem.model import Dem
@@ -153,7 +153,7 @@ def height_map_sheets(statistics: TwoStepStatistics) -> Iterator[Sheet]:
     """
     solution, mine = statistics.steps.fitted, statistics.points[statistics.used]
     heights, centre = statistics.heights[:, statistics.used], centre_of(solution.places[mine])
-    places, most = east_north(solution.places[mine], centre), limit(heights)
+    places, most = plane_coordinates(solution.places[mine], centre), limit(heights)
     outlines = outlines_of(solution, centre)
     about = solution.name, centre, np.concatenate([places, *outlines.values()]), outlines
     for k, (values, when) in enumerate(((heights[0], "before"), (heights[-1], "after step 2")), 1):

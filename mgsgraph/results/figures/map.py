@@ -21,8 +21,7 @@ from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.analysis.statistics import medians, solution_connectivity, span
-from mgsgraph.geometry.body import east_north_up, planetocentric
-from mgsgraph.geometry.map_plane import centre_of, east_north, error_ellipses
+from mgsgraph.geometry.body import centre_of, east_north_up, error_ellipses, plane_coordinates, planetocentric
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
@@ -105,7 +104,7 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     centre = centre_of(solution.places)
     outlines = outlines_of(solution, centre, connected)
     known = np.flatnonzero(solution.determined)
-    places, covariances = east_north(solution.places[known], centre), solution.covariances[known]
+    places, covariances = plane_coordinates(solution.places[known], centre), solution.covariances[known]
     axes = east_north_up(solution.places[known])
     sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[known])
@@ -138,7 +137,7 @@ def outlines_of(solution: Solution, centre: Array, connected: Connectivity | Non
     """(k, 2) m of each image."""
     footprints = (connected or solution_connectivity(solution)).footprints
     return {
-        image.name: east_north(one.outline, centre)
+        image.name: plane_coordinates(one.outline, centre)
         for image, one in zip(solution.network.images, footprints, strict=True)
     }
 
@@ -148,7 +147,7 @@ def comparison_sheet(points: CommonPoints, labels: tuple[str, str]) -> Sheet | N
     if len(points.places) < _FEWEST:
         return None
     centre = centre_of(points.places)
-    places, (here, _) = east_north(points.places, centre), points.rows
+    places, (here, _) = plane_coordinates(points.places, centre), points.rows
     about = (f"{labels[1]} minus {labels[0]}", centre, places, dict[str, Array]())
     classes, size = points.solution.network.points.classes[here], np.linalg.norm(points.moved, axis=1)
     shown = points_window(about, places, size, ("3-D movement", "m"), classes, moved=points.moved[:, :2])

@@ -12,11 +12,9 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.map_plane import centre_of, east_north
+from mgsgraph.geometry.body import centre_of, east_north_up, geodetic, plane_coordinates
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
-from mgsgraph.registration.search import CostSurface
+from mgsgraph.registration.minima import CostSurface, ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.figures.map import draw_ellipse, outlines_of, points_window, window_sheet
 from mgsgraph.results.figures.sheet import (
     AFTER,
@@ -231,7 +229,7 @@ def _map(registration: ReliefRegistration) -> Sheet:
     """
     solution, profiles = registration.solution, registration.profiles
     centre = centre_of(solution.places)
-    middles = east_north(np.array([one.before.points[one.mine.size // 2] for one in profiles]), centre)
+    middles = plane_coordinates(np.array([one.before.points[one.mine.size // 2] for one in profiles]), centre)
     before, after = (np.array([getattr(one, state).misplacement for one in profiles]) for state in _STATES)
     covariances = np.array([one.after.misplacement_covariance for one in profiles])
     outlines, classes = outlines_of(solution, centre), np.array([one.point_class for one in profiles])

@@ -15,8 +15,8 @@ from mgsgraph.files.output.folders import fresh_folder
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.patches import has_opencv
 from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.minima import ReliefRegistration
 from mgsgraph.registration.relief import register_by_relief
-from mgsgraph.registration.relief_records import ReliefRegistration
 from mgsgraph.simulation.archive import ARCHIVE_KINDS, ArchiveSettings, archive_settings, lay_out
 from mgsgraph.simulation.archive_files import write_archive
 from mgsgraph.simulation.demo.truth import (

@@ -19,7 +19,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import Misregistration
-from mgsgraph.registration.relief_records import ReliefRegistration
+from mgsgraph.registration.minima import ReliefRegistration
 from mgsgraph.results.registration import discrepancy_json, write_registration_into
 from mgsgraph.results.relief import write_coregistration_into
 from mgsgraph.results.results import write_into

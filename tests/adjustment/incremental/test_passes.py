@@ -16,7 +16,7 @@ from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import evenly_spaced
+from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network
 from mgsgraph.network.parts import pass_unknowns, without_images
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
@@ -28,9 +28,9 @@ WITHIN = 0.01
 
 
 @cache
-def strips(basis: str = "lagrange", spacing: float = 10.0) -> Network:
+def strips(spacing: float = 10.0) -> Network:
     """Two HRSC strips, each line cut into two images."""
-    settings = BlockSettings(strips=2, length=60e3, points=240, terrain=None, spacing=spacing, basis=basis)  # type: ignore[arg-type]
+    settings = BlockSettings(strips=2, length=60e3, points=240, terrain=None, spacing=spacing)
     return in_segments(simulate_hrsc_block(settings, seed=4).network, 2)
 
 
@@ -83,11 +83,10 @@ def by_batch(adjustment: IncrementalAdjustment) -> Solution:
     return adjust_network(adjustment.network, adjustment.settings)
 
 
-@pytest.mark.parametrize("basis", ["lagrange", "spline"])
-def test_a_strip_grows_image_by_image(basis: str) -> None:
+def test_a_strip_grows_image_by_image() -> None:
     """From its first image, whose nodes are continued over the others' lines; what is there keeps its times."""
     adjustment, nodes, times = IncrementalAdjustment(), list[int](), np.zeros(0)
-    every = parts(strips(basis))
+    every = parts(strips())
     for name in [name for name in every if name.startswith("HRSC/00")]:
         impact = adjustment.add(first_grid(every[name]))
         assert impact.converged

@@ -13,10 +13,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
 from mgsgraph.files.altimetry.pedr import FRAME
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.altimeters import LOLA, MOLA
-from mgsgraph.geometry.altimetry import AltimetryCloud
+from mgsgraph.geometry.altimetry import LOLA, MOLA, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, planetocentric
-from mgsgraph.geometry.time_scales import tdb_of_tt
+from mgsgraph.geometry.trajectory import tdb_of_tt
 from mgsgraph.network.footprints import points_in_images
 from mgsgraph.units import DEG
 

@@ -11,7 +11,7 @@ from readable_tables import Readable, outcome, readables
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.networks.table import read_tie_points
-from mgsgraph.geometry.time_scales import tdb_of_utc, utc_of_tdb, utc_texts
+from mgsgraph.geometry.trajectory import tdb_of_utc, utc_of_tdb, utc_texts
 
 FILES = readables()
 NUMBERED = {"frames", "ids"}

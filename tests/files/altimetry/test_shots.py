@@ -14,10 +14,9 @@ from outside import require
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.geometry.altimeters import ALTIMETERS, LALT, LOLA, MLA, MOLA
-from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.altimetry import ALTIMETERS, LALT, LOLA, MLA, MOLA, AltimeterShots
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.time_scales import tdb_of_tt, tdb_of_utc, utc_of_tdb
+from mgsgraph.geometry.trajectory import tdb_of_tt, tdb_of_utc, utc_of_tdb
 from mgsgraph.units import DEG
 
 LIGHT = 299_792_458.0

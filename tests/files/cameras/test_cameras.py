@@ -11,7 +11,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LabelKind, LineScanLabel, NaifKeywords
 from mgsgraph.files.cameras.label import CAMERAS, read_line_scan_label
 from mgsgraph.files.spice.kernels import ck_frame, clock_time, fixed_rotation, loaded
-from mgsgraph.geometry.distortion import KaguyaMiDistortion, NoDistortion
+from mgsgraph.geometry.camera import KaguyaMiDistortion, NoDistortion
 
 MM = 1e-3
 CUBE = """Object = IsisCube

@@ -11,7 +11,7 @@ from rasterio.crs import CRS
 from mgsgraph.files.output.geotiff import geotiff
 from mgsgraph.files.rasters.coordinate_systems import authority_code, equal_area_crs, geographic_crs, wkt2
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.registration.dem.map import MapGrid
+from mgsgraph.registration.dem.gridding import MapGrid
 
 pyproj = pytest.importorskip("pyproj", reason="pyproj (of the extra [tables]) is not installed")
 BODIES = {

@@ -12,7 +12,7 @@ from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.networks.network_file import read_control_network
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.distortion import LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.units import KM

@@ -12,7 +12,7 @@ from mgsgraph.files.support_data.optics import (
     state_optics,
     support_optics,
 )
-from mgsgraph.geometry import distortion as models
+from mgsgraph.geometry import camera as models
 from mgsgraph.units import MM
 
 FOCAL = 0.5

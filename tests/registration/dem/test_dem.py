@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 from rasterio.warp import transform
 
 from mgsgraph.errors import InputError
+from mgsgraph.factors.surface import bilinear
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
 from mgsgraph.network import ImageRays
-from mgsgraph.registration.dem.gridding import HeightGrid, gridded
-from mgsgraph.registration.dem.map import MapGrid, bilinear
-from mgsgraph.registration.dem.points import DensePoints, intersected
-from mgsgraph.registration.dem.scene import adjusted_scene
+from mgsgraph.registration.dem.gridding import DensePoints, HeightGrid, MapGrid, gridded, intersected
+from mgsgraph.registration.dem.ortho import adjusted_scene
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 RNG_SEED = 7

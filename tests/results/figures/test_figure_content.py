@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.geometry.map_plane import east_north
+from mgsgraph.geometry.body import from_planetocentric, plane_coordinates
 from mgsgraph.geometry.records import thinned
 from mgsgraph.results.figures.sheet import number, round_figure, short
 
@@ -21,11 +20,11 @@ def test_map_is_true_to_distance_and_direction() -> None:
                                      np.cos(latitude)])
         for angle in (1e-7, 0.1, 2.5):
             point = np.cos(angle) * centre + np.sin(angle) * MARS * north_pole_of_it
-            place = east_north(point[None], centre)[0]
+            place = plane_coordinates(point[None], centre)[0]
             assert np.hypot(*place) == pytest.approx(angle * MARS, rel=1e-8)
             if latitude < 1.5:
                 assert place[1] == pytest.approx(angle * MARS, rel=1e-8)
-        assert np.abs(east_north(centre[None], centre)).max() < 1e-6
+        assert np.abs(plane_coordinates(centre[None], centre)).max() < 1e-6
 
 
 @given(st.floats(1e-12, 1e12))

@@ -14,8 +14,8 @@ import mgsgraph
 from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.files.tie_points import PointKind
+from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.footprint import footprint
-from mgsgraph.geometry.map_plane import centre_of, east_north
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.results.figures import solution_sheets, write_figures
 from mgsgraph.results.figures.map import block_window, map_sheets
@@ -81,9 +81,9 @@ def test_points_lie_inside_the_footprints_of_the_images_that_measure_them(soluti
     for j, image in enumerate(solution.network.images):
         outline = footprint(image, correction=solution.correction(j)).outline
         assert np.array_equal(outline[0], outline[-1])
-        ring = east_north(outline, centre)
+        ring = plane_coordinates(outline, centre)
         mine = solution.network.rays.point[solution.network.rays.image == j]
-        for place in east_north(solution.places[mine], centre):
+        for place in plane_coordinates(solution.places[mine], centre):
             to = ring - place
             turn = np.arctan2(to[:-1, 0] * to[1:, 1] - to[:-1, 1] * to[1:, 0], np.sum(to[:-1] * to[1:], axis=1))
             assert abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6  # once around: inside
@@ -256,7 +256,7 @@ def test_one_image(solution: Solution, tmp_path: Path) -> None:
 
 def test_units_of_the_map(solution: Solution) -> None:
     """5,000 lines of 1.446 ms at 3 km/s are 22 km on the ground, 1,024 samples 2.9 km (PE&RS 2005, MOC-NA)."""
-    outline = east_north(footprint(solution.network.images[0]).outline, centre_of(solution.places)) / KM
+    outline = plane_coordinates(footprint(solution.network.images[0]).outline, centre_of(solution.places)) / KM
     foot = 32  # the first edge runs along the lines
     down, across = (float(np.linalg.norm(outline[foot] - outline[k])) for k in (0, 40))
     assert (across, down) == pytest.approx((2.9, 22.0), rel=0.05)
