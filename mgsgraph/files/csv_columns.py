@@ -152,7 +152,8 @@ class PlainRows:
             read = dict(zip([*numbers, *texts], _read(given, range(width), numbers, texts, quoted=False), strict=True))
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
             return None
-        if any(len(column) != len(self) for column in read.values()):
+        rows = len(self)
+        if any(len(column) != rows for column in read.values()):
             return None
         return {k: pc.utf8_trim(found, " ") if k in set(texts) else found for k, found in read.items()}
 
