@@ -10,7 +10,7 @@ from mgsgraph.adjustment.settings import Angles, Device, Line, Loss, SolverSetti
 from mgsgraph.case.motion import Factor, Positive, Sigma, three
 from mgsgraph.case.passes import MountingInput, PassInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.labels.aberration import Observer
+from mgsgraph.files.labels.isis_cube import Observer
 from mgsgraph.geometry.altimetry import Altimeter
 from mgsgraph.geometry.image import PushbroomImage, fit_attitude, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -177,7 +177,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     position_bias_s: float = 0.0
     """Position of time t is the SPK's of t + this."""
     line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
-    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (files.cameras.hrsc)."""
+    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (files.cameras.label)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None

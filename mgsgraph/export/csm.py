@@ -16,20 +16,21 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.labels.isis_cube import Aberration
 from mgsgraph.files.opening import read_json
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.support_data.isd_layout import (
     J2000,
     MODEL,
+    NUMBERS,
     RotationTable,
     StateTable,
     SunTable,
     rotation_table,
+    state_optics,
     state_table,
     support_fields,
 )
-from mgsgraph.files.support_data.optics import NUMBERS, state_optics
 from mgsgraph.files.writing import file_stem, write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic

@@ -27,8 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.lola import INVALID
-from mgsgraph.files.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
+from mgsgraph.files.altimetry.binary import IAU2000_VERSION, INVALID, in_iau2000, pedr_version
 from mgsgraph.files.altimetry.shot_values import (
     crossings,
     known_ranges,

@@ -83,7 +83,7 @@ def read_strip(
     names : sequence of str or None
         By which networks call the images; product ids when absent.
     line_times : sequence of Path, "mean" or None
-        of HRSC (`cameras.hrsc.read_line_times`), one for each label; other labels have their line rate in them.
+        of HRSC (`cameras.label.read_line_times`), one for each label; other labels have their line rate in them.
     focal_length : float, optional
         m; that of the kernels when absent.
     constants : "iak" or "ik"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
-from mgsgraph.files.altimetry.pedr import FRAME
+from mgsgraph.files.altimetry.binary import FRAME
+from mgsgraph.files.altimetry.shots import read_altimetry_cloud
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.altimetry import LOLA, MOLA, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, planetocentric
