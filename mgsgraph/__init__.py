@@ -93,8 +93,8 @@ if TYPE_CHECKING:
     from mgsgraph.case.scene import read_scene as read_scene
     from mgsgraph.errors import InputError as InputError
     from mgsgraph.errors import MgsgraphError as MgsgraphError
-    from mgsgraph.export.exchange import ExchangeSetting as ExchangeSetting
     from mgsgraph.export.exchange import convert as convert
+    from mgsgraph.export.exchange_setting import ExchangeSetting as ExchangeSetting
     from mgsgraph.export.frames import to_geopandas as to_geopandas
     from mgsgraph.export.frames import to_pandas as to_pandas
     from mgsgraph.export.frames import to_xarray as to_xarray
@@ -125,7 +125,7 @@ _HOME = {
     "convert": "mgsgraph.export.exchange",
     "DemSettings": "mgsgraph.registration.dem.model",
     "export_solution": "mgsgraph.export.solution_export",
-    "ExchangeSetting": "mgsgraph.export.exchange",
+    "ExchangeSetting": "mgsgraph.export.exchange_setting",
     "fetch_images": "mgsgraph.fetch.folder",
     "Impact": "mgsgraph.adjustment.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",

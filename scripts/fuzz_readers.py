@@ -96,8 +96,8 @@ def _images() -> Iterator[Row]:
 
 
 def _kernels() -> Iterator[Row]:
+    from mgsgraph.files.labels.kernels import loaded
     from mgsgraph.files.labels.labelled_image import read_labelled_image
-    from mgsgraph.files.spice.kernels import loaded
 
     def furnished(path: Path) -> None:
         with loaded([path]):

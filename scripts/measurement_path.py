@@ -1,17 +1,21 @@
 """The way of one measurement from its file to the kernel: `python scripts/measurement_path.py CASE FILE OFFSET BYTES`.
 
 Two adjustments of a case are followed up to the first sweep; in the second, bytes of one of its files are others
-(hex). A function is a station where what it returns, fills in or builds differs between the two, and was not there
-before: what only looks at a measurement, or hands it on, is none. Printed are the files in the order of the
-flow; `<<` marks a return to a room that was left before.
+(hex). A function is a station where a number, a text or an array in what it returns, fills in or builds differs
+between the two and was in none before: what only looks at a measurement, hands it on or puts it in a record is none;
+one that is called again (an iteration) is named once. Printed are the files in the order of the flow; `<<` marks a
+return to a room that was left before.
 """
 
 import hashlib
 import shutil
 import sys
 import tempfile
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
@@ -19,30 +23,32 @@ from mgsgraph.case.reading import read_case
 
 ROOT = Path(mgsgraph.__file__).resolve().parents[1]
 END = "sweep_all"
-Station = tuple[str, str, str]
-"""File, function, digest of what it made."""
+Station = tuple[str, str, set[str]]
+"""File, function, digests of what is in what it made."""
 
 
 class Arrived(BaseException):
     """The measurement is in the kernel."""
 
 
-def digest(value: Any, depth: int = 0) -> str:
-    """Of the numbers and texts in a value, its parts and its fields; empty where there are none."""
+def digests(value: Any, depth: int = 0) -> set[str]:
+    """Of the numbers, texts and arrays in a value, its parts and its fields."""
     if depth > 9 or value is None or callable(value):
-        return ""
-    if hasattr(value, "tobytes"):
-        objects = str(getattr(value, "dtype", "")) == "object"
-        content = digest(value.tolist(), depth + 1).encode() if objects else value.tobytes()
-    elif isinstance(value, bool | int | float | str | bytes):
-        content = repr(value).encode()
-    elif isinstance(value, dict | list | tuple | set | frozenset):
-        parts = value.items() if isinstance(value, dict) else value
-        content = "".join(digest(part, depth + 1) for part in parts).encode()
+        return set()
+    if hasattr(value, "tobytes") and str(getattr(value, "dtype", "")) != "object":
+        return {hashlib.md5(value.tobytes()).hexdigest()}
+    if isinstance(value, bool | int | float | str | bytes):
+        return {hashlib.md5(repr(value).encode()).hexdigest()}
+    if hasattr(value, "tolist"):
+        parts = value.tolist()
+    elif isinstance(value, dict):
+        parts = [*value, *value.values()]
+    elif isinstance(value, list | tuple | set | frozenset):
+        parts = value
     else:
         names = getattr(value, "__dict__", None) or dict.fromkeys(getattr(value, "__slots__", ()))
-        content = "".join(digest(getattr(value, name, None), depth + 1) for name in names).encode()
-    return hashlib.md5(content).hexdigest() if content else ""
+        parts = [getattr(value, name, None) for name in names]
+    return set[str]().union(*(digests(part, depth + 1) for part in parts))
 
 
 def stations(case: Path) -> list[Station]:
@@ -60,16 +66,16 @@ def stations(case: Path) -> list[Station]:
             return
         place = str(Path(code.co_filename).relative_to(ROOT)), code.co_name
         if event == "call" and code.co_name == END:
-            found.append((*place, digest(given(frame))))
+            found.append((*place, digests(given(frame))))
             raise Arrived
         if event == "call":
-            begun.append((frame, [digest(value) if hasattr(value, "tobytes") else "" for value in given(frame)]))
+            begun.append((frame, [digests(value) if hasattr(value, "tobytes") else set() for value in given(frame)]))
         elif event == "return" and begun and begun[-1][0] is frame:
             values, (_, before) = given(frame), begun.pop()
-            made = [] if any(result is value for value in values) else [digest(result)]
-            made += [digest(value) for value, old in zip(values, before, strict=True) if old and digest(value) != old]
-            made += [digest(values[0])] if code.co_name in {"__init__", "__post_init__"} else []
-            found.append((*place, "".join(made)))
+            made = set() if any(result is value for value in values) else digests(result)
+            made = made.union(*(digests(value) for value, old in zip(values, before, strict=True) if old))
+            made |= digests(values[0]) if code.co_name in {"__init__", "__post_init__"} else set()
+            found.append((*place, made))
 
     sys.setprofile(follow)
     try:
@@ -86,6 +92,9 @@ def room(file: str) -> str:
     return "/".join(Path(file).parts[:2])
 
 
+np.empty = np.zeros  # memory that nothing is written to yet is no measurement
+
+
 def main(case: Path, file: str, offset: int, content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "case"
@@ -96,12 +105,19 @@ def main(case: Path, file: str, offset: int, content: bytes) -> None:
         changed[offset : offset + len(content)] = content
         (copy / file).write_bytes(changed)
         other = stations(copy / case.name)
+    others, times = defaultdict[tuple[str, str, int], set[str]](set), Counter[tuple[str, str]]()
+    for *there, made in other:
+        others[*there, times[*there]] = made
+        times[*there] += 1
+    times.clear()
     seen, rooms, stays = set[str](), [""], list[tuple[str, list[str]]]()
-    for (place, function, made), (*there, differs) in zip(one, other, strict=True):
-        assert there == [place, function]
-        if made == differs or made in seen:
+    for place, function, made in one:
+        new = made - others[place, function, times[place, function]] - seen
+        times[place, function] += 1
+        if not new or any((place, function) == (there, one) for there, names in stays for one in names):
+            seen |= new
             continue
-        seen.add(made)
+        seen |= new
         if not stays or stays[-1][0] != place:
             stays.append((place, []))
         stays[-1][1].append(function)

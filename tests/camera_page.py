@@ -4,7 +4,7 @@ from itertools import groupby
 
 from mgsgraph.files.cameras.camera import Camera, times_of_label
 from mgsgraph.files.cameras.label import CAMERAS
-from mgsgraph.files.labels.isis_cube import spacecraft_of
+from mgsgraph.files.labels.aberration import spacecraft_of
 
 HEAD = ("camera", "NAIF id", "first line", "line period", "constants", "positions of cubes", "attitude")
 

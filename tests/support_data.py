@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mgsgraph.files.labels.isis_cube import Aberration
+from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 

@@ -21,7 +21,7 @@ from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, Solver
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names
-from mgsgraph.files.labels.isis_cube import Aberration
+from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.opening import read_text
 from mgsgraph.files.pvl import instrument_of
 from mgsgraph.files.support_data.isd import read_isd

@@ -10,7 +10,7 @@ from mgsgraph.adjustment.settings import Angles, Device, Line, Loss, SolverSetti
 from mgsgraph.case.motion import Factor, Positive, Sigma, three
 from mgsgraph.case.passes import MountingInput, PassInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.labels.isis_cube import Observer
+from mgsgraph.files.labels.aberration import Observer
 from mgsgraph.geometry.altimetry import Altimeter
 from mgsgraph.geometry.image import PushbroomImage, fit_attitude, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationPrior

@@ -55,8 +55,9 @@ def convert(
 
     Exit status: 0, or 2 for bad input, and with --strict for a format that can't hold all.
     """
-    from mgsgraph.export.exchange import Lossy, Selection, setting_of
+    from mgsgraph.export.exchange import Lossy, Selection
     from mgsgraph.export.exchange import convert as make
+    from mgsgraph.export.exchange_setting import setting_of
 
     if out is None and len(files) < 2:
         raise click.UsageError("one file alone: name what is written, last or by --out")
@@ -185,7 +186,7 @@ def _write_page(
 
 
 def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> None:
-    from mgsgraph.export.exchange import case_setting
+    from mgsgraph.export.exchange_setting import case_setting
     from mgsgraph.files.networks.table import is_table
     from mgsgraph.studio.verdicts import read_verdicts, reviewed_network, write_kept
 

@@ -3,14 +3,11 @@ lost on the way said. Of files of a network's name those alone are replaced that
 """
 
 import os
-import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -18,6 +15,8 @@ from msgspec import structs
 from mgsgraph.atomic_write import resolved
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
+from mgsgraph.export.exchange_losses import losses
+from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.files.kinds import Kind, kind_of
 from mgsgraph.files.networks.asp_match import (
     MatchFile,
@@ -26,362 +25,30 @@ from mgsgraph.files.networks.asp_match import (
     prefix_of,
     read_match,
     read_match_text,
-    stem,
 )
 from mgsgraph.files.networks.asp_match import images_of as named_images
 from mgsgraph.files.networks.asp_text import (
-    PixelMeasures,
     ground_control_text,
     half_sizes,
-    keeps_ids,
-    measures_of,
     nvm_files,
     offsets_path,
     read_ground_control_network,
     read_nvm,
     read_offsets,
-    takes_part,
 )
 from mgsgraph.files.networks.binary import binary_network, read_network
 from mgsgraph.files.networks.editing import images_of, in_images, thinned, united, used_images
-from mgsgraph.files.networks.pvl import CONSTRAINTS, HEAD_TEXTS, LOCKS, LOG_NAMES, NAME_TEXTS, network_text
+from mgsgraph.files.networks.pvl import network_text
 from mgsgraph.files.networks.record import (
-    AprioriSource,
-    ControlMeasure,
     ControlNetwork,
     ControlPoint,
     Duplicates,
-    MeasureType,
-    PointType,
 )
 from mgsgraph.files.networks.table import read_table, table_parquet, table_text
-from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.files.writing import Output, begins, fresh_file, require_free
-from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
 from mgsgraph.network.connectivity import groups
 from mgsgraph.record import Record
-from mgsgraph.text import listed, many, some
-
-_ALL = frozenset(PointType)
-_TAKEN = {
-    Format.MATCH: (frozenset({PointType.FREE}), 2), Format.MATCH_TEXT: (frozenset({PointType.FREE}), 2),
-    Format.GCP: (_ALL - {PointType.FREE}, 0), Format.NVM: (_ALL, 2),
-}  # fmt: skip
-"""Types of points that a format takes, and by how many images they must be seen; ignored ones are left out."""
-
-
-def _keys(*tables: dict[str, str]) -> dict[str, str]:
-    """ISIS's keywords by what they are in the record."""
-    return {attribute: key for table in tables for key, attribute in table.items()}
-
-
-_KEYWORDS = _keys(NAME_TEXTS, LOCKS) | {"jigsaw_rejected": "JigsawRejected"}
-_OF_NETWORK = _keys(HEAD_TEXTS) | {"target_radii": "TargetRadii"}
-_OF_POINT = _KEYWORDS | {
-    "reference": "the reference measure", "apriori_source": "AprioriXYZSource",
-    "apriori_source_file": "AprioriXYZSourceFile", "apriori_radius_source": "AprioriRadiusSource",
-    "apriori_radius_source_file": "AprioriRadiusSourceFile", **_keys(CONSTRAINTS),
-    "apriori": "the a-priori place", "apriori_covariance": "the a-priori covariance",
-    "adjusted": "the adjusted place", "adjusted_covariance": "the adjusted covariance",
-}  # fmt: skip
-_OF_MEASURE = _KEYWORDS | {
-    "sample_residual": "SampleResidual", "line_residual": "LineResidual", "diameter": "Diameter",
-    "apriori_sample": "AprioriSample", "apriori_line": "AprioriLine", "sample_sigma": "SampleSigma",
-    "line_sigma": "LineSigma",
-}  # fmt: skip
-_OF_TABLE = {"ignore", "reference", "apriori", "apriori_covariance", "sample_sigma", "line_sigma"}
-_HELD = {
-    Format.CSV: _OF_TABLE, Format.PARQUET: _OF_TABLE,
-    Format.MATCH: {"sample_sigma", "line_sigma"},
-    Format.MATCH_TEXT: {"sample_sigma", "line_sigma"},
-    Format.GCP: {"apriori", "apriori_covariance", "sample_sigma", "line_sigma"},
-    Format.NVM: {"apriori", "adjusted"},
-}
-"""Fields that a format holds, if only in part, of which more is said below."""
-
-
-def losses(network: ControlNetwork, form: Format) -> list[str]:
-    """What a format can't hold of a network; empty for ISIS's own, which hold everything.
-
-    Raises InputError where the format can't take the network at all: a measure without a place, an image twice in a
-    point.
-    """
-    if form in (Format.PVL, Format.NET):
-        return []
-    taken = _taken(network, form)
-    lines = _left_out(network, form)
-    if head := [word for name, word in _OF_NETWORK.items() if getattr(network, name)]:
-        lines.append(f"{listed(head)} of the network")
-    measures = [measure for point in taken for measure in _measures(point, form)]
-    lines += _fields(taken, _OF_POINT, _HELD[form], "point") + _fields(measures, _OF_MEASURE, _HELD[form], "measure")
-    lines += _figures(measures)
-    if form in _TABLES:
-        return lines + _of_table(network)
-    lines += _line("MeasureType of {}", sum(one.type != MeasureType.CANDIDATE for one in measures), "measure")
-    rows = measures_of(network, *_TAKEN[form])
-    if form == Format.NVM:
-        return lines + _of_nvm(rows)
-    return lines + (_of_control(rows) if form == Format.GCP else _of_matches(rows, form))
-
-
-def _taken(network: ControlNetwork, form: Format) -> list[ControlPoint]:
-    """Points that are written."""
-    if form not in _TAKEN:
-        return list(network.points)
-    types, least = _TAKEN[form]
-    return [one for one in network.points if takes_part(one, types) and len(_measures(one, form)) >= least]
-
-
-def _measures(point: ControlPoint, form: Format) -> list[ControlMeasure]:
-    return [measure for measure in point.measures if form in _TABLES or not measure.ignore]
-
-
-def _left_out(network: ControlNetwork, form: Format) -> list[str]:
-    """Points and measures that are not written at all."""
-    if form not in _TAKEN:
-        return []
-    types, least = _TAKEN[form]
-    kinds = Counter(point.type for point in network.points if not point.ignore)
-    lines = [many(kinds[kind], f"{kind.name.lower()} point") for kind in sorted(kinds) if kind not in types]
-    rest = [point for point in network.points if takes_part(point, types)]
-    lines += _line("{}", sum(point.ignore for point in network.points), "ignored point")
-    few = sum(len(_measures(point, form)) < least for point in rest)
-    lines += _line("{} that fewer than two images see", few, "point")
-    return lines + _line("{}", sum(one.ignore for point in rest for one in point.measures), "ignored measure")
-
-
-def _line(words: str, count: int, noun: str) -> list[str]:
-    """A line, if there is any."""
-    return [words.format(many(count, noun))] if count else []
-
-
-def _fields(records: Sequence[Any], words: dict[str, str], held: set[str], noun: str) -> list[str]:
-    """Fields that are set and not held."""
-    lines = list[str]()
-    for name, word in words.items():
-        if name in held:
-            continue
-        values = [getattr(record, name) for record in records]
-        unset = sum(value in (None, "", ()) or value is False or value is AprioriSource.NONE for value in values)
-        lines += _line(word + " of {}", len(values) - unset, noun)
-    return lines
-
-
-def _figures(measures: Sequence[ControlMeasure]) -> list[str]:
-    """Figures of merit, by their names."""
-    counts = Counter(kind for measure in measures for kind, _ in measure.log)
-    return [
-        f"{many(count, 'figure')} of {LOG_NAMES.get(kind, f'kind {kind}')}" for kind, count in sorted(counts.items())
-    ]
-
-
-def _of_table(network: ControlNetwork) -> list[str]:
-    points = network.points
-    measures = [one for point in points for one in point.measures]
-    bare = sum(one.apriori is None and bool(one.apriori_covariance) for one in points)
-    placeless = sum(one.line is None or one.sample is None for one in measures)
-    wrong = sum(one.line_sigma is not None and one.line_sigma <= 0.0 for one in measures)
-    wrong += sum(one.sample_sigma is not None and one.sample_sigma <= 0.0 for one in measures)
-    return [
-        *_line("{} of zero or less", wrong, "sigma"),
-        *_line("the a-priori covariance of {} without an a-priori place", bare, "point"),
-        *_line("{} without line and sample", placeless, "measure"),
-    ]
-
-
-def _of_matches(rows: PixelMeasures, form: Format) -> list[str]:
-    differ = int((np.ptp(rows.sigmas, axis=1) > 0.0).sum())
-    rounded = form == Format.MATCH and np.any(rows.pixels != rows.pixels.astype(np.float32))
-    return [
-        *_line("PointId of {} (they are counted anew)", len(rows.points), "point"),
-        *_line("folder and ending in the name of {}", sum(stem(name) != name for name in rows.images), "image"),
-        *_unstated(rows),
-        *_line("unlike sigmas of {} (the quadratic mean is written)", differ, "measure"),
-        *(["places beyond single precision"] if rounded else []),
-    ]
-
-
-def _unstated(rows: PixelMeasures) -> list[str]:
-    missing = int(np.isnan(rows.sigmas).any(axis=1).sum())
-    return _line("the missing sigma of {} (1 px is written)", missing, "measure")
-
-
-def _of_nvm(rows: PixelMeasures) -> list[str]:
-    points = rows.points
-    apriori = sum(one.apriori is not None for one in points)
-    missing = sum(one.apriori is None and one.adjusted is None for one in points)
-    return [
-        *_line("PointId of {} (they are counted anew)", len(points), "point"),
-        *_line("PointType of {} (all are free)", sum(one.type != PointType.FREE for one in points), "point"),
-        *_line("the a-priori place of {} (it is an adjusted one)", apriori, "point"),
-        *_line("the missing place of {} (0 0 0 is written)", missing, "point"),
-    ]
-
-
-def _of_control(rows: PixelMeasures) -> list[str]:
-    fixed = sum(one.type == PointType.FIXED and bool(one.apriori_covariance) for one in rows.points)
-    ids = 0 if keeps_ids(rows.points) else len(rows.points)
-    return [
-        *_line("PointId of {} (they are numbered)", ids, "point"),
-        *_line("covariances between X, Y and Z of {}", sum(_skew(one) for one in rows.points), "point"),
-        *_line("the a-priori covariance of {}", fixed, "fixed point"),
-        *_unstated(rows),
-    ]
-
-
-def _skew(point: ControlPoint) -> bool:
-    upper = point.apriori_covariance
-    return point.type == PointType.CONSTRAINED and len(upper) == 6 and any((upper[1], upper[2], upper[4]))
-
-
-
-
-_SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
-_SAID = "--target, --radii, --case"
-"""Where a setting comes from, for messages."""
-
-
-@dataclass(frozen=True, slots=True)
-class ExchangeSetting(Record):
-    """What files don't say of themselves.
-
-    Examples
-    --------
-    >>> setting = mgsgraph.ExchangeSetting(target="Mars", renamed={"SIM/A": "E02-00665"})
-    >>> mgsgraph.convert("pair/network.pvl", "renamed.net", setting).written[0].name
-    'renamed.net'
-    """
-
-    sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    """Lines and samples of images by their names."""
-    ellipsoid: Ellipsoid | None = None
-    """To which geodetic latitudes and heights refer."""
-    target: str = ""
-    """Body, as ISIS calls it."""
-    renamed: Mapping[str, str] = field(default_factory=dict)
-    """New names of images by those in the files that are read."""
-    prefix: str | None = None
-    """What the names of match files begin with, before the hyphen; None: not said."""
-    shifted: bool = True
-    """Whether NVM counts from the optical centres."""
-
-    def old_sizes(self) -> dict[str, tuple[int, int]]:
-        """Sizes by the names in files that are read, too."""
-        return dict(self.sizes) | {old: self.sizes[new] for old, new in self.renamed.items() if new in self.sizes}
-
-    def old_names(self) -> list[str]:
-        """Names that images may have in files that are read; empty where none is known."""
-        news = set(self.renamed.values())
-        return [name for name in self.sizes if name not in news] + list(self.renamed) if self.sizes else []
-
-
-def case_setting(case: Path) -> ExchangeSetting:
-    """Names and sizes of a case's images, the body's ellipsoid and, if known by its size, name; the case's other files
-    need not be there.
-    """
-    from mgsgraph.case.case_file import decode, read_image
-
-    wanted = decode(case)
-    images = [
-        read_image(entry, wanted.spice, case.parent, f"{case}, images[{j}]") for j, entry in enumerate(wanted.images)
-    ]
-    body = images[0].body
-    target = target_name(body)
-    sizes = {image.name: (image.lines, image.samples) for image in images}
-    return ExchangeSetting(sizes, body, "" if target == "UNKNOWN" else target)
-
-
-def setting_of(
-    case: Path | None,
-    sizes: Iterable[str],
-    radii: tuple[float, float] | None,
-    target: str,
-    rename: Iterable[str],
-    prefix: str | None,
-    shifted: bool,
-) -> ExchangeSetting:
-    """A setting of options' texts (NAME=LINESxSAMPLES, OLD=NEW; radii in m), which come before what a case says.
-
-    Raises InputError for a malformed one, or one twice.
-    """
-    known = case_setting(case) if case is not None else ExchangeSetting()
-    stated = {}
-    for name, text in _pairs("--images", "NAME=LINESxSAMPLES", sizes):
-        if not (size := _SIZE.fullmatch(text)):
-            raise InputError("--images", repr(f"{name}={text}"), "NAME=LINESxSAMPLES, as E0200665=9856x1024")
-        stated[name] = int(size[1]), int(size[2])
-    return replace(
-        known,
-        sizes=dict(known.sizes) | stated,
-        ellipsoid=known.ellipsoid if radii is None else Ellipsoid(*radii),
-        target=target or known.target,
-        renamed=dict(_pairs("--rename", "OLD=NEW", rename)),
-        prefix=prefix,
-        shifted=shifted,
-    )
-
-
-def _pairs(option: str, form: str, texts: Iterable[str]) -> list[tuple[str, str]]:
-    pairs = list[tuple[str, str]]()
-    for text in texts:
-        name, equals, value = text.rpartition("=")
-        if not (name and equals and value):
-            raise InputError(option, repr(text), form)
-        if name in dict(pairs):
-            raise InputError(option, f"{name!r} twice", "each image once")
-        pairs.append((name, value))
-    return pairs
-
-
-def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSetting) -> None:
-    """Raise InputError if networks and setting name several bodies, or an ellipsoid that can't be the named one's, or
-    on which points don't lie.
-    """
-    stated = [(one.source, one.target_name) for one in networks if one.target_name]
-    stated += [(_SAID, setting.target)] if setting.target else []
-    for where, name in stated[1:]:
-        if name.casefold() != stated[0][1].casefold():
-            found, expected = f"the target body {name}", f"{stated[0][1]}, as in {stated[0][0]}"
-            raise InputError(where, found, expected, "convert networks of one body at a time")
-    if setting.ellipsoid is not None and stated and not may_be(setting.ellipsoid, stated[0][1]):
-        found = f"an equatorial radius of {setting.ellipsoid.equatorial:.10g} m"
-        expected = f"that of {stated[0][1]}, the target body in {stated[0][0]}"
-        raise InputError(_SAID, found, expected, "radii are in m")
-    if setting.ellipsoid is None:
-        return
-    for one in networks:
-        known = [place for point in one.points if (place := point.apriori or point.adjusted)]
-        require_places(np.array(known).reshape(-1, 3), setting.ellipsoid, one.source)
-
-
-def leading(networks: Sequence[ControlNetwork]) -> ControlNetwork:
-    """The network whose head several of them get: the first one that names its body, else the first one."""
-    return next((one for one in networks if one.target_name), networks[0])
-
-
-def ellipsoid_of(network: ControlNetwork, output: Path, setting: ExchangeSetting) -> Ellipsoid:
-    """As it is said, or as the network has it."""
-    if setting.ellipsoid is not None:
-        return setting.ellipsoid
-    radii = network.target_radii
-    if len(radii) == 3 and radii[0] == radii[1]:
-        return Ellipsoid(radii[0], radii[2])
-    found = "heights above a body of three unlike radii" if len(radii) == 3 else "heights above an unknown ellipsoid"
-    raise InputError(str(output), found, "its radii", "say --radii, or --case")
-
-
-def with_head(network: ControlNetwork, output: Path, setting: ExchangeSetting) -> ControlNetwork:
-    """With a target, which ISIS demands, an id and radii."""
-    target = network.target_name or setting.target
-    if not target:
-        raise InputError(str(output), "no name of the target body", "one", "say --target MARS, or another")
-    radii = network.target_radii
-    if not radii and setting.ellipsoid is not None:
-        radii = (setting.ellipsoid.equatorial, setting.ellipsoid.equatorial, setting.ellipsoid.polar)
-    name = network.network_id or output.stem
-    return structs.replace(network, network_id=name, target_name=target, target_radii=radii)
-
-
+from mgsgraph.text import many, some
 
 Paths = str | Path | Iterable[str | Path]
 """One file or several."""

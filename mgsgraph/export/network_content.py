@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.export.exchange import leading
+from mgsgraph.export.exchange_setting import leading
 from mgsgraph.files.networks.editing import SAME_PLACE, apart, united, with_measures
 from mgsgraph.files.networks.pvl import MEASURE_TYPES
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType

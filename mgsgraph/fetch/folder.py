@@ -133,7 +133,7 @@ def fetch_images(
     >>> print(*fetched.sentences, sep="\n")
     E02/00665: 2001-03-08T12:52:54.00, orbit 8933, mgs_ext1.bsp, mgs_sc_ext1.bc, ap18933l.b
     E02/01453: 2001-03-17T18:39:14.00, orbit 9043, mgs_ext1.bsp, mgs_sc_ext1.bc, ap19043l.b
-    24 files fetched, 67.1 MB; 0 were here already
+    28 files fetched, 67.1 MB; 0 were here already
     >>> fetched.commands()[0]
     'mgsgraph init data/project --case data/case.toml'
     """

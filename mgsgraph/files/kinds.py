@@ -15,8 +15,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.binary import FRAME, RECORD, is_lola_rdr
 from mgsgraph.files.altimetry.tables import is_archive_table, table_of
 from mgsgraph.files.cameras.label import label_of
+from mgsgraph.files.csv_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
 from mgsgraph.files.labels.isis_cube import has_tables, is_cube_json, serial_number
-from mgsgraph.files.networks.table import CARTESIAN, GEODETIC, MAGIC, PLANETOCENTRIC, parquet_names
+from mgsgraph.files.networks.table import MAGIC, parquet_names
 from mgsgraph.files.opening import head_of, json_object, read_bytes, read_text
 from mgsgraph.files.pvl import label_text, read_label
 from mgsgraph.files.support_data.isd_layout import MODEL

@@ -17,12 +17,11 @@ from enum import StrEnum
 from functools import cache, reduce
 from operator import getitem
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import json_object, opened, understood
 from mgsgraph.geometry.camera import MODELS, Distortion
@@ -30,6 +29,9 @@ from mgsgraph.geometry.image import ExteriorOrientation, PolynomialTrajectory
 from mgsgraph.geometry.records import Array, assign
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Trajectory
 from mgsgraph.network import NodePrior, PolynomialPrior, ProcessPrior
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
 
 Arrays = dict[str, NDArray[Any]]
 """Arrays by the path of fields that leads to them."""
@@ -275,7 +277,7 @@ _OLDER = "adjust the case again, or read it with the older version of mgsgraph t
 _ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
 
 
-def write_archive(solution: Solution, path: Path) -> None:
+def write_archive(solution: "Solution", path: Path) -> None:
     """Write a solution to an .npz file."""
     arrays: Arrays = {}
     record = json.dumps(to_arrays(solution, "", arrays), allow_nan=False)
@@ -284,7 +286,7 @@ def write_archive(solution: Solution, path: Path) -> None:
         np.savez(file, **head, **arrays)  # type: ignore[arg-type]  # NumPy's stub takes any name for allow_pickle
 
 
-def read_solution(path: str | Path) -> Solution:
+def read_solution(path: str | Path) -> "Solution":
     """Read a solution back.
 
     Parameters
@@ -303,6 +305,8 @@ def read_solution(path: str | Path) -> Solution:
     Solution('simulated pair', converged after 5 iterations, cost 449.199 -> 44.8741, sigma0 1.223, 60 degrees of
     freedom; Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges))
     """
+    from mgsgraph.adjustment.solution import Solution  # gtsam and the compiler take their time to load
+
     path = Path(path)
     path = path / ARCHIVE if path.is_dir() else path
     if not path.exists():
@@ -318,7 +322,7 @@ def read_solution(path: str | Path) -> Solution:
         return solution
 
 
-def _require_shapes(solution: Solution) -> None:
+def _require_shapes(solution: "Solution") -> None:
     """Raise InputError unless the arrays of a solution fit its network, so that no later table stumbles over them."""
     network = solution.network
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.scene import read_scene
-from mgsgraph.files.output.folders import DEM, PROGRAM, fresh_folder, require_replaceable
+from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder, require_replaceable
 from mgsgraph.files.output.table import Column, Table, numbers, picked, write_json
 from mgsgraph.files.rasters.raster_file import geotiff
 from mgsgraph.geometry.body import planetocentric
@@ -27,6 +27,7 @@ from mgsgraph.registration.dem.ortho import (
     expected_ground,
     ortho_tiles,
 )
+from mgsgraph.results.catalog import BANDS, stac_item
 from mgsgraph.results.section import Section
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
@@ -36,8 +37,6 @@ FORMAT = 2
 """Version of dem.json's layout: 2 has the coordinate system as WKT2, not in PROJ's words."""
 _UNEXPLAINED = 1.5
 """Times what matching explains from which on rays that miss each other are worth a word."""
-BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
-"""Of dem.tif; m but for the last."""
 
 
 def make_dem(
@@ -117,6 +116,8 @@ def write_dem(
 
         progress("figure", 0, 1)
         save([dem_sheet(dem, read_ortho(folder / "ortho.tif"))], folder)
+    images = [picture.image for picture in scene.pictures]
+    write_json(folder / STAC_ITEM, stac_item(dem, grid, images, sorted(path.name for path in folder.iterdir())))
 
 
 def dem_section(dem: Dem) -> Section:

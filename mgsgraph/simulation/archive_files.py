@@ -19,7 +19,8 @@ from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.simulation.archive import Archive, Footprints, Region, footprint, regions
+from mgsgraph.simulation.archive import Archive
+from mgsgraph.simulation.archive_ties import Footprints, Region, footprint, regions
 from mgsgraph.simulation.case_files import json_text
 from mgsgraph.simulation.files import write_texts, writing
 from mgsgraph.units import ISIS_OFFSET, MRAD

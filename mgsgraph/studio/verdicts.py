@@ -22,7 +22,8 @@ from mgsgraph.case.assembly import in_images
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
-from mgsgraph.export.exchange import ExchangeSetting, earlier_network, with_head
+from mgsgraph.export.exchange import earlier_network
+from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlNetwork

@@ -47,7 +47,7 @@ def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.Monk
 
 def test_auto_goes_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
-    monkeypatch.setattr(gpu, "find_spec", lambda name: None)
+    monkeypatch.setattr("mgsgraph.adjustment.gpu.found.find_spec", lambda name: None)
     assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
 
 
@@ -67,7 +67,7 @@ def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(InputError, match="no GPU") as error:
         adjust_network(net, cuda)
     assert len(str(error.value).splitlines()) == 1
-    monkeypatch.setattr(gpu, "find_spec", lambda name: None)
+    monkeypatch.setattr("mgsgraph.adjustment.gpu.found.find_spec", lambda name: None)
     with pytest.raises(InputError, match="numba-cuda"):
         adjust_network(net, cuda)
     with pytest.raises(InputError, match="device"):

@@ -74,7 +74,7 @@ def test_questions_are_answered_in_their_order(result: Path, tmp_path: Path, cal
     record = json.loads((tmp_path / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     found = {answer["question"]: answer for answer in record["answers"][0]}
     assert np.allclose(found["point"]["covariance_m2"], solution.covariances[0], rtol=1e-5)
-    assert {path.suffix for path in (tmp_path / "analysis").iterdir()} == {".json", ".csv", ".png"}
+    assert {path.suffix for path in (tmp_path / "analysis").iterdir()} == {".json", ".csv"}
 
 
 def test_new_places_and_their_raster(result: Path, tmp_path: Path, call: Called) -> None:

@@ -53,7 +53,7 @@ def test_table_sentences_and_files(case: Path, capsys: pytest.CaptureFixture[str
         (("--spacings", "four"), "'four'; expected positive numbers of seconds"),
         (("--spacings", "4,-1"), "positive numbers"),
         (("--spacings", "3"), "two or more that differ"),
-        (("--hold-out", "2"), "share of 2.0"),
+        (("--spacings", "3,0.02", "--hold-out", "2"), "share of 2.0"),
     ],
 )
 def test_bad_options_are_one_line(case: Path, options: tuple[str, ...], words: str) -> None:

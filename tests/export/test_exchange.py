@@ -11,7 +11,8 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
-from mgsgraph.export.exchange import ExchangeSetting, Lossy, convert, format_of, losses, read_networks, setting_of
+from mgsgraph.export.exchange import ExchangeSetting, Lossy, convert, format_of, losses, read_networks
+from mgsgraph.export.exchange_setting import setting_of
 from mgsgraph.files.networks.asp_match import read_match, read_match_text
 from mgsgraph.files.networks.asp_text import read_offsets
 from mgsgraph.files.networks.binary import read_network, write_binary_network

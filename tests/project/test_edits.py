@@ -54,7 +54,7 @@ def edit(folder: Path, act: Callable[..., Edited], *arguments: object) -> Edited
 
 def places(project: Project) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Places and sigmas by name, as iSAM2 has them."""
-    chosen = replace(project.settings.solver.settings, form="bundle")
+    chosen = project.settings.solver.settings
     names, found, covariances = IncrementalAdjustment(chosen, project.store).points()
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     return dict(zip(names, found, strict=True)), dict(zip(names, sigmas, strict=True))

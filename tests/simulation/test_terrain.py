@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
-from mgsgraph.simulation import ground
+from mgsgraph.simulation import relief
 from mgsgraph.simulation.ground import SITES, PeriodicSurface, SiteTerrain, grid_shift, make_terrain, terrain_grid
 from mgsgraph.units import DEG
 
@@ -157,12 +157,12 @@ def _up(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
 
 def test_craters_are_a_fifth_as_deep_as_wide() -> None:
     """A fresh crater: 0.2 diameters from the rim's crest to the floor, the rim above the plain, ejecta that run out."""
-    profile = ground._crater(np.linspace(0.0, 2.5, 1001)).astype(np.float64)
+    profile = relief._crater(np.linspace(0.0, 2.5, 1001)).astype(np.float64)
     assert profile.max() - profile.min() == pytest.approx(1.0, abs=5e-3)
     assert np.linspace(0.0, 2.5, 1001)[np.argmax(profile)] == pytest.approx(1.0, abs=5e-3)
     assert profile[-1] == 0.0
     field = np.zeros((256, 256), dtype=np.float32)
-    ground.add_craters(field, 10.0, 10.0, (400.0, 500.0), np.random.default_rng(2))
+    relief.add_craters(field, 10.0, 10.0, (400.0, 500.0), np.random.default_rng(2))
     assert -2.0 * 0.2 * 500.0 < field.min() < -0.2 * 0.2 * 400.0 * (1.0 - 0.2)  # two of them may fall on one another
     assert 0.2 * 0.2 * 400.0 * 0.2 < field.max() < 2.0 * 0.2 * 0.2 * 500.0
 
@@ -174,9 +174,9 @@ def test_crater_numbers_fall_with_the_square_of_the_diameter(monkeypatch: pytest
         reaches.append(reach)
         return np.array([0]), np.array([0.0])
 
-    monkeypatch.setattr(ground, "_around", around)
-    ground.add_craters(np.zeros((1024, 1024), dtype=np.float32), 10.0, 3.0, (50.0, 800.0), np.random.default_rng(0))
-    diameters = 2.0 * 10.0 * np.array(reaches[::2]) / ground.REACH
+    monkeypatch.setattr(relief, "_around", around)
+    relief.add_craters(np.zeros((1024, 1024), dtype=np.float32), 10.0, 3.0, (50.0, 800.0), np.random.default_rng(0))
+    diameters = 2.0 * 10.0 * np.array(reaches[::2]) / relief.REACH
     area = (1024 * 0.01) ** 2
     assert np.sum(diameters > 100.0) / area == pytest.approx(3.0, rel=0.15)
     assert np.sum(diameters > 200.0) / area == pytest.approx(0.75, rel=0.25)

@@ -15,8 +15,7 @@ import spiceypy
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel, LineTimes, LineTimesSource
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.opening import understood
-from mgsgraph.files.spice.kernels import (
+from mgsgraph.files.labels.kernels import (
     INTERVAL,
     Constants,
     Correction,
@@ -31,6 +30,7 @@ from mgsgraph.files.spice.kernels import (
     sample_trajectory,
     utc_time,
 )
+from mgsgraph.files.opening import understood
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import InteriorOrientation, MocWideAngleDistortion
 from mgsgraph.geometry.image import PushbroomImage

@@ -9,8 +9,7 @@ Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVers
 readProtobufV0005, readProtobufV0002, readProtobufV0001); 2 and 5 in DOI-USGS/plio, plio/io/io_controlnetwork.py, too
 (IsisStore.read). Messages: `networks.messages`.
 
-
-A network is read from either of its forms, told apart by what is in the file: whole, or as TiePoints.
+A network is read from either of its forms, told apart by what is in the file.
 """
 
 import re
@@ -34,7 +33,7 @@ from mgsgraph.files.networks.messages import (
     read_point,
     second_versions,
 )
-from mgsgraph.files.networks.pvl import HEAD_TEXTS, Value, keyword_lines, parse_pvl_network, text_value, where_in
+from mgsgraph.files.networks.pvl import HEAD_TEXTS, parse_pvl_network, where_in
 from mgsgraph.files.networks.record import (
     ControlNetwork,
     ControlPoint,
@@ -46,7 +45,7 @@ from mgsgraph.files.networks.record import (
 )
 from mgsgraph.files.networks.tie_points import PointArrays, TiePoints, tie_points
 from mgsgraph.files.opening import name_of, read_bytes
-from mgsgraph.files.pvl import Block, Document, whole_label
+from mgsgraph.files.pvl import Block, Document, Value, keyword_lines, text_value, whole_label
 from mgsgraph.files.writing import require_as_recorded, write_file
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import LONGEST_NAME, Index, Mask

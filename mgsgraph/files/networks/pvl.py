@@ -12,14 +12,8 @@ Networks are written as ISIS's cnetbin2pvl does, but with all digits of a number
 
 Written beside what ISIS writes: JigsawRejected of a point, which ISIS reads; zeros (diameter, residuals, covariances);
 RadiusConstrained by itself, for which ISIS asks the longitude. Left out: comments, and texts that say Null.
-
-Equals signs of a block stand in one column, texts in quotes where they need them, lists are wrapped at 80 columns:
-DOI-USGS/ISIS3, isis/src/base/objs/PvlFormat/PvlFormat.cpp (FormatValue, AddQuotes), and ControlNetVersioner.truth. Long
-texts are not wrapped: a wrapped one comes back with its blanks changed. All texts that a reader might take apart are in
-quotes.
 """
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from enum import IntEnum
 from functools import partial
@@ -41,7 +35,7 @@ from mgsgraph.files.networks.record import (
     Where,
     of_mars,
 )
-from mgsgraph.files.pvl import LENGTHS, Block, Document, Entry, inner_blocks
+from mgsgraph.files.pvl import LENGTHS, Block, Document, Entry, Value, inner_blocks, keyword_lines, text_value
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.body import east_north_up, from_planetocentric
 from mgsgraph.units import DEG
@@ -381,12 +375,6 @@ def _of_sigmas(block: Block, key: str, place: tuple[float, float, float]) -> tup
     return tuple(((axes.T * sigmas**2) @ axes)[np.triu_indices(3)].tolist())
 
 
-_COLUMNS = 80
-_PLAIN = re.compile(r"[\w.:/$+-]*[\w.:/$+]")
-_LINE_BREAK = re.compile(r"[\r\n]")
-
-Value = str | tuple[str, ...]
-"""As it stands behind the equals sign; items of a list."""
 _LARGEST = 1e300
 _Keywords = list[tuple[str, Value]]
 
@@ -501,50 +489,3 @@ def _number(value: float, key: str) -> str:
     if not -_LARGEST < value < _LARGEST:
         raise InputError(key, f"{value}", "a finite number")
     return repr(float(value))
-
-
-# --- layout
-
-
-def text_value(text: str, where: str) -> str:
-    """A text, in quotes if it needs them; ISIS's Null for an empty one.
-
-    Raises
-    ------
-    InputError
-        If it has a line break or both kinds of quotes, which PVL can't hold, or characters that UTF-8 can't.
-    """
-    if _PLAIN.fullmatch(text):
-        return text
-    if not text:
-        return "Null"
-    quote = "'" if '"' in text else '"'
-    found = "a line break" if _LINE_BREAK.search(text) else "both kinds of quotes" if quote in text else ""
-    if any("\ud800" <= character <= "\udfff" for character in text):
-        found = "half a character"
-    if found:
-        raise InputError(where, f"{found} in {text[:60]!r}", "what PVL can hold", "change it, or write another format")
-    return f"{quote}{text}{quote}"
-
-
-def keyword_lines(keywords: list[tuple[str, Value]], indent: int) -> list[str]:
-    """Lines of a block's keywords."""
-    width = max(len(key) for key, _ in keywords)
-    blanks = " " * indent
-    return [
-        f"{blanks}{key:{width}} = {value}" if isinstance(value, str) else _list(f"{blanks}{key:{width}} = ", value)
-        for key, value in keywords
-    ]
-
-
-def _list(head: str, items: tuple[str, ...]) -> str:
-    """A list, its items below one another's first column where a line would be longer than 80."""
-    lines, line = list[str](), head + "("
-    for index, item in enumerate(items):
-        piece = item + (")" if index == len(items) - 1 else ",")
-        gap = " " if index else ""
-        if index and len(line) + len(gap + piece) > _COLUMNS:
-            lines.append(line)
-            line, gap = " " * (len(head) + 1), ""
-        line += gap + piece
-    return "\n".join([*lines, line])

@@ -27,8 +27,10 @@ import sys
 import threading
 import warnings
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from copy import deepcopy
+from functools import cache
 from io import BufferedReader
 from itertools import product
 from pathlib import Path
@@ -40,15 +42,11 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import ANY_SIZE, head_of, opened, read_bytes, understood
 from mgsgraph.files.pvl import Block, Document, files_called, label_text, whole_label
+from mgsgraph.geometry.body import Ellipsoid, naif_id, target_name
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
     from rasterio.windows import Window
-from collections.abc import Mapping
-from copy import deepcopy
-from functools import cache
-
-from mgsgraph.geometry.body import Ellipsoid, naif_id, target_name
 
 _HEAD = 1 << 20
 """bytes in which a label has to end."""
@@ -501,21 +499,10 @@ def geotiff(
     path: Path, shape: tuple[int, int, int], crs: str, corner: tuple[float, float], steps: tuple[float, float],
     **kind: Any,
 ) -> Iterator[Any]:
-    """A dataset of rasterio's, to be written; then a file in the layout of GDAL's COG driver, with overviews.
+    """A dataset of rasterio's, to be written; then, when all went well, a file in the layout of GDAL's COG driver.
 
-    Parameters
-    ----------
-    path : Path
-        Of the file, which is written when all went well.
-    shape : (bands, rows, columns)
-    crs : str
-        Coordinate system, as PROJ knows it.
-    corner : (2,)
-        x and y of the upper left corner of the first pixel.
-    steps : (2,)
-        Width and height of a pixel.
-    kind
-        dtype, nodata and what else rasterio takes.
+    The shape is that of bands, rows, columns; the corner (2,), x and y, the upper left one of the first pixel; steps
+    (2,) are width and height of a pixel; `kind` is dtype, nodata and what else rasterio takes.
     """
     import rasterio  # takes its time; only who writes one waits for it
     from rasterio.shutil import copy

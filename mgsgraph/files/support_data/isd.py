@@ -20,15 +20,8 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import NaifKeywords, number
 from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, PITCH, corrected
 from mgsgraph.files.decoding import validated
-from mgsgraph.files.labels.isis_cube import (
-    SPACECRAFT,
-    Aberration,
-    Spacecraft,
-    aberration_of,
-    geometric,
-    is_cube_json,
-    remarks_on,
-)
+from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, Spacecraft, aberration_of, geometric, remarks_on
+from mgsgraph.files.labels.isis_cube import is_cube_json
 from mgsgraph.files.opening import read_json
 from mgsgraph.files.support_data.isd_layout import (
     J2000,

@@ -195,5 +195,5 @@ def test_what_contradicts_a_pass_is_one_line_and_changes_nothing() -> None:
         adjustment.add(replace(right, held=np.array([True])))
     other = replace(right.shared[0], sigmas=2.0 * right.shared[0].sigmas)
     adjustment.add(right)
-    with pytest.raises(InputError, match="a-priori sigmas"):
+    with pytest.raises(InputError, match="sigmas in one part other than in another"):
         adjustment.add(replace(every[rig().images[3].name], shared=(other,)))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import directions
 
-from mgsgraph.files.labels.isis_cube import Aberration, aberrated, geometric, without_aberration
+from mgsgraph.files.labels.aberration import Aberration, aberrated, geometric, without_aberration
 from mgsgraph.geometry.trajectory import PositionTable
 from mgsgraph.units import KM, MM, SPEED_OF_LIGHT
 

@@ -10,7 +10,7 @@ import pytest
 from support_data import IDENTITY, ISD, Keys, edited, read
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.labels.isis_cube import Aberration
+from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.geometry.plausibility import require_plausible
 
 

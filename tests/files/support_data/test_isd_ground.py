@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import usgscsm
 
-from mgsgraph.files.labels.isis_cube import Aberration
+from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.support_data.isd_layout import support_optics

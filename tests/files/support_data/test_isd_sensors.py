@@ -10,7 +10,7 @@ from support_data import ISD, edited, read
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import CAMERAS
-from mgsgraph.files.labels.isis_cube import SPACECRAFT, Aberration, geometric, spacecraft_of
+from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, geometric, spacecraft_of
 
 SILENT = edited(("naif_keywords",), {})
 

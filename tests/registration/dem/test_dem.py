@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from rasterio.warp import transform
 
 from mgsgraph.errors import InputError
-from mgsgraph.factors.surface import bilinear
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
 from mgsgraph.network import ImageRays
-from mgsgraph.registration.dem.gridding import DensePoints, HeightGrid, MapGrid, gridded, intersected
+from mgsgraph.registration.dem.gridding import DensePoints, HeightGrid, MapGrid, bilinear, gridded, intersected
 from mgsgraph.registration.dem.ortho import adjusted_scene
 
 MARS = Ellipsoid(3396190.0, 3376200.0)

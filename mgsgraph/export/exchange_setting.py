@@ -1,0 +1,162 @@
+"""What a conversion between network formats is told beside the files: case, radii, names."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from msgspec import structs
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.record import (
+    ControlNetwork,
+)
+from mgsgraph.files.networks.tie_points import require_places
+from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
+from mgsgraph.record import Record
+
+_SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
+_SAID = "--target, --radii, --case"
+"""Where a setting comes from, for messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeSetting(Record):
+    """What files don't say of themselves.
+
+    Examples
+    --------
+    >>> setting = mgsgraph.ExchangeSetting(target="Mars", renamed={"SIM/A": "E02-00665"})
+    >>> mgsgraph.convert("pair/network.pvl", "renamed.net", setting).written[0].name
+    'renamed.net'
+    """
+
+    sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Lines and samples of images by their names."""
+    ellipsoid: Ellipsoid | None = None
+    """To which geodetic latitudes and heights refer."""
+    target: str = ""
+    """Body, as ISIS calls it."""
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    """New names of images by those in the files that are read."""
+    prefix: str | None = None
+    """What the names of match files begin with, before the hyphen; None: not said."""
+    shifted: bool = True
+    """Whether NVM counts from the optical centres."""
+
+    def old_sizes(self) -> dict[str, tuple[int, int]]:
+        """Sizes by the names in files that are read, too."""
+        return dict(self.sizes) | {old: self.sizes[new] for old, new in self.renamed.items() if new in self.sizes}
+
+    def old_names(self) -> list[str]:
+        """Names that images may have in files that are read; empty where none is known."""
+        news = set(self.renamed.values())
+        return [name for name in self.sizes if name not in news] + list(self.renamed) if self.sizes else []
+
+
+def case_setting(case: Path) -> ExchangeSetting:
+    """Names and sizes of a case's images, the body's ellipsoid and, if known by its size, name; the case's other files
+    need not be there.
+    """
+    from mgsgraph.case.case_file import decode, read_image
+
+    wanted = decode(case)
+    images = [
+        read_image(entry, wanted.spice, case.parent, f"{case}, images[{j}]") for j, entry in enumerate(wanted.images)
+    ]
+    body = images[0].body
+    target = target_name(body)
+    sizes = {image.name: (image.lines, image.samples) for image in images}
+    return ExchangeSetting(sizes, body, "" if target == "UNKNOWN" else target)
+
+
+def setting_of(
+    case: Path | None,
+    sizes: Iterable[str],
+    radii: tuple[float, float] | None,
+    target: str,
+    rename: Iterable[str],
+    prefix: str | None,
+    shifted: bool,
+) -> ExchangeSetting:
+    """A setting of options' texts (NAME=LINESxSAMPLES, OLD=NEW; radii in m), which come before what a case says.
+
+    Raises InputError for a malformed one, or one twice.
+    """
+    known = case_setting(case) if case is not None else ExchangeSetting()
+    stated = {}
+    for name, text in _pairs("--images", "NAME=LINESxSAMPLES", sizes):
+        if not (size := _SIZE.fullmatch(text)):
+            raise InputError("--images", repr(f"{name}={text}"), "NAME=LINESxSAMPLES, as E0200665=9856x1024")
+        stated[name] = int(size[1]), int(size[2])
+    return replace(
+        known,
+        sizes=dict(known.sizes) | stated,
+        ellipsoid=known.ellipsoid if radii is None else Ellipsoid(*radii),
+        target=target or known.target,
+        renamed=dict(_pairs("--rename", "OLD=NEW", rename)),
+        prefix=prefix,
+        shifted=shifted,
+    )
+
+
+def _pairs(option: str, form: str, texts: Iterable[str]) -> list[tuple[str, str]]:
+    pairs = list[tuple[str, str]]()
+    for text in texts:
+        name, equals, value = text.rpartition("=")
+        if not (name and equals and value):
+            raise InputError(option, repr(text), form)
+        if name in dict(pairs):
+            raise InputError(option, f"{name!r} twice", "each image once")
+        pairs.append((name, value))
+    return pairs
+
+
+def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSetting) -> None:
+    """Raise InputError if networks and setting name several bodies, or an ellipsoid that can't be the named one's, or
+    on which points don't lie.
+    """
+    stated = [(one.source, one.target_name) for one in networks if one.target_name]
+    stated += [(_SAID, setting.target)] if setting.target else []
+    for where, name in stated[1:]:
+        if name.casefold() != stated[0][1].casefold():
+            found, expected = f"the target body {name}", f"{stated[0][1]}, as in {stated[0][0]}"
+            raise InputError(where, found, expected, "convert networks of one body at a time")
+    if setting.ellipsoid is not None and stated and not may_be(setting.ellipsoid, stated[0][1]):
+        found = f"an equatorial radius of {setting.ellipsoid.equatorial:.10g} m"
+        expected = f"that of {stated[0][1]}, the target body in {stated[0][0]}"
+        raise InputError(_SAID, found, expected, "radii are in m")
+    if setting.ellipsoid is None:
+        return
+    for one in networks:
+        known = [place for point in one.points if (place := point.apriori or point.adjusted)]
+        require_places(np.array(known).reshape(-1, 3), setting.ellipsoid, one.source)
+
+
+def leading(networks: Sequence[ControlNetwork]) -> ControlNetwork:
+    """The network whose head several of them get: the first one that names its body, else the first one."""
+    return next((one for one in networks if one.target_name), networks[0])
+
+
+def ellipsoid_of(network: ControlNetwork, output: Path, setting: ExchangeSetting) -> Ellipsoid:
+    """As it is said, or as the network has it."""
+    if setting.ellipsoid is not None:
+        return setting.ellipsoid
+    radii = network.target_radii
+    if len(radii) == 3 and radii[0] == radii[1]:
+        return Ellipsoid(radii[0], radii[2])
+    found = "heights above a body of three unlike radii" if len(radii) == 3 else "heights above an unknown ellipsoid"
+    raise InputError(str(output), found, "its radii", "say --radii, or --case")
+
+
+def with_head(network: ControlNetwork, output: Path, setting: ExchangeSetting) -> ControlNetwork:
+    """With a target, which ISIS demands, an id and radii."""
+    target = network.target_name or setting.target
+    if not target:
+        raise InputError(str(output), "no name of the target body", "one", "say --target MARS, or another")
+    radii = network.target_radii
+    if not radii and setting.ellipsoid is not None:
+        radii = (setting.ellipsoid.equatorial, setting.ellipsoid.equatorial, setting.ellipsoid.polar)
+    name = network.network_id or output.stem
+    return structs.replace(network, network_id=name, target_name=target, target_radii=radii)

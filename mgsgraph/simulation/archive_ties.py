@@ -1,0 +1,230 @@
+"""Footprints, regions and tie points of an archive of images."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.geometry.body import surface_radii
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.simulation.archive import Archive
+from mgsgraph.simulation.observations import well_inside
+from mgsgraph.workers import Count, no_progress
+
+_REGION = 20_000
+"""Points of a region, about."""
+_DRAWN = 4
+"""Places drawn for each point that is wanted."""
+_KEPT = 1 << 13
+"""Images kept in memory; those of a region are used several times."""
+_WAVES = np.array([[1.0, 61e3, 0.0], [0.5, 23e3, 1.3], [0.2, 9e3, 2.9]])
+"""Of each wave of the ground: share of the amplitude, wavelength (m), phase (rad)."""
+_DIRECTIONS = np.array([[0.48, 0.60, 0.64], [-0.64, 0.60, 0.48], [0.60, -0.64, 0.48]])
+"""(3, 3) unit rows along which they run, body-fixed."""
+
+
+class Footprints(NamedTuple):
+    """The ground of n images as parallelograms, nominal, on the ellipsoid."""
+
+    middles: Array
+    """(n, 3) m, body-fixed."""
+    halves: Array
+    """(n, 2, 3) m, from the middle to the last line's and to the last sample's middle."""
+
+    def directions(self, image: Index, along: Array, across: Array) -> Array:
+        """Unit vectors (k, 3) to places in images (k,), -1 to 1 along and across each."""
+        places = self.middles[image] + along[:, None] * self.halves[image, 0] + across[:, None] * self.halves[image, 1]
+        return np.asarray(places / np.linalg.norm(places, axis=1, keepdims=True))
+
+    def coordinates(self, image: Index, directions: Array) -> Array:
+        """Places (k, 2) along and across images (k,), within -1 to 1 inside, of directions (k, 3) to the ground."""
+        middle = self.middles[image]
+        radius = np.linalg.norm(middle, axis=1)
+        depth = np.einsum("ki,ki->k", directions, middle) / radius
+        off = directions * (radius / depth)[:, None] - middle
+        first, second = self.halves[image, 0], self.halves[image, 1]
+        a, b, c = (np.einsum("ki,ki->k", *pair) for pair in ((first, first), (first, second), (second, second)))
+        e, f = np.einsum("ki,ki->k", off, first), np.einsum("ki,ki->k", off, second)
+        return np.asarray(np.column_stack([c * e - b * f, a * f - b * e]) / (a * c - b * b)[:, None])
+
+
+def footprint(image: PushbroomImage) -> tuple[Array, Array]:
+    """Middle (3,) and halves (2, 3) of an image, as `Footprints` has them."""
+    lines, samples = np.array([0.5, 0.0, 1.0, 0.5, 0.5]), np.array([0.5, 0.5, 0.5, 0.0, 1.0])
+    points, _ = image.image_to_ground(lines * image.lines, samples * image.samples)
+    middle, first, last, left, right = points
+    return middle, 0.5 * np.stack([last - first, right - left])
+
+
+class _Cells:
+    """Cells of the ground, of equal height and about equal width, and which images reach into each."""
+
+    def __init__(self, footprints: Footprints, size: float) -> None:
+        """Cells whose side is `size`, in rad."""
+        self._bands = int(np.ceil(np.pi / size))
+        middle = (np.arange(self._bands) + 0.5) * np.pi / self._bands - 0.5 * np.pi
+        self._columns = np.maximum(np.rint(2.0 * np.pi * np.cos(middle) / size).astype(np.int64), 1)
+        self._first = np.cumsum(self._columns) - self._columns
+        pairs = [self._reached(footprints, part, size) for part in _parts(len(footprints.middles), 1000)]
+        cells, self.images = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        order = np.lexsort([self.images, cells])
+        self.images = self.images[order]
+        self._cells, self._starts = np.unique(cells[order], return_index=True)
+        self._ends = np.append(self._starts[1:], order.size)
+
+    def of(self, directions: Array) -> Index:
+        """Numbers (k,) of the cells that directions (k, 3) meet."""
+        latitude = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
+        longitude = np.arctan2(directions[:, 1], directions[:, 0])
+        band = np.clip(((latitude + 0.5 * np.pi) * (self._bands / np.pi)).astype(np.int64), 0, self._bands - 1)
+        column = ((longitude / (2.0 * np.pi) + 0.5) * self._columns[band]).astype(np.int64)
+        return np.asarray(self._first[band] + np.minimum(column, self._columns[band] - 1))
+
+    def candidates(self, directions: Array) -> tuple[Index, Index]:
+        """Points (c,) and images (c,) that may show them, by points."""
+        cells = self.of(directions)
+        k = np.minimum(np.searchsorted(self._cells, cells), self._cells.size - 1)
+        found = self._cells[k] == cells
+        counts = np.where(found, self._ends[k] - self._starts[k], 0)
+        point = np.repeat(np.arange(cells.size), counts)
+        within = np.arange(point.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        return point, self.images[self._starts[k][point] + within]
+
+    def _reached(self, footprints: Footprints, part: Index, size: float) -> tuple[Index, Index]:
+        """Cells (c,) and images (c,) of some images that reach into them."""
+        radius = np.linalg.norm(footprints.middles[part], axis=1)
+        halves = np.linalg.norm(footprints.halves[part], axis=2).max(axis=0) / radius.min()
+        along, across = (
+            each.ravel() for each in np.meshgrid(*(
+                np.linspace(-1.05, 1.05, 2 + int(np.ceil(4.2 * half / size))) for half in halves
+            ))
+        )  # fmt: skip
+        image = np.repeat(part, along.size)
+        directions = footprints.directions(image, np.tile(along, part.size), np.tile(across, part.size))
+        pairs = np.unique(np.column_stack([self.of(directions), image]), axis=0)
+        return pairs[:, 0], pairs[:, 1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Region:
+    """Tie points of a region with all their measures."""
+
+    points: Array
+    """(n, 3) m, body-fixed, true."""
+    counts: Index
+    """(n,) number of measures of each, 2 or more."""
+    images: Index
+    """(k,) image of each measure, by points."""
+    measures: Array
+    """(k, 2) line and sample, with noise."""
+
+
+def regions(archive: Archive, footprints: Footprints, progress: Count = no_progress) -> Iterator[Region]:
+    """All tie points of an archive, region by region.
+
+    Parameters
+    ----------
+    archive : Archive
+    footprints : Footprints
+        Of its images.
+    progress : Count
+        Called with how many images are done.
+    """
+    width = np.linalg.norm(footprints.halves[:, 1], axis=1).min() / np.linalg.norm(footprints.middles[0])
+    cells = _Cells(footprints, float(width))
+    order = _by_place(footprints)
+    wanted = archive.settings.ties / len(archive)
+    many = max(int(_REGION / wanted), 1)
+    image_of = lru_cache(maxsize=_KEPT)(archive.image)
+    streams = np.random.default_rng([archive.seed, 1]).spawn(-(-len(archive) // many))
+    drawn_so_far = 0
+    for k, rng in enumerate(streams):
+        owners = order[k * many : (k + 1) * many]
+        upto = round(wanted * (k * many + owners.size))
+        quota: Index = np.diff(np.linspace(drawn_so_far, upto, owners.size + 1).astype(np.int64)).astype(np.int64)
+        drawn_so_far = upto
+        directions = _drawn(archive, footprints, cells, owners, quota, rng)
+        yield _projected(archive, footprints, cells, image_of, directions, rng)
+        progress(k * many + owners.size, len(archive))
+
+
+def _drawn(
+    archive: Archive, footprints: Footprints, cells: _Cells, owners: Index, quota: Index, rng: np.random.Generator
+) -> Array:
+    """(n, 3) directions to places at random in some images, which another image shows as well; of each image as many
+    as wanted, `quota` (images,), where it has so much ground in common.
+    """
+    owner = np.repeat(np.arange(owners.size), _DRAWN * quota + 8)
+    along, across = rng.uniform(-0.99, 0.99, (2, owner.size))
+    directions = footprints.directions(owners[owner], along, across)
+    point, image = cells.candidates(directions)
+    slack = _shares(archive, footprints, image)
+    inside = np.all(np.abs(footprints.coordinates(image, directions[point])) < 1.0 - slack, axis=1)
+    good = np.bincount(point[inside], minlength=owner.size) > 1
+    rank: Index = np.cumsum(good) - good
+    begun = np.concatenate([[0], np.cumsum(_DRAWN * quota + 8)[:-1]])
+    return np.asarray(directions[good & (rank - rank[begun][owner] < quota[owner])])
+
+
+def _shares(archive: Archive, footprints: Footprints, image: Index) -> Array:
+    """(k, 2) shares of the half length and width of images (k,) by which the ground may lie elsewhere than thought."""
+    settings = archive.settings
+    moved = 2.0 * (settings.position + settings.angle * settings.plan.camera.altitude) + 0.3 * settings.plan.relief
+    return np.asarray(moved / np.linalg.norm(footprints.halves[image], axis=2))
+
+
+def _projected(
+    archive: Archive, footprints: Footprints, cells: _Cells, image_of: Callable[[int], PushbroomImage],
+    directions: Array, rng: np.random.Generator,
+) -> Region:  # fmt: skip
+    """The points in these directions (n, 3) that two or more images truly show, with measures."""
+    points = on_waves(archive, directions)
+    point, image = cells.candidates(directions)
+    places = footprints.coordinates(image, directions[point])
+    near = np.flatnonzero(np.all(np.abs(places) < 1.0 + _shares(archive, footprints, image), axis=1))
+    near = near[np.argsort(image[near], kind="stable")]
+    point, image, along = point[near], image[near], places[near, 0]
+    pixels = np.full((near.size, 2), np.nan)
+    bounds = np.flatnonzero(np.diff(image, prepend=-1, append=-1))
+    for first, last in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        j = int(image[first])
+        taken = image_of(j)
+        start = 0.5 * taken.lines * (1.0 + along[first:last])
+        found, _ = taken.ground_to_image(points[point[first:last]], archive.true(j), start)
+        found[~well_inside(taken, found)] = np.nan
+        pixels[first:last] = found
+    seen = np.isfinite(pixels[:, 0])
+    counts = np.bincount(point[seen], minlength=len(points))
+    kept = np.flatnonzero(seen & (counts[point] > 1))
+    kept = kept[np.lexsort([image[kept], point[kept]])]
+    exact = pixels[kept]
+    return Region(
+        points[counts > 1], counts[counts > 1], image[kept],
+        exact + archive.settings.tie * rng.standard_normal(exact.shape),
+    )  # fmt: skip
+
+
+def on_waves(archive: Archive, directions: Array) -> Array:
+    """(n, 3) m, body-fixed, the true ground in directions (n, 3)."""
+    radii = surface_radii(directions, archive.settings.plan.camera.body.ellipsoid)
+    on_surface = radii[:, None] * directions
+    share, length, phase = _WAVES.T
+    heights = np.sin(2.0 * np.pi * (on_surface @ _DIRECTIONS.T) / length + phase) @ share
+    return np.asarray((radii + archive.settings.plan.relief * heights)[:, None] * directions)
+
+
+def _by_place(footprints: Footprints) -> Index:
+    """Images (n,) in such an order that those which follow each other are neighbours: in bands of latitude."""
+    latitude = np.arcsin(footprints.middles[:, 2] / np.linalg.norm(footprints.middles, axis=1))
+    longitude = np.arctan2(footprints.middles[:, 1], footprints.middles[:, 0])
+    height = 2.0 * np.linalg.norm(footprints.halves[:, 0], axis=1).max() / np.linalg.norm(footprints.middles[0])
+    band = np.floor(latitude / height).astype(np.int64)
+    return np.lexsort([np.where(band % 2 == 0, longitude, -longitude), band])
+
+
+def _parts(size: int, most: int) -> list[Index]:
+    """Numbers 0 to `size` in parts of at most `most`."""
+    return [np.arange(first, min(first + most, size)) for first in range(0, size, most)]
