@@ -465,7 +465,7 @@ def bytes_around(image: Block) -> tuple[int, int]:
 
 
 _COLUMNS = 80
-_PLAIN = re.compile(r"[\w.:/$+-]*[\w.:/$+]")
+_UNQUOTED = re.compile(r"[\w.:/$+-]*[\w.:/$+]")
 _LINE_BREAK = re.compile(r"[\r\n]")
 Value = str | tuple[str, ...]
 """As it stands behind the equals sign; items of a list."""
@@ -479,7 +479,7 @@ def text_value(text: str, where: str) -> str:
     InputError
         If it has a line break or both kinds of quotes, which PVL can't hold, or characters that UTF-8 can't.
     """
-    if _PLAIN.fullmatch(text):
+    if _UNQUOTED.fullmatch(text):
         return text
     if not text:
         return "Null"
