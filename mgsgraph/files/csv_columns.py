@@ -1,17 +1,17 @@
-"""Columns of CSV text read by Arrow, without a Python object for each row or field.
-
-`csv_columns` reads a table with a header, and says in which line something is wrong. `PlainRows`, `numbers_of` and
-`short_names` are for readers that have brought a text into rows of their own: where anything is odd they give None.
+"""Columns of CSV text read by Arrow, without a Python object for each row or field; where Arrow finds something odd,
+fields are looked at one by one: the first bad one is named with its line, or only Arrow doesn't know it ("+1.5").
 
 Of tables of tie points, control points and other places: what is said of a header that isn't one, and what columns of
 a-priori places and of their uncertainties mean.
 """
 
 import csv
+import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.record import MeasureType, PointType
+from mgsgraph.files.networks.record import MeasureType, PointType, require_shown
 from mgsgraph.files.networks.tie_points import FARTHEST
 from mgsgraph.files.opening import LARGEST_NUMBER, finite_number, read_text
 from mgsgraph.geometry.body import (
@@ -30,7 +30,7 @@ from mgsgraph.geometry.body import (
     from_planetocentric,
     require_near,
 )
-from mgsgraph.geometry.records import LONGEST_NAME, Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.units import DEG
 
@@ -73,17 +73,96 @@ class Columns:
         return replace(self, numbers=self.numbers[rows], values=values)
 
 
-def csv_columns(path: Path) -> Columns:
-    """A table in CSV (RFC 4180; UTF-8; a quoted field ends in its line), all of whose columns are texts.
+@dataclass(frozen=True, slots=True, eq=False)
+class CsvText:
+    """Rows of a table in CSV, of which columns are read when they are asked for."""
 
-    Blank lines, and lines that begin with #, count for nothing.
+    path: Path
+    header: str
+    """Place of the names in the file: "line 1"."""
+    names: tuple[str, ...]
+    """Of the columns, as the header writes them."""
+    numbers: Index
+    """(n,) number of each row's line in the file."""
+    body: bytes
+    """The rows, in UTF-8."""
+    with_commas: bool = True
+    """Whether there were commas in the file, not blanks."""
+
+    def __len__(self) -> int:
+        return self.numbers.size
+
+    def where(self, row: int, name: str = "") -> str:
+        """File, line, and column where there is one."""
+        return ", ".join(filter(None, (str(self.path), f"line {self.numbers[row]}", name)))
+
+    def texts(self, *names: str) -> dict[str, pa.Array]:
+        """Columns (n) of texts without blanks around them; InputError for a row that is none, or of another number of
+        fields.
+        """
+        if not self.body:
+            return dict.fromkeys(names, pa.array([], pa.large_string()))
+        try:
+            found = self._read(names, pa.large_string())
+        except pa.ArrowInvalid as error:
+            for k, row in enumerate(self.body.decode().split("\n")):
+                _require_width(_fields(row, self.where(k)), len(self.names), self.where(k))
+            raise InputError(str(self.path), f"no CSV ({error})", "RFC 4180") from None
+        return {name: pc.utf8_trim_whitespace(column) for name, column in found.items()}
+
+    def shown(self, name: str) -> Names:
+        """Texts (n) of a column, none of which is empty; InputError for one that can't be shown."""
+        names = Names.of(self.texts(name)[name])
+        require_shown(names, partial(self.where, name=name), "a text")
+        return names
+
+    def measured(self, *names: str, gaps: Collection[str] = (), largest: float = LARGEST_NUMBER) -> dict[str, Array]:
+        """Columns (n,) of finite numbers below the `largest`; NaN for empty cells of those that may have `gaps`.
+
+        InputError for the first that is none.
+        """
+        full = [name for name in names if name not in gaps]
+        try:
+            found = {name: np.asarray(column) for name, column in self._read(full, pa.float64()).items()}
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # where, or what Arrow doesn't know, is seen below
+            found = {}
+        sound = {name: values for name, values in found.items() if np.all(np.abs(values) < largest)}
+        for name, column in self.texts(*(name for name in names if name not in sound)).items():
+            sound[name] = measured(column, partial(self.where, name=name), largest)
+            if name not in gaps and np.any(missing := np.isnan(sound[name])):
+                raise InputError(self.where(int(np.argmax(missing)), name), "nothing", "a finite number")
+        return sound
+
+    def _read(self, names: Collection[str], kind: pa.DataType) -> dict[str, pa.Array]:
+        """Columns of one kind; ArrowInvalid where they are none."""
+        from pyarrow import csv as arrow_csv
+
+        if not names:
+            return {}
+        every = [str(k) for k in range(len(self.names))]
+        kinds = {str(self.names.index(name)): kind for name in names}
+        table = arrow_csv.read_csv(
+            pa.BufferReader(self.body),
+            arrow_csv.ReadOptions(column_names=every, block_size=_BLOCK, use_threads=len(self.body) > _BLOCK),
+            convert_options=arrow_csv.ConvertOptions(column_types=kinds, include_columns=list(kinds), null_values=[]),
+        )
+        if len(table) != len(self):
+            raise pa.ArrowInvalid(f"{len(table)} rows in {len(self)} lines")
+        return {name: table[str(self.names.index(name))].combine_chunks() for name in names}
+
+
+def csv_text(text: str, path: Path, numbers: Index | None = None) -> CsvText:
+    """A table in CSV (RFC 4180; UTF-8; a quoted field ends in its line), below a header.
+
+    Blank lines, and lines that begin with #, count for nothing; `numbers` are those of its lines where they are other
+    ones in the file.
 
     Raises
     ------
     InputError
-        With file and line: no header; a name twice; a row that is none, or of another number of fields.
+        With file and line: no header; a name twice; a row that is none.
     """
-    text, numbers = read_text(path).rstrip(), None
+    text = text.rstrip()
     if '"' in text or _COMMENT.match(text) or _LEFT_OUT.search(text):
         lines = [(k, line) for k, line in enumerate(text.split("\n"), start=1) if not _COMMENT.match(line)]
         for k, line in lines:
@@ -95,19 +174,16 @@ def csv_columns(path: Path) -> Columns:
         raise InputError(str(path), "an empty table", "a header, and rows below it")
     numbers = np.arange(1, text.count("\n") + 2) if numbers is None else numbers
     header = f"line {numbers[0]}"
-    names = [name.strip() for name in _fields(head, f"{path}, {header}")]
-    for name in [name for k, name in enumerate(names) if name.lower() in map(str.lower, names[:k])][:1]:
+    names = tuple(name.strip() for name in _fields(head, f"{path}, {header}"))
+    for name in [name for k, name in enumerate(names) if name and name.lower() in map(str.lower, names[:k])][:1]:
         raise InputError(f"{path}, {header}", f"the column {name!r} twice", "each once")
-    columns = [pa.array([], pa.large_string())] * len(names)
-    if body:
-        try:
-            columns = _read(pa.py_buffer(body.encode()), range(len(names)), texts=range(len(names)))
-        except pa.ArrowInvalid as error:
-            for k, row in zip(numbers[1:], body.split("\n"), strict=True):
-                _require_width(_fields(row, f"{path}, line {k}"), len(names), f"{path}, line {k}")
-            raise InputError(str(path), f"no CSV ({error})", "RFC 4180") from None
-    trimmed = [pc.utf8_trim_whitespace(column) for column in columns]
-    return Columns(path, header, "line", numbers[1:], dict(zip(names, trimmed, strict=True)))
+    return CsvText(path, header, names, numbers[1:], body.encode())
+
+
+def csv_columns(path: Path) -> Columns:
+    """All columns of a table in CSV as texts; see `csv_text`."""
+    table = csv_text(read_text(path), path)
+    return Columns(path, table.header, "line", table.numbers, table.texts(*table.names))
 
 
 def _fields(line: str, where: str) -> list[str]:
@@ -125,62 +201,7 @@ def _require_width(fields: list[str], width: int, where: str) -> None:
         raise InputError(where, f"{len(fields)} fields", f"{width}, as in the header", remedy)
 
 
-def _read(
-    content: pa.Buffer, places: Collection[int], numbers: Collection[int] = (), texts: Collection[int] = (),
-    quoted: bool = True,
-) -> list[pa.Array]:  # fmt: skip
-    """Some columns, by their places from 0, of as many: float64, or texts; ArrowInvalid where they are none."""
-    from pyarrow import csv as arrow_csv
-
-    names = [str(k) for k in places]
-    kinds = {str(k): pa.float64() for k in numbers} | {str(k): pa.large_string() for k in texts}
-    table = arrow_csv.read_csv(
-        pa.BufferReader(content),
-        arrow_csv.ReadOptions(column_names=names, block_size=_BLOCK, use_threads=content.size > _BLOCK),
-        arrow_csv.ParseOptions(quote_char='"' if quoted else False, double_quote=quoted),
-        arrow_csv.ConvertOptions(column_types=kinds, include_columns=list(kinds), null_values=[]),
-    )  # fmt: skip
-    return [table[name].combine_chunks() for name in kinds]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlainRows:
-    """Rows of a plain text without quotation marks, and without blank lines between them."""
-
-    content: bytes
-    start: int
-    """Where the first row begins."""
-    end: int
-    """Behind the last row's last character."""
-
-    def __len__(self) -> int:
-        return self.content.count(b"\n", self.start, self.end) + 1
-
-    def columns(self, width: int, numbers: Collection[int], texts: Collection[int] = ()) -> dict[int, pa.Array] | None:
-        """Columns, by their places from 0, of rows of `width` fields, more than one: float64, and texts without blanks
-        around them. None for a row of another width, or what is no number; infinite ones and NaN may be there.
-        """
-        if width < 2 or not (numbers or texts):
-            return None
-        given = pa.py_buffer(self.content).slice(self.start, self.end - self.start)
-        try:
-            read = dict(zip([*numbers, *texts], _read(given, range(width), numbers, texts, quoted=False), strict=True))
-        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-            return None
-        if any(len(column) != len(self) for column in read.values()):
-            return None
-        return {k: pc.utf8_trim(found, " ") if k in set(texts) else found for k, found in read.items()}
-
-    def numbers(self, width: int, wanted: Collection[int], largest: float) -> dict[int, Array] | None:
-        """Columns of numbers, each (n,), whose magnitudes are all smaller than the `largest`; None as `columns`."""
-        found = self.columns(width, wanted)
-        if found is None:
-            return None
-        values = {k: np.asarray(column) for k, column in found.items()}
-        return values if all(np.all(np.abs(one) < largest) for one in values.values()) else None
-
-
-def numbers_of(texts: pa.Array, largest: float) -> Array | None:
+def _numbers_of(texts: pa.Array, largest: float) -> Array | None:
     """(n,) numbers that texts (n) spell in decimal, NaN for empty ones; None where one spells none, or one that is not
     smaller than the `largest`.
     """
@@ -192,15 +213,15 @@ def numbers_of(texts: pa.Array, largest: float) -> Array | None:
     return np.where(np.asarray(there), values, np.nan) if np.all(np.abs(values) < largest) else None
 
 
-def measured(column: pa.Array, where: Callable[[int], str]) -> Array:
-    """(n,) finite numbers of a table's column, NaN for empty cells; InputError, with the words for `where` the k-th of
-    them is, for the first that is none.
+def measured(column: pa.Array, where: Callable[[int], str], largest: float = LARGEST_NUMBER) -> Array:
+    """(n,) finite numbers below the `largest` of a table's column, NaN for empty cells; InputError, with the words for
+    `where` the k-th of them is, for the first that is none.
     """
     if pa.types.is_floating(column.type):
         given, there = np.asarray(column.fill_null(0.0)), np.asarray(column.is_valid())
-        found = np.where(there, given, np.nan) if np.all(np.abs(given) < LARGEST_NUMBER) else None
+        found = np.where(there, given, np.nan) if np.all(np.abs(given) < largest) else None
     else:
-        found = numbers_of(column, LARGEST_NUMBER)
+        found = _numbers_of(column, largest)
     if found is not None:
         return found
     values = np.full(len(column), np.nan)
@@ -209,17 +230,11 @@ def measured(column: pa.Array, where: Callable[[int], str]) -> Array:
             try:
                 values[k] = finite_number(text)
             except ValueError:
+                values[k] = math.inf
+            if not abs(values[k]) < largest:
                 remedy = "write a decimal point, not a comma" if _DECIMAL_COMMA.fullmatch(text) else ""
-                raise InputError(where(k), repr(text[:60]), "a finite number", remedy) from None
+                raise InputError(where(k), repr(text[:60]), "a finite number", remedy)
     return values
-
-
-def short_names(texts: pa.Array, gaps: bool = False) -> Names | None:
-    """Texts as names; None where one is overlong, or empty unless there may be `gaps`."""
-    names = Names.of(texts)
-    sizes = np.diff(names.offsets)
-    return names if sizes.min(initial=1) >= 1 - gaps and sizes.max(initial=1) <= LONGEST_NAME else None
-
 
 
 ISIS, OURS = ("isis_line", "isis_sample"), ("line", "sample")

@@ -13,7 +13,7 @@ from typing import Literal
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.binary import FRAME, RECORD, is_lola_rdr
-from mgsgraph.files.altimetry.tables import is_archive_table, table_of
+from mgsgraph.files.altimetry.tables import LOLA_ROW, is_archive
 from mgsgraph.files.cameras.label import label_of
 from mgsgraph.files.csv_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
 from mgsgraph.files.labels.isis_cube import has_tables, is_cube_json, serial_number
@@ -205,7 +205,7 @@ def _rows(text: str, path: Path) -> Iterator[Kind | None]:
         return
     if {"id"} <= set(names) and {"image", "product", "serial_number"} & set(names):
         yield Kind.TIE_TABLE
-    if first and is_archive_table(table_of("\n".join(lines).encode(), path)):
+    if LOLA_ROW.match(first) or is_archive(first.split("," if "," in first else None)):
         yield Kind.SHOTS
     placed = set(CARTESIAN) <= set(names) or {*PLANETOCENTRIC[:2]} <= set(names)
     yield Kind.ALTIMETRY if placed and GEODETIC[1] not in names else None

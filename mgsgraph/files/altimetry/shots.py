@@ -41,8 +41,9 @@ from mgsgraph.files.altimetry.shot_values import (
     shots_with,
     unit_of_radii,
 )
-from mgsgraph.files.altimetry.tables import TextTable, is_archive_table, plain_name, shots_of_table, table_of
-from mgsgraph.files.opening import number_of, read_bytes, unpacked_gzip
+from mgsgraph.files.altimetry.tables import LARGEST, is_archive, plain_name, shots_of_table, table_of
+from mgsgraph.files.csv_columns import CsvText
+from mgsgraph.files.opening import decoded_text, number_of, read_bytes, unpacked_gzip
 from mgsgraph.files.pvl import Block, Document, whole_label
 from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, Altimeter, AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic
@@ -291,55 +292,47 @@ def read_shots(
     >>> print(shots)
     AltimeterShots(MOLA: 280 shots, 272 on the ground, 1 orbits)
     """
-    return shots_of(*unpacked(read_bytes(path), path), path, clock_bias, version)
+    found = _shots_or_table(path, clock_bias, version)
+    if isinstance(found, CsvText):
+        found = shots_of_table(found, clock_bias, version)
+        require_possible_shots(found)
+    return found
 
 
-def shots_of(
-    content: bytes, packed: bool, path: Path, clock_bias: float = 0.0, version: str | None = None,
-    table: TextTable | None = None,
-) -> AltimeterShots:  # fmt: skip
-    """As `read_shots`, of the content of a file, unpacked if it was packed; as a table, where it is one already."""
-    shots = _as_read(content, packed, path, clock_bias, version, table)
+def _shots_or_table(path: Path, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots | CsvText:
+    """Shots of a file as `read_shots` has them; a table that is no altimeter's archive as it is."""
+    content = read_bytes(path)
+    if packed := content.startswith(b"\x1f\x8b"):
+        content = unpacked_gzip(content, str(path), max(_SMALL, _MOST_TIMES * len(content)))
+    if not content or content.isspace():
+        raise InputError(str(path), "an empty file", "laser shots")
+    if b"\0" in content:
+        shots = _of_records(content, packed, path, clock_bias, version)
+    elif content.lstrip().startswith(b"{"):
+        raise InputError(str(path), "JSON", "a file of an altimeter's archive", "ISIS lidar data go into [laser]")
+    elif is_label(content):
+        shots = read_labelled_shots(path, clock_bias)
+    else:
+        table = table_of(decoded_text(content, path, "a table"), path)
+        if not is_archive(table.names):
+            return table
+        shots = shots_of_table(table, clock_bias, version)
     require_possible_shots(shots)
     return shots
 
 
-def _as_read(
-    content: bytes, packed: bool, path: Path, clock_bias: float, version: str | None, table: TextTable | None
-) -> AltimeterShots:  # fmt: skip
-    if not content or content.isspace():
-        raise InputError(str(path), "an empty file", "laser shots")
-    if b"\0" in content:
-        if is_lola_rdr(content):
-            require_whole(path, content)
-            return lola_shots(content, path, clock_bias)
-        if path.suffix.lower() != ".b" and len(content) % FRAME.itemsize:
-            raise InputError(
-                str(path), f"{len(content)} bytes of an unknown format",
-                f"LOLA RDR (records of 256 bytes), PEDR (frames of {FRAME.itemsize} bytes) or text",
-            )
-        _require_unpacked(packed, path)
-        return pedr_shots(content, path, clock_bias, version)
-    if content.lstrip().startswith(b"{"):
-        raise InputError(str(path), "JSON", "a file of an altimeter's archive", "ISIS lidar data go into [laser]")
-    if is_label(content):
-        return read_labelled_shots(path, clock_bias)
-    table = table_of(content, path) if table is None else table
-    if not is_archive_table(table):
-        _require_unpacked(packed, path)
-    return shots_of_table(table, clock_bias, version)
-
-
-def unpacked(content: bytes, path: Path) -> tuple[bytes, bool]:
-    """The content of a file that may be packed by gzip, and whether it was."""
-    if not content.startswith(b"\x1f\x8b"):
-        return content, False
-    return unpacked_gzip(content, str(path), max(_SMALL, _MOST_TIMES * len(content))), True
-
-
-def _require_unpacked(packed: bool, path: Path) -> None:
+def _of_records(content: bytes, packed: bool, path: Path, clock_bias: float, version: str | None) -> AltimeterShots:
+    if is_lola_rdr(content):
+        require_whole(path, content)
+        return lola_shots(content, path, clock_bias)
+    if path.suffix.lower() != ".b" and len(content) % FRAME.itemsize:
+        raise InputError(
+            str(path), f"{len(content)} bytes of an unknown format",
+            f"LOLA RDR (records of 256 bytes), PEDR (frames of {FRAME.itemsize} bytes) or text",
+        )
     if packed:
         raise InputError(str(path), "a packed PEDR file", "one that is not packed", "unpack it with gunzip")
+    return pedr_shots(content, path, clock_bias, version)
 
 
 _EXPECTED = (
@@ -376,12 +369,8 @@ def read_altimetry_cloud(
     >>> print(read_altimetry_cloud(Path("cloud.csv"), network.images[0].body))
     AltimetryCloud(1 shots, 1 profiles, from cloud.csv)
     """
-    content, packed = unpacked(read_bytes(path), path)
-    table = None if b"\0" in content or not content or content.isspace() else table_of(content, path)
-    if table is None or is_archive_table(table) or table.names[0].startswith("pdsversionid"):
-        cloud = _cloud_of(shots_of(content, packed, path, version=version, table=table))
-    else:
-        cloud = _plain_table(table, body)
+    found = _shots_or_table(path, version=version)
+    cloud = _plain_table(found, body) if isinstance(found, CsvText) else _cloud_of(found)
     if body is not None:
         require_radii(np.linalg.norm(cloud.points, axis=1), body, cloud.source)
     return cloud
@@ -421,44 +410,44 @@ def _cloud_of(shots: AltimeterShots) -> AltimetryCloud:
 # --- plain CSV
 
 
-def _plain_table(table: TextTable, body: Ellipsoid | None) -> AltimetryCloud:
+def _plain_table(table: CsvText, body: Ellipsoid | None) -> AltimetryCloud:
     """A plain CSV; an id is the number of the line where there is no column of ids."""
-    names = set(table.names)
+    names = {plain_name(name): name for name in table.names}
     heights = [name for name in ("radiusm", "radiuskm", "heightm", "radius") if name in names]
-    cartesian = {"xm", "ym", "zm"} <= names
-    if not (cartesian or ({"longitudedeg", "latitudedeg"} <= names and heights)):
-        raise InputError(f"{table.path}, header", f"the columns {', '.join(table.written)[:80]}", _EXPECTED)
+    cartesian = {"xm", "ym", "zm"} <= set(names)
+    if not (cartesian or ({"longitudedeg", "latitudedeg"} <= set(names) and heights)):
+        raise InputError(f"{table.path}, header", f"the columns {', '.join(table.names)[:80]}", _EXPECTED)
+    if not len(table):
+        raise InputError(str(table.path), "a header alone", "rows below it")
     columns = ("xm", "ym", "zm") if cartesian else ("longitudedeg", "latitudedeg", heights[0])
-    numbers = table.read(*columns, "times")
-    values = np.column_stack([numbers[name] for name in columns])
+    wanted = [names[name] for name in (*columns, "times") if name in names]
+    numbers = table.measured(*wanted, largest=LARGEST)
+    values = np.column_stack([numbers[name] for name in wanted[:3]])
     if cartesian:
         points = values
     else:
-        where = f"{table.path}, {table.written[table.names.index(heights[0])]}"
+        where = f"{table.path}, {names[heights[0]]}"
         points = _planetocentric_points(values, heights[0], body, table.where, where)
-    times = numbers["times"] if "times" in numbers else _utc_times(table)
+    utc = table.shown(names["utc"]) if "utc" in names else None
+    if "times" in names:
+        times = numbers[names["times"]]
+    else:
+        times = np.full(len(table), np.nan) if utc is None else tdb_of_utc(utc, f"{table.path}, utc")
     require_years(times, str(table.path))
-    named = [name for name in ("profile", "orbit") if name in names]
-    keys = RepeatedNames.of(table.texts(named[0]).arrow) if named else _profiles(table, times)
-    ids = table.texts("id") if "id" in names else Names.joined(table.line_numbers())
+    named = [names[name] for name in ("profile", "orbit") if name in names]
+    keys = RepeatedNames.of(table.shown(named[0]).arrow) if named else _profiles(table.path, times, utc)
+    ids = table.shown(names["id"]) if "id" in names else Names.joined(table.numbers)
     return _in_profiles(table.path, ids, points, times, keys, float("nan"))
 
 
-def _utc_times(table: TextTable) -> Array:
-    """Times (n,) in s TDB past J2000 of a column of UTC; NaN where there is none."""
-    if "utc" not in table.names:
-        return np.full(len(table), np.nan)
-    return tdb_of_utc(table.texts("utc"), f"{table.path}, utc")
-
-
-def _profiles(table: TextTable, times: Array) -> RepeatedNames | Index:
+def _profiles(path: Path, times: Array, utc: Names | None) -> RepeatedNames | Index:
     """Keys (n,) of profiles between pauses: the minute in which the first shot was fired, or numbers from 1."""
     if np.isnan(times[0]):
-        return RepeatedNames((_product(table.path),), np.zeros(len(table), dtype=np.int64))
+        return RepeatedNames((_product(path),), np.zeros(times.size, dtype=np.int64))
     numbers, first = by_pauses(times)
-    if "utc" not in table.names:
+    if utc is None:
         return numbers + 1
-    begins = RepeatedNames.of([text[:16] for text in table.texts("utc")[first]])
+    begins = RepeatedNames.of([text[:16] for text in utc[first]])
     return RepeatedNames(begins.distinct, begins.numbers[numbers])
 
 
