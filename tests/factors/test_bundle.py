@@ -53,7 +53,7 @@ def test_bundle_is_explicit(name: str) -> None:
         assert np.all(found.states == GOOD)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(seed=SEEDS)
 def test_bundle_is_explicit_on_any_network(seed: int) -> None:
     """Points seen by one of the pair's two orbits alone lie where parallel rays meet, and stay out."""
@@ -87,9 +87,10 @@ def with_any_columns(points: list[HandPoint], units: list[np.ndarray], seed: int
 
 
 @pytest.mark.parametrize(
-    "name", ["shifts and terrain", "measured twice", "second held", "fixed points", "weights of zero"]
-)
-@pytest.mark.parametrize(("seed", "line"), [(1, "measured"), (2, "predicted")])
+    ("name", "seed", "line"),
+    [("shifts and terrain", 1, "measured"), ("measured twice", 2, "predicted"), ("second held", 1, "measured"),
+     ("fixed points", 2, "predicted"), ("weights of zero", 1, "measured")],
+)  # fmt: skip
 def test_bundle_is_explicit_with_any_columns(name: str, seed: int, line: Line) -> None:
     """Whatever feels whatever: a variable through a polynomial and a single column, one column twice in an observation,
     ...
@@ -106,7 +107,7 @@ def test_bundle_is_explicit_with_any_columns(name: str, seed: int, line: Line) -
     assert_bundle_is_explicit(system, state(system, size=0.3), 1e-11 if line == "measured" else 1e-8)
 
 
-@pytest.mark.parametrize("piece", [1, LANES, LANES + 1])
+@pytest.mark.parametrize("piece", [1, LANES + 1])
 def test_pieces_are_one_sum(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = made("more than a tile")
     monkeypatch.setattr(patterns, "PIECE", piece)
@@ -161,7 +162,7 @@ def test_a_point_behind_its_camera_has_no_finite_cost() -> None:
     assert np.any(found.states == BEHIND)
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seed=SEEDS, line=st.sampled_from(["predicted", "measured"]), loss=st.sampled_from(["none", "huber", "cauchy"]))
 def test_bundle_gradient_is_that_of_the_full_cost(seed: int, line: str, loss: str) -> None:
     """What counts of the reduced system is its gradient, that of the full cost."""

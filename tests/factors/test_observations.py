@@ -93,7 +93,7 @@ def image_factor(made: Layout, point: int, observation: int, noise: gtsam.noiseM
 
 
 @pytest.mark.parametrize(("line", "angles"), MODELS)
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seed=SEEDS, rotation=ROTATION_SIZES, ray=st.integers(0, 35))
 def test_image(line: str, angles: str, seed: int, rotation: float, ray: int) -> None:
     made = layout(line, angles)
@@ -104,7 +104,7 @@ def test_image(line: str, angles: str, seed: int, rotation: float, ray: int) -> 
     assert_jacobians(image_factor(made, point, observation, noise), values, steps(), tolerance=2e-6)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seed=SEEDS, shot=st.integers(0, 5))
 def test_range(seed: int, shot: int) -> None:
     """Oracle, and the distance between the instrument's corrected place and the point."""
@@ -141,7 +141,7 @@ def test_a_range_bias_lengthens_what_is_measured() -> None:
 
 
 @pytest.mark.parametrize("moving", [True, False])
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seed=SEEDS, shot=st.integers(0, 5))
 def test_ground_prior(moving: bool, seed: int, shot: int) -> None:
     """Oracle, and squares by the stated covariance around the stated place, moved east and north by the shift."""
@@ -166,7 +166,7 @@ def test_ground_prior(moving: bool, seed: int, shot: int) -> None:
 
 
 @pytest.mark.parametrize("moving", [True, False])
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seed=SEEDS)
 def test_surface(moving: bool, seed: int) -> None:
     """Oracle, and the same height and normal as the terrain model itself says."""
@@ -196,7 +196,7 @@ def test_surface(moving: bool, seed: int) -> None:
     np.testing.assert_allclose(jacobian[:, -3:] * 20.0, slope, atol=1e-9)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seed=SEEDS)
 def test_prior_of_coefficients(seed: int) -> None:
     coefficients, _ = state(seed, 1e-2)

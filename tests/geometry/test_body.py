@@ -33,12 +33,6 @@ def test_planetocentric_places_are_those_of_spice(place: np.ndarray) -> None:
 
 
 @given(places)
-def test_planetocentric_places_come_back(place: np.ndarray) -> None:
-    np.testing.assert_allclose(from_planetocentric(planetocentric(from_planetocentric(place))),
-                               from_planetocentric(place), atol=2e-9)  # fmt: skip
-
-
-@given(places)
 def test_planetocentric_jacobian_against_differences(place: np.ndarray) -> None:
     want = differences(from_planetocentric, place, np.array([1e-3, 1e-3, 1e3]))
 
@@ -59,21 +53,6 @@ def test_geodetic_places_are_those_of_spice(longitude: float, latitude: float, h
     np.testing.assert_allclose(found[1:], want[1:], rtol=1e-14, atol=4e-9)
     np.testing.assert_allclose(from_geodetic(found, body), point, atol=4e-9)
     np.testing.assert_allclose(found[1:], place[1:], rtol=1e-14, atol=4e-9)
-
-
-@given(longitudes, latitudes, bodies)
-def test_geodetic_holds_up_to_a_body_radius_of_height(longitude: float, latitude: float, body: Ellipsoid) -> None:
-    place = np.array([longitude, latitude, body.equatorial])
-
-    np.testing.assert_allclose(geodetic(from_geodetic(place, body), body)[1:], place[1:], rtol=1e-14, atol=1e-8)
-
-
-@given(longitudes, latitudes, heights)
-def test_on_a_sphere_geodetic_is_planetocentric(longitude: float, latitude: float, height: float) -> None:
-    place = np.array([longitude, latitude, height])
-
-    shifted = np.array([longitude, latitude, height + MOON.equatorial])
-    np.testing.assert_allclose(from_geodetic(place, MOON), from_planetocentric(shifted), atol=2e-9)
 
 
 def look(place: np.ndarray, nadir: np.ndarray, off_nadir: float, azimuth: float) -> np.ndarray:
@@ -139,9 +118,7 @@ def test_a_ray_meets_or_misses_as_spice_finds(view: tuple[np.ndarray, np.ndarray
         ([4e6, 0.0, 0.0], [1.0, 0.0, 0.0]),  # away
         ([4e6, 0.0, 0.0], [0.0, 1.0, 0.0]),  # past
         ([4e6, 0.0, 0.0], [0.0, 0.0, 0.0]),  # nowhere
-        ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]),  # from the centre
         ([1e6, 1e6, 0.0], [-1.0, 0.0, 0.3]),  # from inside
-        ([3_396_190.0, 0.0, 0.0], [1.0, 0.0, 0.0]),  # away from the surface
         ([3_396_190.0 * (1 + 2e-16), 0.0, 0.0], [1.0, 0.0, 0.0]),
         ([np.nan, 0.0, 0.0], [1.0, 0.0, 0.0]),
     ],

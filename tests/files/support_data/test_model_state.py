@@ -114,15 +114,12 @@ def test_it_comes_back_from_an_archive(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"m_modelName": "USGS_ASTRO_FRAME_SENSOR_MODEL"}, r"m_modelName: 'USGS_ASTRO_FRAME"),
         ({"m_currentParameterValue": [0.0] * 15 + [1.0]}, "m_currentParameterValue"),
         ({"m_zDirection": -1.0}, "m_zDirection: -1"),
         ({"m_distortionType": 6}, "m_distortionType: the type 6, of a framing camera"),
-        ({"m_opticalDistCoeffs": [0.0]}, "m_opticalDistCoeffs"),
         ({"m_positions": [1.0] * 7}, "m_positions: 7 numbers"),
         ({"m_intTimes": [1e-3]}, "m_intTimeLines, m_intTimeStartTimes, m_intTimes: 2 and 2 and 1"),
         ({"m_nLines": 9000}, "first or last line"),
-        ({"m_focalLength": 0.0}, "m_focalLength"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
@@ -140,9 +137,9 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("key", "place", "value", "said"),
-    [("m_positions", 3, 1e20, "position 1, 1e+20 m"), ("m_positions", slice(0, 3), [0.0] * 3, "position 0, 0 m"),
+    [("m_positions", 3, 1e20, "position 1, 1e+20 m"),
      ("m_quaternions", slice(4, 8), [0.0] * 4, "[0.0, 0.0, 0.0, 0.0] at [1]"),
-     ("m_quaternions", 5, 1e200, "at [1]")],
+     ],
 )  # fmt: skip
 def test_samples_that_cant_be_are_refused_at_once(
     tmp_path: Path, key: str, place: Any, value: Any, said: str
