@@ -23,12 +23,17 @@ import pyarrow.compute as pc
 from mgsgraph.errors import InputError
 from mgsgraph.files.csv_columns import (
     CARTESIAN,
+    FLAGS,
     ISIS,
     LARGEST_SIGMA,
     MATRIX,
+    MEASURE_TYPES,
+    NORMAL,
     OF_MEASURE,
     OF_POINT,
     OURS,
+    PLACES,
+    POINT_TYPES,
     TEXTS,
     TRUTHS,
     UNCERTAINTIES,
@@ -41,15 +46,12 @@ from mgsgraph.files.csv_columns import (
     whole,
 )
 from mgsgraph.files.networks.binary import read_control_network, read_network
-from mgsgraph.files.networks.pvl import MEASURE_TYPES, PLACES, POINT_TYPES
 from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
 from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
 from mgsgraph.files.networks.tie_points import PointArrays, TiePoints
 from mgsgraph.files.opening import ANY_SIZE, opened, read_bytes, understood
-from mgsgraph.files.pvl import FLAGS
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.lanes import NORMAL
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET
 
