@@ -1,11 +1,9 @@
-"""Tables of the papers' case in Markdown, each beside the published numbers (`published.py`)."""
+"""Tables of the papers' case in Markdown, each beside the published numbers."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import published
-from papers_balance import sigma0_of_measurements
-from published import Scatter, Sigmas
+from papers_balance import PAPERS, PUBLISHED, Scatter, Sigmas, sigma0_of_measurements
 from study import table
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -13,17 +11,15 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import point_statistics
 from mgsgraph.case.reading import Case
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric
+from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.site import SimulatedSite
-from mgsgraph.units import ARCMIN, ARCSEC, DEG, KM
+from mgsgraph.units import ARCMIN, ARCSEC, DEG
 
 PLACES = 31
-OLD_ELLIPSOID = Ellipsoid(3397.0 * KM, 3375.0 * KM)
-"""IAU 1994, as SPICE had it in 2002."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +57,7 @@ def cells(found: Scatter, digits: int = 2) -> tuple[str, ...]:
 def properties(result: Result) -> list[str]:
     """Table 1: simulated beside published, from the simulated images themselves."""
     rows = []
-    for j, (image, wanted) in enumerate(zip(result.simulated.images, published.TABLE_1[result.site], strict=True)):
+    for j, (image, wanted) in enumerate(zip(result.simulated.images, PUBLISHED[result.site].images, strict=True)):
         found, size = image.true, line_and_sample(image.true)
         emission = emission_angle(found) / DEG
         profile = result.case.profiles[j]
@@ -77,8 +73,8 @@ def properties(result: Result) -> list[str]:
         "image", "", "emission (deg)", "exposure (ms)", "lines x samples", "m per line (sample)", "shots", "m apart",
     )  # fmt: skip
     ties = int(np.sum(result.solution.network.points.classes == PointClass.TIE))
-    ratio, wanted_ratio = base_to_height(result.true), published.BASE_TO_HEIGHT[result.site]
-    end = f"Tie points {ties} (published {published.TIES[result.site]}); base to height {ratio:.2f} ({wanted_ratio})."
+    ratio, wanted_ratio = base_to_height(result.true), PUBLISHED[result.site].base_to_height
+    end = f"Tie points {ties} (published {PUBLISHED[result.site].ties}); base to height {ratio:.2f} ({wanted_ratio})."
     return [*table(head, rows), "", end]
 
 
@@ -137,7 +133,7 @@ def orientation_table(result: Result) -> list[str]:
     rows = []
     refined, true = differences(result)
     for j, image in enumerate(result.true):
-        wanted = published.TABLE_2[result.site][j]
+        wanted = PUBLISHED[result.site].orientation[j]
         printed = Scatter(*(tuple(v if k < 3 else v * ARCSEC / ARCMIN for k, v in enumerate(part)) for part in wanted))
         for name, values in (("papers' case", refined[j]), ("injected", true[j])):
             in_units = values / np.array([1.0, 1.0, 1.0, ARCMIN, ARCMIN, ARCMIN])
@@ -161,9 +157,9 @@ def tie_table(results: list[Result]) -> list[str]:
     rows = []
     for one in results:
         rows.append((one.site, "ties", "papers' case", *cells(corrections_of(one.solution, PointClass.TIE))))
-        rows += [("", "", name, *cells(printed[one.site])) for name, printed in published.TIE_CORRECTIONS.items()]
+        rows += [("", "", name, *cells(printed)) for name, printed in PUBLISHED[one.site].tie_corrections.items()]
         rows.append(("", "footprints", "papers' case", *cells(corrections_of(one.solution, PointClass.LASER), 3)))
-        rows.append(("", "", "ISPRS", *cells(published.MOLA_CORRECTIONS[one.site], 3)))
+        rows.append(("", "", "ISPRS", *cells(PUBLISHED[one.site].mola_corrections, 3)))
     return table(("site", "points", "mean / RMSE", "X (m)", "Y (m)", "Z (m)"), rows)
 
 
@@ -176,7 +172,7 @@ def sigmas_of(solution: Solution) -> Sigmas:
 def scaled(found: Sigmas) -> Sigmas:
     """Sigmas times sigma0, as published."""
     mola, tie = (tuple(found.sigma0 * value for value in part) for part in (found.mola, found.tie))
-    return Sigmas((mola[0], mola[1], mola[2]), (tie[0], tie[1], tie[2]), found.sigma0)
+    return Sigmas(mola, tie, found.sigma0)
 
 
 def sigma_table(named: list[tuple[str, str, Solution]]) -> list[str]:
@@ -188,9 +184,9 @@ def sigma_table(named: list[tuple[str, str, Solution]]) -> list[str]:
             three = [" ".join(f"{value:.2f}" for value in part) for part in one[:2]]
             rows.append((site, weights, what, *three, f"{found.sigma0:.3f}", f"{solution.sigma0:.3f}"))
         if n + 1 == len(named) or named[n + 1][0] != site:
-            for paper, printed in published.TABLE_4.items():
-                three = [" ".join(f"{value:.2f}" for value in part) for part in printed[site][:2]]
-                rows.append((site, paper, "published", *three, f"{printed[site].sigma0:.3f}", ""))
+            for paper, printed in PUBLISHED[site].sigmas.items():
+                three = [" ".join(f"{value:.2f}" for value in part) for part in printed[:2]]
+                rows.append((site, paper, "published", *three, f"{printed.sigma0:.3f}", ""))
     return table(("site", "weights", "", "MOLA X Y Z (m)", "ties X Y Z (m)", "sigma0", "of all rows"), rows)
 
 
@@ -207,11 +203,11 @@ def residual_table(results: list[Result]) -> list[str]:
     rows = []
     for one in results:
         for name, kind, sign, printed in (
-            ("MOLA corrections", PointClass.LASER, -1.0, published.TABLE_5),
-            ("tie residuals", PointClass.TIE, 1.0, published.TIE_RESIDUALS),
+            ("MOLA corrections", PointClass.LASER, -1.0, PUBLISHED[one.site].mola_pixels),
+            ("tie residuals", PointClass.TIE, 1.0, PUBLISHED[one.site].tie_residuals),
         ):
             rows.append((one.site, name, "papers' case", *cells(image_scatter(one.solution, kind, sign), 3)))
-            rows.append(("", "", "published", *cells(printed[one.site], 3)))
+            rows.append(("", "", "published", *cells(printed, 3)))
     return table(("site", "rows", "mean / RMSE", "left x (px)", "left y (px)", "right x (px)", "right y (px)"), rows)
 
 
@@ -225,7 +221,7 @@ def range_table(results: list[Result]) -> list[str]:
             f"{np.abs(after).mean():.2f}, {np.abs(after).max():.2f}",
         ))  # fmt: skip
     head = ("site", "SPICE: mean / RMSE (m)", "adjusted: mean / RMSE (m)", "adjusted: mean modulus, largest (m)")
-    low, high = published.RANGE_RESIDUALS_M
+    low, high = PAPERS["range_residuals_m"]
     return [*table(head, rows), "", f"Published: about {low:.0f} m up to about {high:.0f} m, of what is left open."]
 
 
@@ -243,23 +239,8 @@ def along_flight(result: Result) -> tuple[float, ...]:
 
 def opposite_shift(correction: Scatter, site: str) -> float:
     """m between the images that corrections of the footprints along the flight imply: pixels times Table 1's sizes."""
-    left, right = published.TABLE_1[site]
+    left, right = PUBLISHED[site].images
     return abs(correction.mean[0] * left.pixel_m - correction.mean[2] * right.pixel_m)
-
-
-def shares_of_positions(result: Result) -> list[list[float]]:
-    """Part of the corrections along the flight that positions take, left and right: published, then simulated."""
-    refined, _ = differences(result)
-    positions = [np.array([one.mean[:3] for one in published.TABLE_2[result.site]])]
-    positions.append(np.array([one[:, :3].mean(axis=0) for one in refined]))
-    moved = (published.TABLE_5[result.site], image_scatter(result.solution, PointClass.LASER, -1.0))
-    found = [list[float](), list[float]()]
-    for j, image in enumerate(result.true):
-        along = image.pose(np.array([0.5 * image.lines])).velocity[0]
-        size = published.TABLE_1[result.site][j].pixel_m * np.linalg.norm(along)
-        for part, position, image_points in zip(found, positions, moved, strict=True):
-            part.append(float(abs(position[j] @ along / (image_points.mean[2 * j] * size))))
-    return found
 
 
 def shift_table(named: list[tuple[str, Result]]) -> list[str]:
@@ -271,7 +252,7 @@ def shift_table(named: list[tuple[str, Result]]) -> list[str]:
         rows.append((
             one.site, option, f"{injected[0]:+.0f}, {injected[1]:+.0f}", f"{abs(injected[0] - injected[1]):.0f}",
             f"{found.mean[0]:+.1f}, {found.mean[2]:+.1f}", f"{opposite_shift(found, one.site):.0f}",
-            f"{opposite_shift(published.TABLE_5[one.site], one.site):.0f}", f"{published.STATED_SHIFT_M:.0f}",
+            f"{opposite_shift(PUBLISHED[one.site].mola_pixels, one.site):.0f}", f"{PAPERS['stated_shift_m']:.0f}",
         ))  # fmt: skip
     head = (
         "site", "attitude-time bias", "injected left, right (m)", "between them (m)", "corrections x (px)",
@@ -334,66 +315,14 @@ def _summary(solution: Solution) -> tuple[str, ...]:
     return (*three, f"{image.mean[0]:+.1f}, {image.mean[2]:+.1f}", f"{found.sigma0:.3f}")
 
 
-# --- Shan, Yoon et al. (ISPRS 2002) on Eos
-
-
-def eos_orientation(named: list[tuple[str, tuple[PushbroomImage, ...]]]) -> list[str]:
-    """ISPRS 2002, Table 1: SPICE orientation at the first and last line. `named`: option, nominal images."""
-    rows = []
-    for j, name in enumerate(("nadir (E02-02855)", "off-nadir (E04-01275)")):
-        for at, end in enumerate(("start", "end")):
-            rows.append((f"{name}, {end}", "published", *(_digits(published.EOS_ORIENTATION[j][at]))))
-            for option, images in named:
-                image = images[j]
-                pose = image.pose(np.array([float(image.lines) * at]))
-                angles = rotation.omega_phi_kappa(pose.matrix)[0] / DEG
-                rows.append(("", option, *_digits((*(pose.position[0] / KM).tolist(), *angles.tolist()))))
-    head = ("image, line", "", "X (km)", "Y (km)", "Z (km)", "omega (deg)", "phi (deg)", "kappa (deg)")
-    return table(head, rows)
-
-
-def _digits(values: tuple[float, ...]) -> tuple[str, ...]:
-    return tuple(f"{value:.3f}" for value in values)
-
-
-def footprint_table(result: Result) -> list[str]:
-    """ISPRS 2002, Table 2: the published footprints, and the simulated track at the same latitudes."""
-    track = planetocentric(result.simulated.images[1].profile.footprints)
-    track = track[np.argsort(track[:, 1])]
-    rows = []
-    given = np.array(published.EOS_FOOTPRINTS) * KM
-    heights = geodetic(given, OLD_ELLIPSOID)[:, 2]
-    for place, (longitude, latitude, radius), height in zip(
-        published.EOS_FOOTPRINTS, planetocentric(given), heights, strict=True
-    ):
-        there, below = (float(np.interp(latitude, track[:, 1], track[:, k])) for k in (0, 2))
-        away = (there - longitude + np.pi) % (2.0 * np.pi) - np.pi
-        rows.append((
-            *_digits(place), f"{latitude / DEG:.4f}", f"{longitude / DEG % 360.0:.4f}", f"{radius / KM:.3f}",
-            f"{height:+.1f}", f"{there / DEG % 360.0:.4f}", f"{below / KM:.3f}",
-            f"{away * np.cos(latitude) * radius / KM:+.2f}",
-        ))  # fmt: skip
-    steps = np.linalg.norm(np.diff(given, axis=0), axis=1)
-    head = (
-        "X (km)", "Y (km)", "Z (km)", "latitude (deg)", "longitude (deg)", "radius (km)", "above 3397/3375 km (m)",
-        "simulated longitude", "radius", "eastward off (km)",
-    )  # fmt: skip
-    end = (
-        f"Published footprints are {steps.min():.0f} m apart where none is missing; simulated ones "
-        f"{result.case.profiles[1].spacing:.0f} m. The published ones lie {heights.mean():+.1f} m from the ellipsoid "
-        "of 3397 and 3375 km (IAU 1994): their heights were left out, and Eos' floor is some 5 km below."
-    )
-    return [*table(head, rows), "", end]
-
-
-# --- what the issue asks for
+# --- what is required
 
 
 def requirements(results: list[Result]) -> list[str]:
     """Each requirement with its figures, and by how much it is missed where it is."""
     said = []
     for one in results:
-        found, printed = scaled(sigmas_of(one.solution)), published.TABLE_4["PE&RS"][one.site]
+        found, printed = scaled(sigmas_of(one.solution)), PUBLISHED[one.site].sigmas["PE&RS"]
         of_sigma0 = found.sigma0 / printed.sigma0 - 1.0
         off = [mine / theirs - 1.0 for mine, theirs in zip(found.mola, printed.mola, strict=True)]
         times = factors(found.tie, printed.tie)
