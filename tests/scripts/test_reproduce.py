@@ -12,8 +12,7 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import papers_balance as balance  # noqa: E402
-import papers_tables as tables  # noqa: E402
-import reproduce_papers  # noqa: E402
+import reproduce_papers as tables  # noqa: E402
 import study  # noqa: E402
 
 from mgsgraph.case.reading import read_case  # noqa: E402
@@ -23,17 +22,17 @@ from mgsgraph.network import PointClass  # noqa: E402
 from mgsgraph.simulation.files import write_site  # noqa: E402
 from mgsgraph.simulation.site import simulate_site  # noqa: E402
 
-PLAIN = reproduce_papers.PUBLISHED
+PLAIN = tables.AS_PUBLISHED
 
 
 @pytest.fixture(scope="module")
 def isidis(tmp_path_factory: pytest.TempPathFactory) -> tables.Result:
-    return reproduce_papers.reproduced("isidis", 1, tmp_path_factory.mktemp("isidis"), PLAIN)
+    return tables.reproduced("isidis", 1, tmp_path_factory.mktemp("isidis"), PLAIN)
 
 
 @pytest.fixture(scope="module")
 def gusev(tmp_path_factory: pytest.TempPathFactory) -> tables.Result:
-    return reproduce_papers.reproduced("gusev", 1, tmp_path_factory.mktemp("gusev"), PLAIN)
+    return tables.reproduced("gusev", 1, tmp_path_factory.mktemp("gusev"), PLAIN)
 
 
 def test_the_papers_case_has_the_papers_rows(gusev: tables.Result) -> None:
@@ -134,7 +133,7 @@ def test_table_5_implies_the_shift_of_the_plan() -> None:
 
 
 def test_the_page_has_a_place_for_every_table(isidis: tables.Result, tmp_path: Path) -> None:
-    blocks = reproduce_papers.page([isidis], 1, tmp_path)
+    blocks = tables.page([isidis], 1, tmp_path)
     text = study.filled("papers.md", blocks)
     assert "| isidis | papers' case | predicted |" in text
     assert "| eos | papers' case |" not in text
