@@ -26,13 +26,12 @@ from mgsgraph.case.assembly import window_beside
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.export.network_content import source_networks
 from mgsgraph.fetch.store import LOCK, Lock, LockedFile
-from mgsgraph.files.networks.binary import write_binary_network
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import read_network, write_binary_network
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.opening import sha256_of
-from mgsgraph.files.output.csv_json import write_json
 from mgsgraph.files.output.folders import EXPORT
-from mgsgraph.files.records import FILES, MATCH, read_record
+from mgsgraph.files.output.table import write_json
+from mgsgraph.files.writing import FILES, MATCH, read_record
 from mgsgraph.project.campaign import RECORD as CAMPAIGN
 from mgsgraph.project.campaign import open_record, run_campaign
 from mgsgraph.project.connection import FILE

@@ -61,10 +61,9 @@ def _cases() -> Iterator[Row]:
 
 
 def _images() -> Iterator[Row]:
-    from mgsgraph.files.cameras.hrsc import read_line_times
-    from mgsgraph.files.cameras.label import read_line_scan_label
-    from mgsgraph.files.labels.image_label import read_label
+    from mgsgraph.files.cameras.label import read_line_scan_label, read_line_times
     from mgsgraph.files.labels.isis_cube import read_isis_cube
+    from mgsgraph.files.pvl import read_label
     from mgsgraph.files.support_data.isd import read_isd
     from mgsgraph.files.support_data.model_state import read_model_state
 
@@ -97,8 +96,8 @@ def _images() -> Iterator[Row]:
 
 
 def _kernels() -> Iterator[Row]:
+    from mgsgraph.files.labels.kernels import loaded
     from mgsgraph.files.labels.labelled_image import read_labelled_image
-    from mgsgraph.files.spice.kernels import loaded
 
     def furnished(path: Path) -> None:
         with loaded([path]):
@@ -117,7 +116,7 @@ def _kernels() -> Iterator[Row]:
 
 
 def _pictures() -> Iterator[Row]:
-    from mgsgraph.files.labels.image_label import read_label
+    from mgsgraph.files.pvl import read_label
     from mgsgraph.files.rasters.pictures import is_moc, pixel_area, read_moc_pixels, read_picture
 
     tests = of_tests("files/rasters/test_pictures.py")

@@ -39,7 +39,7 @@ def of_real_files() -> Iterator[Row]:
     from mgsgraph.files.altimetry.shots import read_shots
     from mgsgraph.files.labels.isis_cube import read_isis_cube
     from mgsgraph.files.labels.labelled_image import read_labelled_image
-    from mgsgraph.files.networks.network_file import read_network
+    from mgsgraph.files.networks.binary import read_network
     from mgsgraph.files.support_data.isd import read_isd
 
     kernels = [path.name for path in mgs.kernels(DATA)]

@@ -25,7 +25,7 @@ _POINT = [
 def of_networks() -> Iterator[Row]:
     from mgsgraph.files.networks.asp_match import read_match, read_match_text
     from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
-    from mgsgraph.files.networks.network_file import read_control_network, read_network
+    from mgsgraph.files.networks.binary import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
     from mgsgraph.files.place_table import read_places
     from mgsgraph.studio.verdicts import read_verdicts
@@ -68,11 +68,9 @@ def of_networks() -> Iterator[Row]:
 
 
 def of_altimetry() -> Iterator[Row]:
-    from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
+    from mgsgraph.files.altimetry.binary import FRAME, RECORD
     from mgsgraph.files.altimetry.lidar import read_lidar
-    from mgsgraph.files.altimetry.lola import RECORD
-    from mgsgraph.files.altimetry.pedr import FRAME
-    from mgsgraph.files.altimetry.shots import read_shots
+    from mgsgraph.files.altimetry.shots import read_altimetry_cloud, read_shots
 
     tests = of_tests("files/altimetry/test_pedr_text.py")
     lola = "LOLARDR_092490702.DAT"

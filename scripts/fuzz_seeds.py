@@ -144,7 +144,7 @@ def site_seed() -> dict[str, bytes]:
 
 def short_profile(content: bytes, frames: int = 4) -> bytes:
     """The first frames of a PEDR file, and its label to match."""
-    from mgsgraph.files.altimetry.pedr import FRAME
+    from mgsgraph.files.altimetry.binary import FRAME
 
     records = 10 + frames
     rows = len(content) // FRAME.itemsize - 10
@@ -246,7 +246,7 @@ def packed(content: str | bytes) -> bytes:
 @cache
 def network() -> Any:
     """Three points in two images, one with a covariance."""
-    from mgsgraph.files.networks.network_file import read_network
+    from mgsgraph.files.networks.binary import read_network
 
     return read_network(pair_folder() / "network.pvl")
 

@@ -22,8 +22,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.networks.network_file import read_control_network
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.binary import read_control_network
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage

@@ -9,8 +9,8 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.networks.network_file import read_control_network
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.binary import read_control_network
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.image import PushbroomImage, fit_attitude

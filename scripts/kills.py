@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 from study import at_least, command, show, table
 
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project

@@ -24,8 +24,8 @@ from study import DOCS, Blocks, at_least, command, positive, show, table, write_
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.labels.image_label import read_label
 from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.pvl import read_label
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry import rotation

@@ -23,9 +23,9 @@ from mgsgraph.analysis.measures import MeasureKind, ScalarMeasures
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.networks.network_file import read_control_network
-from mgsgraph.files.output.geotiff import geotiff
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.binary import read_control_network
+from mgsgraph.files.networks.tie_points import TiePoints
+from mgsgraph.files.rasters.raster_file import geotiff
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage

@@ -1,6 +1,6 @@
 """Tables of tie points and control points (CSV or Parquet, one measure a row), as they are measured by hand.
 
-The first line names the columns (`networks.table_columns`): id, image, and isis_line, isis_sample (the first pixel's
+The first line names the columns (`files.csv_columns`): id, image, and isis_line, isis_sample (the first pixel's
 centre is (1, 1)) or line, sample (it is (0.5, 0.5)); all others may be left out. Blank lines and lines that begin with
 # count for nothing. A point without measures has one row without image. A Parquet file has the same columns: numbers as
 float64 or whole ones, flags as truth values or words, null for nothing.
@@ -21,36 +21,35 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.csv_columns import Columns, csv_columns, measured
-from mgsgraph.files.networks.network_file import read_control_network, read_network
-from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
-from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
-from mgsgraph.files.networks.table_columns import (
+from mgsgraph.files.csv_columns import (
     CARTESIAN,
-    FLAGS,
     ISIS,
     LARGEST_SIGMA,
     MATRIX,
-    MEASURE_TYPES,
-    NORMAL,
     OF_MEASURE,
     OF_POINT,
     OURS,
-    PLACES,
-    POINT_TYPES,
     TEXTS,
     TRUTHS,
     UNCERTAINTIES,
+    Columns,
+    csv_columns,
     header_of,
+    measured,
     on_body,
     upper_triangles,
     whole,
 )
-from mgsgraph.files.networks.tie_points import PointArrays
+from mgsgraph.files.networks.binary import read_control_network, read_network
+from mgsgraph.files.networks.pvl import MEASURE_TYPES, PLACES, POINT_TYPES
+from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
+from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
+from mgsgraph.files.networks.tie_points import PointArrays, TiePoints
 from mgsgraph.files.opening import ANY_SIZE, opened, read_bytes, understood
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.pvl import FLAGS
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.lanes import NORMAL
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET
 

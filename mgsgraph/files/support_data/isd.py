@@ -18,14 +18,20 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import NaifKeywords, number
-from mgsgraph.files.cameras.mars import ATTITUDE_BIAS, PITCH
-from mgsgraph.files.cameras.moon import CORRECTIONS, corrected
+from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, PITCH, corrected
 from mgsgraph.files.decoding import validated
 from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, Spacecraft, aberration_of, geometric, remarks_on
 from mgsgraph.files.labels.isis_cube import is_cube_json
 from mgsgraph.files.opening import read_json
-from mgsgraph.files.support_data.isd_layout import J2000, MODEL, UNITS, RotationTable, StateTable, SupportData
-from mgsgraph.files.support_data.optics import distortion_of_support
+from mgsgraph.files.support_data.isd_layout import (
+    J2000,
+    MODEL,
+    UNITS,
+    RotationTable,
+    StateTable,
+    SupportData,
+    distortion_of_support,
+)
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
