@@ -1,13 +1,14 @@
-"""Are the stated sigmas right? NEES of orientation and points over many draws of the three simulated sites.
+"""Are the stated sigmas right? NEES of orientation and points over many draws of the three sites and a strip.
 
-Every row and every orientation coefficient is drawn anew from its stated sigma (`tests/redraw.py`), the
+Every row and every orientation coefficient or node is drawn anew from its stated sigma (`tests/redraw.py`), the
 network is adjusted, and the errors are normalized by the stated covariances: per degree of freedom their mean is one if
 the sigmas are right. Fills the table of docs/nees.md.
 
     python scripts/nees.py [--seeds 100] [--first 1] [--cases eos ...] [--processes N] [--out FILE]
 
 A case is a site and a weighting: `no-terrain` is `rigorous` without its surface rows, what is left if these are at
-fault; `papers` has the papers' weighting. Exit status: 0 done (whatever the figures are), 2 bad input.
+fault; `papers` has the papers' weighting. The last is an HRSC strip, whose five lines are one
+pass. Exit status: 0 done (whatever the figures are), 2 bad input.
 """
 
 import sys
@@ -23,27 +24,35 @@ from study import Blocks, Draw, cases, names_of, nees_cell, run, seeds_of, table
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import LINEAR
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
+from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from redraw import Draw as Redrawn
 from redraw import redraw
 
-COLUMNS = ("orientation", "shifts", "likelihood ratio", "ties", "laser", "squares")
-"""Orientation coefficients; shifts of profiles and terrain; both by twice the rise of the cost at the truth; tie
-points; footprints; weighted squares of all rows."""
+COLUMNS = ("orientation", "passes", "shifts", "likelihood ratio", "ties", "laser", "squares")
+"""Images' orientation coefficients; nodes of passes; shifts of profiles and terrain; all but passes by
+twice the rise of the cost at the truth; tie points; footprints; weighted squares of all rows."""
 CASES = tuple(f"{site}, {case}" for site in SITE_NAMES for case in ("rigorous", "no-terrain", "papers"))
+STRIP = BlockSettings(strips=1, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
+CASES += ("HRSC strip, passes",)
 
 
 @lru_cache(maxsize=len(CASES))
 def prepared(case: str) -> tuple[Network, SolverSettings]:
-    """The network of a case, as it is read from files, and its settings."""
+    """The network of a case (a site's as it is read from files), and its settings."""
+    if case == "HRSC strip, passes":
+        return simulate_hrsc_block(STRIP, 1).network, SolverSettings()
     site, weighting = case.split(", ")
     with tempfile.TemporaryDirectory() as folder:
         simulated = simulate_site(site, 1, SimulationOptions("published", pictures=False))
@@ -57,37 +66,50 @@ def one_draw(case: str, seed: int) -> Draw:
     network, settings = prepared(case)
     begin, draw = time.perf_counter(), redraw(network, np.random.default_rng(seed), settings.angles)
     solution = adjust_network(draw.network, settings)
-    found = [one.ravel() for one in (*solution.coefficients, solution.shifts, *solution.shared)]
-    adjusted = np.repeat(~network.held, [one.size for one in solution.coefficients])
-    orientation = int(np.count_nonzero(adjusted))
-    error = np.concatenate(found) - draw.vector
-    error = np.concatenate([error[: adjusted.size][adjusted], error[adjusted.size :]])
-    joint, variables = solution.joint_covariance, solution.joint_covariance.adjusted
-    of_images = variables < len(network.images)
+    errors = errors_of(solution, draw)
+    first, passes = len(network.images), network.first_of_passes[0]
+    groups = [[k for k in errors if low <= k < high] for low, high in ((0, first), (passes, 1 << 30), (first, passes))]
+    parts = [np.concatenate([errors[k] for k in group] or [np.zeros(0)]) for group in groups]
     shared = [
-        shared_nees(error[:orientation], joint.of(variables[of_images])),
-        shared_nees(error[orientation:], joint.of(variables[~of_images])),
+        shared_nees(part, solution.joint_covariance.of(group)) if group else float("nan")
+        for part, group in zip(parts, groups, strict=True)
     ]
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
     points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
     freedom = solution.fit.degrees_of_freedom
     names = [*(image.name for image in network.images), *network.shift_names, *(one.name for one in network.shared)]
-    truth = dict(zip(names, (*(one.coefficients for one in draw.own), *draw.shifts, *draw.shared), strict=True))
-    for j in np.flatnonzero(network.held).tolist():
-        del truth[names[j]]
-    ratio = Posterior.of(solution).likelihood.ratio(truth)
-    shared.append(ratio.squares / ratio.degrees)
-    values = [*shared, *(float(one.mean()) / 3.0 for one in points), solution.fit.squares / freedom]
+    truth = [*(one.coefficients for one in draw.own), *draw.shifts, *draw.shared]
+    ratio = Posterior.of(solution).likelihood.ratio({names[k]: truth[k] for k in errors if k < passes})
+    shared.append(ratio.squares / ratio.degrees if ratio.degrees else float("nan"))
+    of_points = [float(one.mean()) / 3.0 if one.size else float("nan") for one in points]
     return {
-        "values": values, "degrees": [orientation, error.size - orientation, ratio.degrees, 0, 0, freedom],
+        "values": [*shared, *of_points, solution.fit.squares / freedom],
+        "degrees": [*(part.size for part in parts), ratio.degrees, 0, 0, freedom],
         "linear": solution.linearity.ratio if solution.linearity else None, "converged": solution.converged,
         "seconds": time.perf_counter() - begin,
     }  # fmt: skip
 
 
+def errors_of(solution: Solution, draw: Redrawn) -> dict[int, Array]:
+    """Estimate minus truth of each variable of the joint covariance: images' coefficients, shifts and shared unknowns,
+    and the nodes of passes.
+    """
+    network, first = solution.network, len(solution.network.images)
+    errors = {
+        j: (solution.coefficients[j] - draw.own[j].coefficients).ravel()
+        for j in np.flatnonzero(network.with_polynomial).tolist()
+    }
+    pairs = zip((*solution.shifts, *solution.shared), (*draw.shifts, *draw.shared), strict=True)
+    errors |= {first + k: found - true for k, (found, true) in enumerate(pairs)}
+    for nodes, (one, number) in zip(solution.nodes, network.numbered_passes, strict=True):
+        true = draw.own[one.images[0]].coefficients[-len(one.nodes) :]
+        errors |= {number + k: off for k, off in enumerate(nodes - true)}
+    return errors
+
+
 def shared_nees(error: Array, covariance: Array) -> float:
-    """Normalized error of shared unknowns per degree of freedom; NaN where there are none."""
-    return float(nees(error[None], covariance[None])[0]) / error.size if error.size else float("nan")
+    """Normalized error of shared unknowns per degree of freedom."""
+    return float(nees(error[None], covariance[None])[0]) / error.size
 
 
 def row(case: str, every: list[Draw]) -> list[str]:
