@@ -54,9 +54,7 @@ class Columns:
     numbers: Index
     """(n,) number of each row in the file."""
     values: Mapping[str, pa.Array]
-    """By the names of the columns, (n) each: texts without blanks around them, empty ones for nothing; or float64, null
-    for nothing.
-    """
+    """By the names of the columns, (n) each: texts without blanks around them, empty ones for nothing."""
 
     def where(self, row: int) -> str:
         """File, and line or row."""
@@ -64,8 +62,7 @@ class Columns:
 
     def filled(self, name: str) -> Mask:
         """Which cells (n,) of a column hold anything."""
-        column = self.values[name]
-        return np.asarray(column.is_valid() if pa.types.is_floating(column.type) else pc.not_equal(column, ""))
+        return np.asarray(pc.not_equal(self.values[name], ""))
 
     def chosen(self, rows: Index) -> "Columns":
         """Some of the rows, by their numbers from 0."""
@@ -217,16 +214,11 @@ def measured(column: pa.Array, where: Callable[[int], str], largest: float = LAR
     """(n,) finite numbers below the `largest` of a table's column, NaN for empty cells; InputError, with the words for
     `where` the k-th of them is, for the first that is none.
     """
-    if pa.types.is_floating(column.type):
-        given, there = np.asarray(column.fill_null(0.0)), np.asarray(column.is_valid())
-        found = np.where(there, given, np.nan) if np.all(np.abs(given) < largest) else None
-    else:
-        found = _numbers_of(column, largest)
-    if found is not None:
+    if (found := _numbers_of(column, largest)) is not None:
         return found
     values = np.full(len(column), np.nan)
-    for k, value in enumerate(column.to_pylist()):  # Arrow doesn't know all numbers, such as "+1.5"
-        if text := "" if value is None else str(value):
+    for k, text in enumerate(column.to_pylist()):  # Arrow doesn't know all numbers, such as "+1.5"
+        if text:
             try:
                 values[k] = finite_number(text)
             except ValueError:

@@ -19,13 +19,13 @@ from mgsgraph.files.csv_columns import (
     GEODETIC,
     ISIS,
     OURS,
+    PLACES,
     PLANETOCENTRIC,
     csv_columns,
     measured,
     on_body,
     require_degrees,
 )
-from mgsgraph.files.networks.pvl import PLACES
 from mgsgraph.geometry.body import Ellipsoid, require_near
 from mgsgraph.geometry.records import Array, frozen
 from mgsgraph.units import DEG, ISIS_OFFSET

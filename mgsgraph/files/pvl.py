@@ -448,7 +448,8 @@ def _beside(path: Path, name: str, root: Block) -> Path:
 
 def files_called(path: Path, name: str) -> list[Path]:
     """Those of this name, in any case, in a file's folder; the one in just this case is the first."""
-    found = [file for file in path.parent.iterdir() if file.name.lower() == name.lower()]
+    beside = path.parent.iterdir() if path.parent.is_dir() else ()
+    found = [file for file in beside if file.name.lower() == name.lower()]
     return sorted(found, key=lambda file: file.name != name)
 
 

@@ -44,7 +44,7 @@ from mgsgraph.files.altimetry.shot_values import (
 from mgsgraph.files.altimetry.tables import LARGEST, is_archive, plain_name, shots_of_table, table_of
 from mgsgraph.files.csv_columns import CsvText
 from mgsgraph.files.opening import decoded_text, number_of, read_bytes, unpacked_gzip
-from mgsgraph.files.pvl import Block, Document, whole_label
+from mgsgraph.files.pvl import Block, Document, files_called, whole_label
 from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, Altimeter, AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic
 from mgsgraph.geometry.records import Array, Index
@@ -132,9 +132,8 @@ def _beside(path: Path, block: Block, key: str) -> Path:
     items = block.words(key)
     if len(items) > 1 and items[1] != "1":
         raise InputError(block.where(key), f"a table from {items[1]} on in its file", "a table that is all of its file")
-    name = items[0].lower() if items else ""
-    found = [one for one in path.parent.iterdir() if one.name.lower() == name]
-    if not found:
+    name = items[0] if items else ""
+    if not (found := files_called(path, name)):
         raise InputError(block.where(key), f"{name}, which is not beside the label", "the file", "fetch it, too")
     return found[0]
 

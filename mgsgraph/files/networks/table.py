@@ -23,12 +23,17 @@ import pyarrow.compute as pc
 from mgsgraph.errors import InputError
 from mgsgraph.files.csv_columns import (
     CARTESIAN,
+    FLAGS,
     ISIS,
     LARGEST_SIGMA,
     MATRIX,
+    MEASURE_TYPES,
+    NORMAL,
     OF_MEASURE,
     OF_POINT,
     OURS,
+    PLACES,
+    POINT_TYPES,
     TEXTS,
     TRUTHS,
     UNCERTAINTIES,
@@ -41,15 +46,12 @@ from mgsgraph.files.csv_columns import (
     whole,
 )
 from mgsgraph.files.networks.binary import read_control_network, read_network
-from mgsgraph.files.networks.pvl import MEASURE_TYPES, PLACES, POINT_TYPES
 from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
 from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
 from mgsgraph.files.networks.tie_points import PointArrays, TiePoints
 from mgsgraph.files.opening import ANY_SIZE, opened, read_bytes, understood
-from mgsgraph.files.pvl import FLAGS
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.lanes import NORMAL
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET
 
@@ -158,16 +160,17 @@ def _parquet_column(name: str, chunks: pa.ChunkedArray, source: str) -> pa.Array
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
     column.validate(full=True)  # texts that are none
-    kind, in_words = column.type, name in (*TEXTS, *TRUTHS)
-    if pa.types.is_null(kind) or pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        return pc.utf8_trim_whitespace(column.cast(pa.large_string()).fill_null(""))
-    if (pa.types.is_integer(kind) and in_words) or (pa.types.is_boolean(kind) and name in TRUTHS):
-        return column.cast(pa.large_string()).fill_null("")
-    if (pa.types.is_integer(kind) or pa.types.is_floating(kind)) and not in_words:
-        values = column.cast(pa.float64())
-        return pc.if_else(pc.is_nan(values), None, values)
-    expected = "texts" if name in TEXTS else "truth values" if name in TRUTHS else "numbers"
-    raise InputError(f"{source}, column {name}", f"values of the kind {kind}", expected)
+    of, kind = pa.types, column.type
+    sound = of.is_null(kind) or of.is_string(kind) or of.is_large_string(kind) or of.is_integer(kind)
+    if name not in TEXTS:
+        sound |= of.is_boolean(kind) if name in TRUTHS else of.is_floating(kind)
+    if not sound:
+        expected = "texts" if name in TEXTS else "truth values" if name in TRUTHS else "numbers"
+        raise InputError(f"{source}, column {name}", f"values of the kind {kind}", expected)
+    if of.is_floating(kind):
+        column = column.cast(pa.float64())
+        column = pc.if_else(pc.is_nan(column), None, column)
+    return pc.utf8_trim_whitespace(column.cast(pa.large_string()).fill_null(""))  # of numbers all digits
 
 
 # --- rows, measures and points
