@@ -1,4 +1,4 @@
-"""Are the stated sigmas right? NEES of orientation and points over many draws of the three sites and a strip.
+"""Are the stated sigmas right? NEES of orientation and points over many draws of the three sites, a strip and a rig.
 
 Every row and every orientation coefficient or node is drawn anew from its stated sigma (`tests/redraw.py`), the
 network is adjusted, and the errors are normalized by the stated covariances: per degree of freedom their mean is one if
@@ -7,8 +7,8 @@ the sigmas are right. Fills the table of docs/nees.md.
     python scripts/nees.py [--seeds 100] [--first 1] [--cases eos ...] [--processes N] [--out FILE]
 
 A case is a site and a weighting: `no-terrain` is `rigorous` without its surface rows, what is left if these are at
-fault; `papers` has the papers' weighting. The last is an HRSC strip, whose five lines are one
-pass. Exit status: 0 done (whatever the figures are), 2 bad input.
+fault; `papers` has the papers' weighting. Two more are an HRSC strip, whose five lines are one pass, and two passes of
+LROC's narrow angles with an unknown boresight. Exit status: 0 done (whatever the figures are), 2 bad input.
 """
 
 import sys
@@ -19,6 +19,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import block_diag
 from study import Blocks, Draw, cases, names_of, nees_cell, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -29,23 +30,25 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
+from mgsgraph.network.passes import PolynomialPrior
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
+from mgsgraph.simulation.rig import powers, simulate_nac_pair
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import Draw as Redrawn
-from redraw import redraw
+from redraw import polynomial_sigmas, redraw
 
 COLUMNS = ("orientation", "passes", "shifts", "likelihood ratio", "ties", "laser", "squares")
 """Images' orientation coefficients; nodes of passes; shifts of profiles and terrain; all but passes by
 twice the rise of the cost at the truth; tie points; footprints; weighted squares of all rows."""
 CASES = tuple(f"{site}, {case}" for site in SITE_NAMES for case in ("rigorous", "no-terrain", "papers"))
 STRIP = BlockSettings(strips=1, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
-CASES += ("HRSC strip, passes",)
+CASES += ("HRSC strip, passes", "NAC pair, rig")
 
 
 @lru_cache(maxsize=len(CASES))
@@ -53,6 +56,8 @@ def prepared(case: str) -> tuple[Network, SolverSettings]:
     """The network of a case (a site's as it is read from files), and its settings."""
     if case == "HRSC strip, passes":
         return simulate_hrsc_block(STRIP, 1).network, SolverSettings()
+    if case == "NAC pair, rig":
+        return simulate_nac_pair().network, SolverSettings()
     site, weighting = case.split(", ")
     with tempfile.TemporaryDirectory() as folder:
         simulated = simulate_site(site, 1, SimulationOptions("published", pictures=False))
@@ -69,11 +74,10 @@ def one_draw(case: str, seed: int) -> Draw:
     errors = errors_of(solution, draw)
     first, passes = len(network.images), network.first_of_passes[0]
     groups = [[k for k in errors if low <= k < high] for low, high in ((0, first), (passes, 1 << 30), (first, passes))]
-    parts = [np.concatenate([errors[k] for k in group] or [np.zeros(0)]) for group in groups]
-    shared = [
-        shared_nees(part, solution.joint_covariance.of(group)) if group else float("nan")
-        for part, group in zip(parts, groups, strict=True)
-    ]
+    joint = solution.joint_covariance
+    pairs = [(np.concatenate([errors[k] for k in group]), joint.of(group)) if group else None for group in groups]
+    pairs[1] = pairs[1] and as_polynomials(network, *pairs[1])
+    shared = [shared_nees(*pair) if pair else float("nan") for pair in pairs]
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
     points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
     freedom = solution.fit.degrees_of_freedom
@@ -84,7 +88,7 @@ def one_draw(case: str, seed: int) -> Draw:
     of_points = [float(one.mean()) / 3.0 if one.size else float("nan") for one in points]
     return {
         "values": [*shared, *of_points, solution.fit.squares / freedom],
-        "degrees": [*(part.size for part in parts), ratio.degrees, 0, 0, freedom],
+        "degrees": [*(pair[0].size if pair else 0 for pair in pairs), ratio.degrees, 0, 0, freedom],
         "linear": solution.linearity.ratio if solution.linearity else None, "converged": solution.converged,
         "seconds": time.perf_counter() - begin,
     }  # fmt: skip
@@ -105,6 +109,17 @@ def errors_of(solution: Solution, draw: Redrawn) -> dict[int, Array]:
         true = draw.own[one.images[0]].coefficients[-len(one.nodes) :]
         errors |= {number + k: off for k, off in enumerate(nodes - true)}
     return errors
+
+
+def as_polynomials(network: Network, error: Array, covariance: Array) -> tuple[Array, Array]:
+    """Errors of the nodes of all passes and their covariance; of passes that are polynomials in place of nodes their
+    coefficients, without those that are held.
+    """
+    if not isinstance(network.passes[0].prior, PolynomialPrior):
+        return error, covariance
+    whole = block_diag(*(np.kron(np.linalg.inv(powers(one.nodes)), np.eye(6)) for one in network.passes))
+    free = np.concatenate([polynomial_sigmas(one).ravel() for one in network.passes]) > 0.0
+    return (whole @ error)[free], (whole @ covariance @ whole.T)[np.ix_(free, free)]
 
 
 def shared_nees(error: Array, covariance: Array) -> float:

@@ -114,7 +114,7 @@ def seeds_of(description: str | None, cases: Sequence[str], seeds: int, page: st
 def chosen(parser: OneLine, wanted: Sequence[str]) -> list[str]:
     """Cases that a command line asks for: by their names, or all with a word in their names."""
     every: Sequence[str] = parser.get_default("cases")
-    found = [[word] if word in every else [case for case in every if word in case] for word in wanted]
+    found = [[word] if word in every else [case for case in every if word in case.replace(",", "").split()] for word in wanted]
     for word in (word for word, some in zip(wanted, found, strict=True) if not some):
         parser.error(f"no case {word!r}; there are {'; '.join(every)}")
     return list(dict.fromkeys(case for some in found for case in some))

@@ -1,4 +1,4 @@
-"""The NEES of drawn networks: a few draws of a site without terrain and of a strip lie in their bands."""
+"""The NEES of drawn networks: a few draws of a site without terrain, of a strip and of a rig lie in their bands."""
 
 import sys
 from pathlib import Path
@@ -20,6 +20,7 @@ from study import nees_band  # noqa: E402
     [
         ("isidis, no-terrain", ["passes"]),
         ("HRSC strip, passes", ["orientation", "shifts", "likelihood ratio", "laser"]),
+        ("NAC pair, rig", ["orientation"]),
     ],
 )
 def test_normalized_errors_lie_in_their_bands(case: str, absent: list[str]) -> None:
