@@ -114,7 +114,8 @@ def seeds_of(description: str | None, cases: Sequence[str], seeds: int, page: st
 def chosen(parser: OneLine, wanted: Sequence[str]) -> list[str]:
     """Cases that a command line asks for: by their names, or all with a word in their names."""
     every: Sequence[str] = parser.get_default("cases")
-    found = [[word] if word in every else [case for case in every if word in case.replace(",", "").split()] for word in wanted]
+    words = {case: case.replace(",", "").split() for case in every}
+    found = [[word] if word in every else [case for case in every if word in words[case]] for word in wanted]
     for word in (word for word, some in zip(wanted, found, strict=True) if not some):
         parser.error(f"no case {word!r}; there are {'; '.join(every)}")
     return list(dict.fromkeys(case for some in found for case in some))
@@ -135,19 +136,19 @@ def run(
 def drawn(
     orders: Sequence[tuple[str, int]], one: Callable[[str, int], Draw], keep: Path | None, place: str | None = None
 ) -> list[Draw]:
-    """Draws of cases and seeds, here or at workers; those that an earlier run by this commit has kept are not made
+    """Draws of cases and seeds, here or at workers; those that an earlier run of this commit has kept are not made
     again.
     """
     require_writable(keep)
-    recipe = f"{commit()} {one.keywords if isinstance(one, partial) else ''}"
-    found = {order: draw for order, draw in kept(keep).items() if draw["recipe"] == recipe}
+    this = commit()
+    found = {order: draw for order, draw in kept(keep).items() if draw["commit"] == this}
     due = [order for order in orders if order not in found]
     for done, draw in enumerate(_work(due, one, place), start=1):
-        found[draw["case"], draw["seed"]] = draw | {"recipe": recipe}
+        found[draw["case"], draw["seed"]] = draw | {"commit": this}
         show(f"{done} of {len(due)}: {draw['case']}, seed {draw['seed']}")
         if keep is not None:
             with keep.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(draw | {"recipe": recipe}) + "\n")
+                file.write(json.dumps(draw | {"commit": this}) + "\n")
     return [found[order] for order in orders]
 
 
@@ -169,8 +170,6 @@ def _work(
 
 def _by_name(one: Any) -> Any:
     """A function of the program that runs as workers find it: in the module of the program's name."""
-    if isinstance(one, partial):
-        return partial(_by_name(one.func), **one.keywords)
     return getattr(import_module(Path(sys.argv[0]).stem), one.__name__) if one.__module__ == "__main__" else one
 
 
@@ -184,7 +183,7 @@ def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
         return {}
     try:
         text, _, cut = path.read_text(encoding="utf-8").rpartition("\n")
-        found = {(draw["case"], draw["seed"]): draw for draw in map(json.loads, text.splitlines()) if draw["recipe"]}
+        found = {(draw["case"], draw["seed"]): draw for draw in map(json.loads, text.splitlines()) if draw["commit"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(str(path), f"holds no kept draws ({error})", "what --keep has written", REMEDY) from None
     if cut:
@@ -193,7 +192,7 @@ def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
 
 
 def cases(every: Sequence[Draw], case: str) -> list[Draw]:
-    """Draws of a case that are none the less cases."""
+    """Draws of a case that were not refused."""
     return [draw for draw in every if draw["case"] == case and "refused" not in draw]
 
 
@@ -291,8 +290,8 @@ def made_with() -> str:
 
 
 def commit() -> str:
-    """The commit of this checkout."""
-    words = ["git", "-C", str(DOCS), "rev-parse", "--short", "HEAD"]
+    """The commit of this checkout; `dirty` where files differ from it."""
+    words = ["git", "-C", str(DOCS), "describe", "--always", "--dirty", "--exclude=*"]
     return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 
 

@@ -24,7 +24,7 @@ from study import nees_band  # noqa: E402
     ],
 )
 def test_normalized_errors_lie_in_their_bands(case: str, absent: list[str]) -> None:
-    every = [nees.one_draw(case, seed) for seed in range(10)]
+    every = [nees.one_draw(case, seed) for seed in range(20)]
     assert all(draw["converged"] for draw in every)
     values = np.array([draw["values"] for draw in every])
     there = [k for k, name in enumerate(nees.COLUMNS) if name not in absent]

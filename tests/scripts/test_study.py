@@ -50,7 +50,7 @@ def test_a_page_keeps_its_words_and_gets_new_tables(
     assert text.startswith(before.partition("<!-- made")[0])
     assert '"value": 7.5' in text
     assert "| kernels, X 0 |" not in text
-    assert re.search(r"Made by `python scripts/.*`, commit \w+\. .* numpy ", text)
+    assert re.search(r"Made by `python scripts/.*`, commit [\w-]+\. .* numpy ", text)
     assert '"value": 7.5' in capsys.readouterr().out
     with pytest.raises(InputError, match="no marks of the made part 'none'"):
         study.filled("fair_draws.md", {"none": []})
