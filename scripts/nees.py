@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg import block_diag
-from study import Blocks, Draw, cases, names_of, nees_cell, run, seeds_of, table
+from study import Blocks, Draw, cases, names_of, nees_cell, number, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import LINEAR
@@ -130,7 +130,7 @@ def shared_nees(error: Array, covariance: Array) -> float:
 def row(case: str, every: list[Draw]) -> list[str]:
     """Means of all draws, with their bands but for the papers' case."""
     values, degrees = np.array([draw["values"] for draw in every]), every[0]["degrees"]
-    cells = [f"{mean:.3g}" for mean in values.mean(axis=0)]
+    cells = [number(mean) for mean in values.mean(axis=0).tolist()]
     if not case.endswith("papers"):
         cells = [nees_cell(column, freedom) for column, freedom in zip(values.T.tolist(), degrees, strict=True)]
     ratios = np.array([draw["linear"] for draw in every if draw["linear"] is not None])
