@@ -105,9 +105,9 @@ def errors_of(solution: Solution, draw: Redrawn) -> dict[int, Array]:
     }
     pairs = zip((*solution.shifts, *solution.shared), (*draw.shifts, *draw.shared), strict=True)
     errors |= {first + k: found - true for k, (found, true) in enumerate(pairs)}
-    for nodes, (one, number) in zip(solution.nodes, network.numbered_passes, strict=True):
+    for nodes, (one, variable) in zip(solution.nodes, network.numbered_passes, strict=True):
         true = draw.own[one.images[0]].coefficients[-len(one.nodes) :]
-        errors |= {number + k: off for k, off in enumerate(nodes - true)}
+        errors |= {variable + k: off for k, off in enumerate(nodes - true)}
     return errors
 
 
