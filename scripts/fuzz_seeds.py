@@ -13,15 +13,39 @@ import shutil
 import struct
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from fuzz_structures import bomb
-from fuzz_trials import Seed
+from fuzz_edits import bomb
+
+
+class Seed(NamedTuple):
+    """Files by their names, and which of them is damaged."""
+
+    files: Mapping[str, bytes]
+    main: str
+
+
+class Reader(NamedTuple):
+    """A way into the program."""
+
+    name: str
+    read: Callable[[Path], Any]
+    seed: Callable[[], Seed]
+    """Of its sound files, written when they are wanted."""
+    form: str
+    """Of its damage, of `fuzz_edits.FORMS`."""
+    gaps: tuple[str, ...] = ()
+    """Ends of the places where what is read may have gaps (NaN): posts that are missing."""
+    same: bool = False
+    """Whether all that is not refused must be read as of the sound file."""
+    patience: float = 10.0
+    """s that it may take."""
+
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
 
@@ -76,6 +100,20 @@ def commanded(*arguments: object) -> None:
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if status not in (0, 1):
         raise RuntimeError(f"mgsgraph {' '.join(map(str, arguments))}: exit {status}")
+
+
+WORDS = "words.json"
+"""File with a command line, in the folder that it is given in."""
+
+
+def obeyed(path: Path) -> None:
+    """The command line beside or above a file; ends the process, as a command does."""
+    from mgsgraph.cli import main
+
+    os.chdir(next(folder for folder in path.parents if (folder / WORDS).exists()))
+    os.environ["HOME"] = str(Path.cwd())
+    sys.argv = ["mgsgraph", *json.loads(Path(WORDS).read_bytes())]
+    main()
 
 
 # --- the simulated pair and what becomes of it
