@@ -434,7 +434,7 @@ def _commands() -> Iterator[Reader]:
     damaged = (
         ("check", "case.toml", "pvl"), ("adjust", "network.pvl", "pvl"), ("adjust", "lidar.json", "json"),
         ("check", "image_A.isd", "json"), ("status", *_PROJECT, "sqlite"), ("solve", *_PROJECT, "sqlite"),
-        ("solve", *_PROJECT, "bit"), ("report", "result/solution.npz", "npz"), 
+        ("solve", *_PROJECT, "bit"), ("report", "result/solution.npz", "npz"),
         ("analyze", "result/solution.npz", "bit"),
         ("export", "result/solution.json", "json"), ("shots", "shots.csv", "csv"), ("project", "places.csv", "csv"),
         ("review", "verdicts.csv", "csv"), ("new", "network.pvl", "pvl"),
