@@ -266,7 +266,7 @@ def _kept() -> Iterator[Reader]:
         seeds.commanded("campaign", case, "--out", folder, "--no-figures")
 
     def locked(folder: Path) -> None:
-        file = LockedFile("https://example.org/a.img", 12, "0f" * 32, "2026-11-23T00:00:00Z", '"etag"')
+        file = LockedFile("https://example.org/a.img", 12, "0f" * 32, "2026-11-23T00:00:00Z")
         Lock(folder, {f"images/{name}.img": file for name in "abc"}, {}, {"case.toml": "1e" * 32}).write()
 
     def exported(folder: Path) -> None:
@@ -392,7 +392,6 @@ def _real_files() -> Iterator[Reader]:
 
 # --- command lines
 
-_PAIR = ("case.toml", "image_A.isd", "image_B.isd", "network.pvl", "lidar.json")
 _RESULT = ("result/solution.npz", "result/solution.json")
 _PROJECT = ("project/project.sqlite",)
 _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -403,7 +402,6 @@ _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
     "check": ("case.toml", ()),
     "convert": ("network.pvl out.net --to net --thin 5 --case case.toml", ()),
     "export": ("result --to isis --out out --scaled", _RESULT),
-    "fetch": ("M04/02852 --out fetched", ("fetched/fetch.lock",)),
     "help": ("case images", ()),
     "init": ("out --case case.toml --name x", ()),
     "new": ("image_A.isd image_B.isd network.pvl lidar.json --out out.toml --name x", ()),
@@ -421,8 +419,8 @@ _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
     "match": ("case.toml --out out --no-figures", ()),
     "register": ("case.toml --out out", ()),
 }
-"""A line for each verb, and the files that it needs besides those of the pair. The last five are refused: the pair has
-no pixels, no strips and no profile of an altimeter.
+"""A line for each verb but fetch, which would ask archives, and the files that it needs besides those of the pair. The
+last five are refused: the pair has no pixels, no strips and no profile of an altimeter.
 """
 
 
@@ -449,11 +447,10 @@ def _command_seed(verb: str, line: str, more: tuple[str, ...], main: str) -> See
     places = "".join(f"p{k},{k},{k},3390000.5\n" for k in range(4))
     own = {
         "places.csv": "id,longitude_deg,latitude_deg,radius_m\n" + places,
-        "fetched/fetch.lock": '{"format": 1, "files": {}, "images": {}, "written": {}}',
         "candidates.toml": 'format = 1\n[[control]]\nname = "far"\nlongitude_deg = 0.0\nlatitude_deg = 0.0\n'
         "radius_m = 3.39e6\n",
         "verdicts.csv": "id,verdict,note\nTIE00001,reject,bad\n", "shots.csv": seeds.profile_csv(),
     }  # fmt: skip
     folder = seeds.worked_folder() if more else seeds.pair_folder()
-    files = {name: own[name].encode() if name in own else (folder / name).read_bytes() for name in (*_PAIR, *more)}
+    files = {name: own[name].encode() if name in own else (folder / name).read_bytes() for name in (*seeds.PAIR, *more)}
     return Seed({seeds.WORDS: json.dumps([verb, *line.split()]).encode()} | files, main)
