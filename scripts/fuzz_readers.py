@@ -57,10 +57,9 @@ def _cases() -> Iterator[Reader]:
 
 
 def _images() -> Iterator[Reader]:
-    from mgsgraph.files.cameras.hrsc import read_line_times
-    from mgsgraph.files.cameras.label import read_line_scan_label
-    from mgsgraph.files.labels.image_label import read_label
+    from mgsgraph.files.cameras.label import read_line_scan_label, read_line_times
     from mgsgraph.files.labels.isis_cube import read_isis_cube
+    from mgsgraph.files.pvl import read_label
     from mgsgraph.files.support_data.isd import read_isd
     from mgsgraph.files.support_data.model_state import read_model_state
 
@@ -89,8 +88,8 @@ def _images() -> Iterator[Reader]:
 
 
 def _kernels() -> Iterator[Reader]:
+    from mgsgraph.files.labels.kernels import loaded
     from mgsgraph.files.labels.labelled_image import read_labelled_image
-    from mgsgraph.files.spice.kernels import loaded
 
     def furnished(path: Path) -> None:
         with loaded([path]):
@@ -109,7 +108,7 @@ def _kernels() -> Iterator[Reader]:
 
 
 def _pictures() -> Iterator[Reader]:
-    from mgsgraph.files.labels.image_label import read_label
+    from mgsgraph.files.pvl import read_label
     from mgsgraph.files.rasters.pictures import is_moc, pixel_area, read_moc_pixels, read_picture
 
     tests = of_tests("files/rasters/test_pictures.py")
@@ -163,7 +162,7 @@ def _terrain() -> Iterator[Reader]:
 def _networks() -> Iterator[Reader]:
     from mgsgraph.files.networks.asp_match import read_match, read_match_text
     from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
-    from mgsgraph.files.networks.network_file import read_control_network, read_network
+    from mgsgraph.files.networks.binary import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
     from mgsgraph.files.place_table import read_places
     from mgsgraph.studio.verdicts import read_verdicts
@@ -205,9 +204,8 @@ def _networks() -> Iterator[Reader]:
 
 
 def _altimetry() -> Iterator[Reader]:
-    from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
     from mgsgraph.files.altimetry.lidar import read_lidar
-    from mgsgraph.files.altimetry.shots import read_shots
+    from mgsgraph.files.altimetry.shots import read_altimetry_cloud, read_shots
 
     tests = of_tests("files/altimetry/test_pedr_text.py")
     lola = "LOLARDR_092490702.DAT"
@@ -242,9 +240,9 @@ def _kept() -> Iterator[Reader]:
     from mgsgraph.fetch.store import LOCK, Lock, LockedFile
     from mgsgraph.files.networks.table import read_tie_points
     from mgsgraph.files.opening import sha256_of
-    from mgsgraph.files.output.csv_json import write_json
     from mgsgraph.files.output.folders import EXPORT
-    from mgsgraph.files.records import FILES, MATCH, read_record
+    from mgsgraph.files.output.table import write_json
+    from mgsgraph.files.writing import FILES, MATCH, read_record
     from mgsgraph.project.campaign import open_record
     from mgsgraph.project.project import open_project
     from mgsgraph.project.reading import read_state
@@ -362,7 +360,7 @@ def _real_files() -> Iterator[Reader]:
     from mgsgraph.files.altimetry.shots import read_shots
     from mgsgraph.files.labels.isis_cube import read_isis_cube
     from mgsgraph.files.labels.labelled_image import read_labelled_image
-    from mgsgraph.files.networks.network_file import read_network
+    from mgsgraph.files.networks.binary import read_network
     from mgsgraph.files.support_data.isd import read_isd
 
     kernels = [path.name for path in mgs.kernels(DATA)]

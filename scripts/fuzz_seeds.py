@@ -158,7 +158,7 @@ def site_seed() -> dict[str, bytes]:
 
 def short_profile(content: bytes, frames: int = 4) -> bytes:
     """The first frames of a PEDR file, and its label to match."""
-    from mgsgraph.files.altimetry.pedr import FRAME
+    from mgsgraph.files.altimetry.binary import FRAME
 
     records = 10 + frames
     rows = len(content) // FRAME.itemsize - 10

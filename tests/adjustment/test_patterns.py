@@ -17,7 +17,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
 from mgsgraph.adjustment.graph.patterns import Patterns, group_blocks
 from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array

@@ -32,7 +32,7 @@ from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import SolverError
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.network import TERRAIN, Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown
 

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from isis_networks import contents, grid, labelled, networks, wire
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import binary_network, parse_binary_network, write_binary_network
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_network, write_binary_network
 from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
