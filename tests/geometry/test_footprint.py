@@ -66,7 +66,7 @@ def test_area_of_a_box_is_that_of_the_zone(west: float, south: float, width: flo
         assert got == pytest.approx(want, rel=2e-4)
 
 
-@pytest.mark.parametrize("latitude", [-90.0, 0.0, 89.0, ])
+@pytest.mark.parametrize("latitude", [-90.0, 0.0, 89.0])
 @pytest.mark.parametrize("radius", [0.01, 1.0, 30.0])
 def test_area_of_a_cap(latitude: float, radius: float) -> None:
     want = 2.0 * np.pi * SPHERE.equatorial**2 * (1.0 - np.cos(radius * DEG))

@@ -151,7 +151,7 @@ def test_broken_records_are_refused(changes: dict[str, object], said: str) -> No
         replace(trajectory(), **changes)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("order", "samples"), [(-1, 31), (5, 5), ])
+@pytest.mark.parametrize(("order", "samples"), [(-1, 31), (5, 5)])
 def test_too_few_samples_are_refused(order: int, samples: int) -> None:
     with pytest.raises(InputError, match="expected more samples"):
         fit_polynomials(simulate_pair().images[0], order, samples)

@@ -84,7 +84,7 @@ def test_names_that_no_terminal_should_be_given(name: str) -> None:
         require_names(("é", name), "images")
 
 
-@pytest.mark.parametrize("parts", [[2, 4], [0, 3, 0], ])
+@pytest.mark.parametrize("parts", [[2, 4], [0, 3, 0]])
 def test_a_repeated_value_takes_the_memory_of_one(parts: list[int]) -> None:
     """Chosen, joined and kept by a record it is what the full array is."""
     blocks = [repeated(0.0, (n, 3, 3)) for n in parts]

@@ -233,7 +233,7 @@ def with_points(net: Network, **change: Any) -> Network:
     return replace(net, points=GroundPoints(**fields | change))
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), ])
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
 def test_a_point_is_what_its_best_known_part_says(order: tuple[int, ...]) -> None:
     net = network(pair())
     n, places = len(net.points), np.concatenate([pair().true_ties, pair().true_footprints])

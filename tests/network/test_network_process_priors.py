@@ -133,7 +133,7 @@ def test_an_integrated_wiener_process_knows_no_spacing(spacing: float) -> None:
     np.testing.assert_allclose(found / size / size[:, None], want / size / size[:, None], atol=0.05)
 
 
-@pytest.mark.parametrize("beyond", [(-30.0, 60.0), (0.0, 200.0), ])
+@pytest.mark.parametrize("beyond", [(-30.0, 60.0), (0.0, 200.0)])
 def test_an_integrated_wiener_process_is_continued(beyond: tuple[float, float]) -> None:
     """What is known of old nodes stays as it is when later images continue the pass on either side."""
     nodes = evenly_spaced("lagrange", 0.0, (0.0, 60.0), 5.0)

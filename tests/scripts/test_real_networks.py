@@ -20,7 +20,7 @@ sys.path.append(str(SCRIPTS))
 
 import jigsaw_cameras  # noqa: E402
 import real_networks  # noqa: E402
-from jigsaw_published import PUBLISHED  # noqa: E402
+from jigsaw_cameras import PUBLISHED  # noqa: E402
 
 Rig = tuple[list[PushbroomImage], TiePoints]
 

@@ -123,12 +123,11 @@ def _shots(content: bytes, path: Path) -> list[LidarShot]:
     """Shots of a JSON text, whose keys and values are checked by their type while it is parsed."""
     with suppress(msgspec.DecodeError, UnicodeDecodeError):
         shots = msgspec.json.decode(content, type=_LidarData).points
-        adjusted = sum(len(shots) - _all(shots, name).count(None) for name in _ADJUSTED)
-        lists = sum(map(len, _all(shots, "simultaneous_images")))
-        measures = sum(map(len, _all(shots, "measures")))
+        lists, measures = (sum(map(len, _all(shots, name))) for name in ("simultaneous_images", "measures"))
         # "points"; keys and ids; names, and keys of measures
-        texts = 1 + (_REQUIRED + 1) * len(shots) + adjusted + lists + (_OF_MEASURE + 1) * measures
-        if content.count(b'"') == 2 * texts:  # else a key may be there twice
+        texts = 1 + (_REQUIRED + 1) * len(shots) + lists + (_OF_MEASURE + 1) * measures
+        more = content.count(b'"') - 2 * texts  # keys of adjusted values, or one that is there twice
+        if not more or more == 2 * sum(len(shots) - _all(shots, name).count(None) for name in _ADJUSTED):
             return shots
     return validated(json_object(decoded_text(content, path), str(path)), _LidarData, path).points
 

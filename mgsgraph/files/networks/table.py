@@ -273,7 +273,6 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
     ids, image = Names.of(coded.dictionary), RepeatedNames.of(table.values["image"].take(pa.array(of_measures)))
     require_shown(ids, lambda k: rows.where(int(rows.first[k])), "an id")
     require_shown(Names.of(image.distinct), lambda k: rows.where(int(of_measures[np.argmax(image.numbers == k)])))
-    _require_once(rows, image, of_measures)
     kinds = rows.words(
         "measure_type", of_measures, MEASURE_TYPES, int(MeasureType.MANUAL), ", ".join(ISIS_MEASURE_TYPES.values())
     )
@@ -285,18 +284,9 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
     references = np.full(rows.first.size, -1)
     references[of_point] = reference - first[of_point]
     head = ControlNetwork("", "", (), source=str(path))
-    return PointArrays(head, ids, *_points(rows, body), first, image, measures, left_out), kinds, references
-
-
-def _require_once(rows: _Rows, image: RepeatedNames, of_measures: Index) -> None:
-    """Raise InputError for an image (k) twice in a point."""
-    code = rows.point[of_measures] * len(image.distinct) + image.numbers
-    order = np.argsort(code, kind="stable")
-    for k in np.flatnonzero(np.diff(code[order]) == 0)[:1].tolist():
-        earlier, late = of_measures[order[k]], of_measures[order[k + 1]]
-        there = f"{rows.table.row} {rows.table.numbers[earlier]}"
-        found = f"a second measure in image {image[order[k]]}, the first in {there}"
-        raise InputError(rows.where(int(late)), found, "one per point", "remove the worse one")
+    points = PointArrays(head, ids, *_points(rows, body), first, image, measures, left_out)
+    points.require_once(lambda i, k, _: rows.where(int(of_measures[first[i] + k]), f"image {image[first[i] + k]}"))
+    return points, kinds, references
 
 
 def _measures(rows: _Rows, of_measures: Index) -> Array:

@@ -298,7 +298,7 @@ def test_each_kind_of_kernel_is_missed(mgs_kernels: list[Path], left_out: str, s
     assert said in one_line(caught)
 
 
-@pytest.mark.parametrize("count", ["nonsense", "1/2/3", ])
+@pytest.mark.parametrize("count", ["nonsense", "1/2/3"])
 def test_a_clock_count_that_is_none(mgs_kernels: list[Path], count: str) -> None:
     with loaded(mgs_kernels), pytest.raises(InputError, match="spacecraft clock count") as caught:
         clock_time(MGS, count)

@@ -241,7 +241,7 @@ def test_any_prefix_is_refused(tmp_path: Path) -> None:
         assert str(caught.value).startswith(str(path))
 
 
-@pytest.mark.parametrize("data", [b"\xff\xfe\0", b"\0" * 70000, ])
+@pytest.mark.parametrize("data", [b"\xff\xfe\0", b"\0" * 70000])
 def test_what_is_no_network_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "no.net").write_bytes(data)
     with pytest.raises(InputError, match=r"no\.net"):

@@ -158,7 +158,7 @@ def test_texts_and_names_in_utf8_are_decoded() -> None:
     assert "MGS/é" in found.measure_image
 
 
-@pytest.mark.parametrize("name", ["a\u2028b", "a\tb", ])
+@pytest.mark.parametrize("name", ["a\u2028b", "a\tb"])
 def test_names_that_cannot_be_shown_are_refused(name: str) -> None:
     for data in (with_second(id=name), with_second(measures=(replace(MEASURES[0], serial_number=name),))):
         with pytest.raises(InputError, match=r"x\.net, byte \d+, point 2 .*control characters"):

@@ -314,7 +314,7 @@ def test_a_covariance_that_is_not_positive_definite_is_refused(tmp_path: Path, c
     assert "point first: an a-priori covariance that is not positive definite" in message
 
 
-@pytest.mark.parametrize("text", ["", "End", "lat,lon\n1,2\n", "\x00\x01", ])
+@pytest.mark.parametrize("text", ["", "End", "lat,lon\n1,2\n", "\x00\x01"])
 def test_text_that_is_no_network_is_refused(tmp_path: Path, text: str) -> None:
     assert_refused(tmp_path, text)
 

@@ -73,7 +73,7 @@ def test_kinds_of_columns(tmp_path: Path) -> None:
     ("columns", "said"),
     [
         ({"line": [1.5, float("inf"), 3.5]}, "row 2, point a, line: 'inf'; expected a finite number"),
-        ({"image": ["A", "A", "A"]}, "row 2, point a: a second measure in image A, the first in row 1"),
+        ({"image": ["A", "A", "A"]}, "row 2, point a, image A: a second measure in this image"),
         ({"id": ["a", None, "b"]}, "row 2: no id"),
         ({"line": [True, False, True]}, "column line: values of the kind bool; expected numbers"),
         ({"ignore": ["no", "maybe", "yes"]}, "row 2, point a, ignore: 'maybe'"),

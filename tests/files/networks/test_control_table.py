@@ -154,7 +154,7 @@ ROWS = {
     "no id": (",two,1,1,,", "line 4: no id"),
     "infinite": ("a,two,inf,1,,", "line 4, point a, line: 'inf'"),
     "sigma of zero": ("a,two,1,1,0,", "line 4, point a, sigma_line_px: 0; expected a positive number"),
-    "a measure twice": ("a,one,1,1,,", "line 4, point a: a second measure in image one, the first in line 3"),
+    "a measure twice": ("a,one,1,1,,", "line 4, point a, image one: a second measure in this image"),
     "fixed without place": ("b,one,1,1,,fixed", "line 4, point b: fixed without an a-priori place"),
     "a quote left open": ('"a,two,1,1,,', "line 4: no row of a CSV file"),
 }
@@ -183,7 +183,7 @@ def test_a_wrong_control_point_is_said(tmp_path: Path, columns: str, row: str, s
         read(tmp_path, f"id,image,line,sample,type,{columns}\na,one,1,1,constrained,{row}\n")
 
 
-@pytest.mark.parametrize("text", ["", "id,image,line,sample\n", ])
+@pytest.mark.parametrize("text", ["", "id,image,line,sample\n"])
 def test_a_table_without_points_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputError, match=r"points.csv: (an empty table|no point)"):
         read(tmp_path, text)

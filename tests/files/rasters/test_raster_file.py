@@ -190,7 +190,7 @@ def test_metadata_beside_a_file(inside: str, refused: bool, tmp_path: Path) -> N
         read_terrain(path, RADIUS)
 
 
-@pytest.mark.parametrize("end", ["END", "END\0", ])
+@pytest.mark.parametrize("end", ["END", "END\0"])
 @pytest.mark.parametrize("pointer", ['^IMAGE = ("grey.img", 1)', '^IMAGE = ("grey.img")', '^IMAGE = "grey.img"'])
 def test_labels_end_as_archives_have_them_end(end: str, pointer: str, tmp_path: Path) -> None:
     """Detached ones without a line's end, padded, or after a list of one file."""
