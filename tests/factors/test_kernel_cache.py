@@ -11,12 +11,18 @@ from mgsgraph.compiled import find_a_place_for_compiled_kernels, find_a_place_fo
 
 
 def place_of(package: Path, monkeypatch: pytest.MonkeyPatch, caches: Path) -> str | None:
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    unset(monkeypatch, "NUMBA_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
     find_a_place_for_compiled_kernels(package)
-    found = os.environ.get("NUMBA_CACHE_DIR")
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # so that monkeypatch puts back what was there before
-    return found
+    return os.environ.get("NUMBA_CACHE_DIR")
+
+
+def unset(monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
+    """Until the test ends; set before, for `delenv` keeps nothing in mind of what isn't there. Of a cache that stayed
+    set, processes of later tests would compile everything anew, for minutes.
+    """
+    monkeypatch.setenv(variable, "")
+    monkeypatch.delenv(variable)
 
 
 def test_place_of_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,12 +68,11 @@ def test_matplotlib_has_a_place_where_home_is_read_only(tmp_path: Path, monkeypa
     compiled._temporary_caches.cache_clear()
     for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(variable, str(tmp_path / "fine"))
-    monkeypatch.delenv("MPLCONFIGDIR", raising=False)
+    unset(monkeypatch, "MPLCONFIGDIR")
     find_a_place_for_fonts()
     assert "MPLCONFIGDIR" not in os.environ
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "file" / "config"))
     find_a_place_for_fonts()
     found = os.environ["MPLCONFIGDIR"]
-    monkeypatch.setenv("MPLCONFIGDIR", "")
     assert Path(found).parent.parent == tmp_path
     compiled._temporary_caches.cache_clear()

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.binary import FRAME
 from mgsgraph.files.altimetry.shots import read_altimetry_cloud
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.altimetry import LOLA, MOLA, AltimetryCloud
@@ -142,22 +141,6 @@ def test_records_of_lola(tmp_path: Path, packed: bool) -> None:
     np.testing.assert_allclose(places / [DEG, DEG, 1.0], expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (ORBIT[:-1], "255 bytes more"),
-        (record(305495504.0, *[(2.5, 25.0, -1.0, 0)] * 5), "none of which reached the ground"),
-        (record(12.0, *GROUND), "12 s past J2000"),
-        (record(305495504.0, (2.5, 91.0, 1735e3, 0), *GROUND[1:]), "record 1, spot 1, latitude: 91 degrees"),
-        (b"\0" * 256, "unknown format"),
-        (b"\0", "1 bytes of an unknown format"),
-        (b"", "an empty file"),
-    ],
-)
-def test_records_that_are_refused(tmp_path: Path, content: bytes, said: str) -> None:
-    assert said in refusal(product(tmp_path, content))
-
-
 def test_a_packed_file_cut_short_is_refused(tmp_path: Path) -> None:
     assert "cut short" in refusal(product(tmp_path, gzip.compress(ORBIT)[:-20]))
 
@@ -172,25 +155,6 @@ def test_mola_of_the_orbital_data_explorer(shared_data: Path) -> None:
     assert len(cloud.profiles) == 52
     assert cloud.profiles[0] == "10372"
     assert cloud.footprint == MOLA.footprint == 168.0
-
-
-def test_frames_of_mola(tmp_path: Path) -> None:
-    """Its own reader has tests of its own; here: ground returns alone, one profile for each orbit."""
-    frames = np.zeros(2, FRAME)
-    frames["seconds"], frames["clock"] = [-23162931, -23155873], 100_000_000
-    frames["orbit"], frames["shot_radius"], frames["midpoint_radius"] = [11, 12], 339_300_000, 339_300_000
-    frames["shot_class"][:, :15] = 1
-    path = tmp_path / "ap00011l.b"
-    path.write_bytes(frames.tobytes())
-    cloud = read_altimetry_cloud(path, MARS)
-
-    assert cloud.profiles == ("11", "12")
-    assert np.bincount(cloud.profile).tolist() == [15, 15]
-    assert cloud.ids[0] == "11:1:1"
-    path.write_bytes(gzip.compress(frames.tobytes()))
-    assert "gunzip" in refusal(path)
-    path.write_bytes(frames.tobytes()[:-8])
-    assert "768 bytes more" in refusal(path)
 
 
 # --- plain CSV

@@ -1,6 +1,5 @@
 """HRSC's nine lines: constants against the kernels' tables, trajectory against SPICE, places against publications."""
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -13,14 +12,12 @@ from mgsgraph.case.case_file import read_image
 from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import DETECTORS, HRSC_HEAD
-from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.kernels import loaded, pool_numbers
 from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
-from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.geometry.trajectory import Trajectory
 
 MM, DEG = 1e-3, np.pi / 180.0
 DETECTOR_IDS = {name: HRSC_HEAD - 1 - k for k, name in enumerate(DETECTORS)}
@@ -172,27 +169,6 @@ def test_a_line_is_where_the_kernels_other_map_has_it(
     np.testing.assert_allclose(strip[name].interior.focal_plane(samples)[0], expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
-def test_by_the_instrument_kernel_it_is_near(
-    labels: list[Path], strip: dict[str, PushbroomImage], shared_data: Path, tmp_path: Path, name: str
-) -> None:
-    """Its middle is within a pixel of the kernel's own boresight, 1 pixel across and 9 along of the addendum's."""
-    path = labels[DETECTORS.index(name)]
-    times = times_file(tmp_path)
-    without = kernels(shared_data, ["MEX_HRSC_V03.TI"])
-    other = read_labelled_image(path, without, line_times=times, constants="ik").interior
-    with loaded(kernels(shared_data)):
-        boresight = pool_numbers(f"INS{DETECTOR_IDS[name]}_BORESIGHT", 3) * MM  # type: ignore[index]
-    place, _ = other.focal_plane(np.array([648.0]))
-    assert other.focal_length == pytest.approx(0.175)
-    assert abs(place[0, 1] - boresight[1]) < 7e-6
-    assert abs(place[0, 0] - boresight[0]) < 7e-6
-    ours = strip[name].interior
-    apart = place[0] / other.focal_length - ours.focal_plane(np.array([648.0]))[0][0] / ours.focal_length
-    assert np.all(np.abs(apart) < np.array([1.0, 9.0]) * 4e-5)
-    np.testing.assert_allclose(other.to_pixel[:, 1:] * MM, ours.to_pixel[:, 1:] * MM, rtol=0, atol=0.5)
-
-
 def test_lines_look_ahead_and_back_on_the_ground(strip: dict[str, PushbroomImage], shared_data: Path) -> None:
     """Each line's centre pixel to the ground from one place, and the angle there along the flight from nadir's line."""
     middle = np.array([0.5 * LINES])
@@ -260,41 +236,6 @@ def test_the_footprint_is_the_archives(image: PushbroomImage) -> None:
     np.testing.assert_allclose(planetocentric(ground)[:, :2] / DEG, published, rtol=0, atol=0.03)
 
 
-def test_support_data_of_the_same_image(image: PushbroomImage, tmp_path: Path) -> None:
-    """In ALE's layout (three rates, matrices in mm, kilometres) they give the same places to the clock's 0.02 lines."""
-    trajectory, interior = sampled(image), image.interior
-    epoch = trajectory.epoch
-
-    def attitude(table: AttitudeTable) -> dict[str, object]:
-        times = (table.times + epoch).tolist()
-        return {"ephemeris_times": times, "quaternions": table.quaternions.tolist(), "reference_frame": 1,
-                "constant_rotation": table.constant.ravel().tolist()}  # fmt: skip
-
-    position = trajectory.position
-    isd = {
-        "name_model": "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL", "image_lines": LINES, "image_samples": SAMPLES,
-        "line_scan_rate": [[line - 0.5, time - epoch, period] for time, period, line in CHANGES],
-        "center_ephemeris_time": epoch, "radii": {"semimajor": 3396.19, "semiminor": 3376.2, "unit": "km"},
-        "body_rotation": attitude(trajectory.body), "instrument_pointing": attitude(trajectory.camera),
-        "instrument_position": {
-            "ephemeris_times": (position.times + epoch).tolist(), "reference_frame": 1,
-            "positions": (position.positions * MM).tolist(), "velocities": (position.velocities * MM).tolist(),
-        },
-        "focal_length_model": {"focal_length": 174.82}, "detector_center": {"line": 0.0, "sample": 2592.0},
-        "focal2pixel_lines": [-7113.11359717265, 0.062856784318668, 142.857129028729],
-        "focal2pixel_samples": [-0.778052433438109, -142.857129028729, 0.062856784318668],
-        "detector_sample_summing": 4, "starting_detector_line": 0, "starting_detector_sample": 0,
-        "optical_distortion": {"radial": {"coefficients": [0.0, 0.0, 0.0]}},
-    }  # fmt: skip
-    (tmp_path / "h5270.json").write_text(json.dumps(isd))
-    got = read_isd(tmp_path / "h5270.json", "h5270", Aberration("NONE"))
-    np.testing.assert_allclose(got.interior.to_pixel, interior.to_pixel, rtol=1e-12)
-    lines, samples = np.array([0.0, 3000.0, 6664.5, 6665.0, LINES]), np.array([0.0, 100.0, 644.0, 900.0, SAMPLES])
-    back, _ = image.ground_to_image(got.image_to_ground(lines, samples)[0])
-    np.testing.assert_allclose(back, np.stack([lines, samples], axis=1), rtol=0, atol=0.02)
-    np.testing.assert_allclose(back[[0, 3, 4]], np.stack([lines, samples], axis=1)[[0, 3, 4]], rtol=0, atol=1e-4)
-
-
 # --- what is missing or wrong
 
 
@@ -305,22 +246,6 @@ def refused(label: Path, given: list[Path], folder: Path, **more: object) -> str
     assert str(label) in str(caught.value)
     assert "\n" not in str(caught.value)
     return str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("left_out", "said"),
-    [
-        ("naif0012.tls", "load a leapseconds kernel"),
-        ("MEX_190911_STEP.TSC", "SCLK"),
-        ("pck00009.tpc", "PCK"),
-        ("MEX_V14.TF", "load the instrument or frames kernel"),
-        ("hrscAddendum004.ti", "no INS-41218_ITRANSL"),
-        ("h5270_0000_ir2_1.bsp", "positions of -41: nothing for all of 2008-02-08T12:08:53.843 .. 2008-02-08T12:12:1"),
-        ("ATNM_MEASURED_080101_090101_V03_1_sliced_-41001.bc", "attitude of -41001: nothing for all of 2008-02-08T"),
-    ],
-)
-def test_each_kernel_is_missed(label: Path, shared_data: Path, tmp_path: Path, left_out: str, said: str) -> None:
-    assert said in refused(label, [path for path in kernels(shared_data) if path.name != left_out], tmp_path)
 
 
 def test_the_addendum_must_come_after_the_instrument_kernel(label: Path, shared_data: Path, tmp_path: Path) -> None:

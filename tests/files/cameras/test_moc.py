@@ -15,7 +15,7 @@ from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.kernels import clock_time, loaded
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.pvl import read_label
-from mgsgraph.files.rasters.pictures import PixelArea, pixel_area, read_moc_pixels, read_picture, require_fragments
+from mgsgraph.files.rasters.pictures import PixelArea, pixel_area, read_moc_pixels, require_fragments
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.results.figures.registration import pixels_of
 
@@ -346,59 +346,6 @@ def test_a_real_compressed_image_whose_stream_is_damaged(shared_data: Path, tmp_
     path.write_bytes(content)
     with pytest.raises(InputError, match="expected one of those of 4864 x 672"):
         read_moc_pixels(path)
-
-
-CUBE = """Object = IsisCube
-  Object = Core
-    StartByte = 4097
-    Format = BandSequential
-    Group = Dimensions
-      Samples = 256
-      Lines = 6
-      Bands = 1
-    End_Group
-    Group = Pixels
-      Type = {type}
-      ByteOrder = Lsb
-      Base = 0.0
-      Multiplier = 1.0
-    End_Group
-  End_Object
-  Group = Instrument
-    InstrumentId = MOC-NA
-    TargetName = Mars
-    StartTime = 1999-08-24T14:12:13.64
-    CrosstrackSumming = 2
-    DowntrackSumming = 4
-    LineExposureDuration = 0.482100 <milliseconds>
-    SpacecraftClockCount = 619971158:28
-    FirstLineSample = 1
-  End_Group
-  Group = Archive
-    ProductId = M04/02852
-  End_Group
-End_Object
-Object = Label
-  Bytes = 4096
-End_Object
-End
-"""
-
-
-def cube(folder: Path, pixel_type: str = "UnsignedByte", cut: int = 0) -> Path:
-    size = {"UnsignedByte": 1, "Real": 4}[pixel_type]
-    pixels = np.add.outer(np.arange(6), np.arange(256)).astype(np.uint8).astype("u1" if size == 1 else "<f4").tobytes()
-    path = folder / "image.cub"
-    path.write_bytes(CUBE.format(type=pixel_type).encode().ljust(4096, b"\0") + pixels[: len(pixels) - cut])
-    return path
-
-
-def test_cube_pixels(tmp_path: Path) -> None:
-    pytest.importorskip("rasterio", reason="rasterio is not installed")
-    got = read_picture(cube(tmp_path))
-    np.testing.assert_array_equal(got, np.add.outer(np.arange(6), np.arange(256)).astype(np.uint8))
-    (tmp_path / "image.lbl").write_text(CUBE.format(type="UnsignedByte"))
-    np.testing.assert_array_equal(pixels_of(tmp_path / "image.lbl"), got)
 
 
 def test_the_label_of_a_cube_that_is_not_there(isis_label: Path) -> None:

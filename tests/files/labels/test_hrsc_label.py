@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mex import CHANGES, CUBE, FOLDER, LABEL, LINES, START, cube_bytes, image_bytes, times_file
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.camera import LineScanLabel, LineTimes, LineTimesLocation, LineTimesSource, NaifKeywords
+from mgsgraph.files.cameras.camera import LineTimes, LineTimesLocation, LineTimesSource, NaifKeywords
 from mgsgraph.files.cameras.label import HRSC, read_line_scan_label
 
 STOP = START + 19 * 0.0128
@@ -218,9 +218,7 @@ def test_line_times_that_make_no_sense(tmp_path: Path, fault: str) -> None:
     ("text", "said"),
     [
         ("EphemerisTime,ExposureTime\n1,2\n", "the columns EphemerisTime, ExposureTime; expected EphemerisTime, Exp"),
-        ("", "the columns none"),
         ("EphemerisTime,ExposureTime,LineStart\n255744599.0,fast,1\n", "line 2, ExposureTime: 'fast'; expected"),
-        ("EphemerisTime,ExposureTime,LineStart\n255744599.0\n", "line 2, ExposureTime: ''"),
         ("EphemerisTime,ExposureTime,LineStart\n1," + 140_000 * "1" + ",1\n", "is not a table of line times"),
         ("EphemerisTime,ExposureTime,LineStart\nnan,0.0128,1\n", "'nan'; expected a finite number"),
     ],
@@ -245,8 +243,8 @@ def test_prefixes_that_are_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("field", "content"),
     [
-        (0, b"\xff" * 8), (0, b"\0" * 6 + b"\xf0\x7f"), (0, b"\xff" * 6 + b"\xef\x7f"), (8, b"\1\0\x80\x7f"),
-        (8, b"\0" * 4), (8, b"\0\0\x80\xbf"),
+        (0, b"\xff" * 8), (0, b"\0" * 6 + b"\xf0\x7f"), (8, b"\1\0\x80\x7f"),
+        (8, b"\0\0\x80\xbf"),
     ],
 )  # fmt: skip
 def test_damaged_prefixes_are_told_without_numpys_warnings(tmp_path: Path, field: int, content: bytes) -> None:
@@ -259,27 +257,9 @@ def test_damaged_prefixes_are_told_without_numpys_warnings(tmp_path: Path, field
     assert "prefix of line 8" in refused(path, stop=STOP)
 
 
-def test_a_table_of_times_far_from_any_mission(tmp_path: Path) -> None:
-    said = refused(cube(tmp_path), times_file(tmp_path, ((1.7e290, 0.0128, 1), (-1.7e290, 0.0128, 5000))))
-    assert "the time 1.7e+290 s for line 1" in said
-
-
 def test_a_mean_needs_two_lines_and_a_sensible_span(tmp_path: Path) -> None:
     single = written(tmp_path, ("LINES              = 20", "LINES = 1"))
     assert "one line; expected at least" in refused(single, "mean", STOP)
     assert "a line rate of 10353.6 ms per line" in refused(written(tmp_path), "mean")
     said = refused(written(tmp_path), "mean", START - 1.0)
     assert "STOP_TIME -1.000 s after START_TIME; expected a time after" in said
-
-
-def test_files_that_are_not_there(tmp_path: Path) -> None:
-    assert "no such file" in refused(cube(tmp_path), tmp_path / "lost.csv")
-    with pytest.raises(InputError, match="no such file"):
-        read_line_scan_label(tmp_path / "gone.img")
-
-
-def test_a_label_says_where_it_was_read(tmp_path: Path) -> None:
-    got: LineScanLabel = read_line_scan_label(cube(tmp_path))
-    assert got.path == tmp_path / "h5270.cub"
-    assert isinstance(got.times, LineTimesLocation)
-    assert got.times.kind == "table"

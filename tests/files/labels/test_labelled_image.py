@@ -1,10 +1,8 @@
 """Labels and kernels of all cameras whose real kernels are at hand: against ISIS's tables, ALE's and SPICE itself."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
-import mex
 import mgs
 import numpy as np
 import pytest
@@ -13,13 +11,13 @@ import spiceypy
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels import labelled_image
-from mgsgraph.files.labels.isis_cube import attitude_table, position_table, read_isis_cube, tables_of_label
+from mgsgraph.files.labels.isis_cube import attitude_table, position_table, tables_of_label
 from mgsgraph.files.labels.kernels import loaded
 from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
 from mgsgraph.files.pvl import read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.geometry.trajectory import Trajectory
 
 KINDS = (".tls", ".tpc", ".tsc", ".tf", ".ti", ".bsp", ".bc")
 CTX, LROC, KAGUYA = "mro_ctx_b10/B10_013341_1010_XN_79S172W", "lro_nac_m103595705/M103595705LE", (
@@ -233,42 +231,6 @@ def test_wide_angle_by_kernels_is_spices(shared_data: Path, tmp_path: Path) -> N
 
 
 # --- HRSC
-
-
-def test_a_cube_of_hrsc_is_what_its_kernels_say(shared_data: Path, tmp_path: Path) -> None:
-    """Tables as spiceinit writes them, as JSON beside a label that holds the table LineScanTimes; three line rates."""
-    label, times = shared_data / mex.FOLDER / "h5270_0000_ir2_pds3.lbl", mex.times_file(tmp_path)
-    image = read_labelled_image(label, mex.kernels(shared_data), line_times=times)
-    trajectory = tables(image)
-    epoch, position = trajectory.epoch, trajectory.position
-    edges = image.timing.at(np.array([0.0, 15088.0]))[0]
-    mine = (position.times > edges[0] - 1e-6) & (position.times < edges[1] + 1e-6)
-
-    def attitude(table: AttitudeTable) -> dict[str, object]:
-        return {"ephemeris_times": (table.times + epoch).tolist(), "quaternions": table.quaternions.tolist(),
-                "constant_rotation": table.constant.ravel().tolist()}  # fmt: skip
-
-    keywords = {
-        "BODY_CODE": 499, "BODY499_RADII": [3396.19, 3396.19, 3376.2], "INS-41218_LIGHTTIME_CORRECTION": "NONE",
-        "INS-41218_FOCAL_LENGTH": 174.82, "INS-41218_BORESIGHT_LINE": 0.0, "INS-41218_BORESIGHT_SAMPLE": 2592.5,
-        "INS-41218_ITRANSL": [-7113.11359717265, 0.062856784318668, 142.857129028729],
-        "INS-41218_ITRANSS": [-0.778052433438109, -142.857129028729, 0.062856784318668],
-    }  # fmt: skip
-    (tmp_path / "h5270.isd").write_text(json.dumps({
-        "isis_camera_version": 1, "naif_keywords": keywords, "body_rotation": attitude(trajectory.body),
-        "instrument_pointing": attitude(trajectory.camera), "instrument_position": {
-            "ephemeris_times": (position.times + epoch)[mine].tolist(),
-            "positions": (position.positions * 1e-3)[mine].tolist(),
-            "velocities": (position.velocities * 1e-3)[mine].tolist(),
-        },
-    }))  # fmt: skip
-    path = tmp_path / "h5270.pvl"
-    path.write_bytes(mex.cube_bytes())
-    cube = read_isis_cube(path)
-    assert cube.name == "MEX/HRSC/MEX_HRSC_IR"
-    places = np.array([0.0, 6664.5, 9000.0, 15088.0]), np.array([5.0, 1200.0, 900.0, 3.0])
-    got, want = (one.image_to_ground(*places)[0] for one in (cube, image))
-    np.testing.assert_allclose(got, want, rtol=0, atol=1e-3)
 
 
 def test_images_of_other_lenses_are_no_strip(shared_data: Path) -> None:

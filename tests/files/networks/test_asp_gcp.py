@@ -92,19 +92,3 @@ def test_what_it_cannot_hold_is_left_out_or_refused() -> None:
         bad = ControlPoint("5", PointType.FIXED, (measure,), apriori=(1.0, 2.0, 3.0))
         with pytest.raises(InputError, match="a name with blanks, commas or a #"):
             ground_control_text(net(bad), MARS)
-
-
-def test_every_prefix_and_mutations(tmp_path: Path) -> None:
-    """A network or InputError, nothing else."""
-    sound = ground_control_text(net(point(), point("6", PointType.FIXED)), MARS)
-    rng, path = np.random.default_rng(3), tmp_path / "x.gcp"
-    for k in range(len(sound) + 100):
-        text = sound[:k]
-        if k > len(sound):
-            at = int(rng.integers(len(sound)))
-            text = sound[:at] + chr(int(rng.integers(1, 128))) + sound[at + int(rng.integers(3)) :]
-        path.write_text(text)
-        try:
-            assert read_ground_control_network(path, MARS).points
-        except InputError:
-            continue

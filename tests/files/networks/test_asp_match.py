@@ -118,31 +118,6 @@ def test_a_place_must_be_equal_to_the_last_bit_to_be_the_same() -> None:
     assert len(joined([pairs(("a", "b"), (1, 2)), pairs(("b", "c"), (2, 3))]).network.points) == 1
 
 
-@given(links=st.lists(st.tuples(st.integers(0, 30), st.integers(0, 30)), min_size=1, max_size=40))
-@settings(deadline=None)
-def test_components_by_another_way(links: list[tuple[int, int]]) -> None:
-    """Each link is between a place of image a and one of image b; sets are joined one by one."""
-    sets = [{("a", i), ("b", j)} for i, j in links]
-    for k, mine in enumerate(sets):
-        for other in sets[:k]:
-            if mine & other:
-                mine |= other
-                other.clear()
-    whole = {frozenset(one) for one in sets if one}
-    expected = {one for one in whole if len(one) == 2}
-
-    try:
-        made = joined([pairs(("a", "b"), *links)])
-    except InputError:
-        assert not expected
-        return
-
-    points = [point.measures for point in made.network.points]
-    got = {frozenset((one.serial_number, (one.line or 0) - 1) for one in measures) for measures in points}
-    assert got == expected
-    assert made.contradictory == len(whole) - len(expected)
-
-
 def test_names_of_files_are_taken_apart() -> None:
     assert images_of(Path("out/run-one__two.match")) == ("one", "two")
     assert images_of(Path("one__two.match")) == ("one", "two")
@@ -200,25 +175,12 @@ def test_every_prefix_is_refused(tmp_path: Path) -> None:
 
 
 def test_sizes_that_a_file_merely_states_are_not_believed(tmp_path: Path) -> None:
-    path, rng = tmp_path / "x.match", np.random.default_rng(1)
-    content = bytearray(SOUND)
+    path = tmp_path / "x.match"
     tracemalloc.start()
     for huge in (2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1):
         assert attempt(path, struct.pack("<QQ", huge, huge) + SOUND[16:]) is None
         for at in (16 + 37, 16 + 45 + 37):
             assert attempt(path, SOUND[:at] + struct.pack("<Q", huge) + SOUND[at + 8 :]) is None
-    for _ in range(400):
-        mutant = bytearray(content)
-        for _ in range(rng.integers(1, 4)):
-            at = int(rng.integers(len(mutant)))
-            kind = rng.integers(3)
-            if kind == 0:
-                mutant[at] = rng.integers(256)
-            elif kind == 1:
-                del mutant[at]
-            else:
-                mutant.insert(at, int(rng.integers(256)))
-        attempt(path, bytes(mutant))
     assert tracemalloc.get_traced_memory()[1] < 5e6
     tracemalloc.stop()
 

@@ -140,18 +140,3 @@ def test_what_it_cannot_hold_is_refused(tmp_path: Path) -> None:
         nvm_files(net, tmp_path / "x.nvm", {})
     with pytest.raises(InputError, match="no point that two images see"):
         nvm_files(structs.replace(net, points=(ControlPoint("a", PointType.FREE),)), tmp_path / "x.nvm", {})
-
-
-def test_every_prefix_and_mutations(tmp_path: Path) -> None:
-    """A network or InputError, nothing else."""
-    rng = np.random.default_rng(2)
-    for k in range(len(TEXT) + 100):
-        text = TEXT[:k]
-        if k > len(TEXT):
-            at = int(rng.integers(len(TEXT)))
-            text = TEXT[:at] + chr(int(rng.integers(1, 128))) + TEXT[at + int(rng.integers(3)) :]
-        path = put(tmp_path, text)
-        try:
-            assert read_nvm(path).points
-        except InputError:
-            continue

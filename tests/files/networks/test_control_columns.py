@@ -49,25 +49,6 @@ def as_the_record(data: bytes) -> bool:
     return True
 
 
-def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """A network with bits flipped, bytes written over, cut out or doubled, or an end cut off, behind its label."""
-    content, at = bytearray(data), int(rng.integers(LABEL, len(data)))
-    kind, size = rng.integers(6), int(rng.integers(1, 12))
-    if kind == 0:
-        content[at] ^= 1 << int(rng.integers(8))
-    elif kind == 1:
-        content[at : at + size] = rng.bytes(size)
-    elif kind == 2:
-        del content[at : at + size]
-    elif kind == 3:
-        content[at:at] = content[at : at + size]
-    elif kind == 4:
-        del content[at:]
-    else:
-        content[at] = int(rng.integers(256))
-    return bytes(content)
-
-
 @settings(deadline=None, max_examples=60)
 @given(networks())
 def test_any_network_is_as_its_record(network: ControlNetwork) -> None:
@@ -163,9 +144,3 @@ def test_names_that_cannot_be_shown_are_refused(name: str) -> None:
     for data in (with_second(id=name), with_second(measures=(replace(MEASURES[0], serial_number=name),))):
         with pytest.raises(InputError, match=r"x\.net, byte \d+, point 2 .*control characters"):
             binary_tie_points(data, "x.net")
-
-
-def test_mutated_networks_with_accents_are_as_their_records() -> None:
-    rng, data = np.random.default_rng(26), binary_network(with_accents())
-    decoded = sum(as_the_record(mutated(data, rng)) for _ in range(400))
-    assert 0 < decoded < 400

@@ -6,9 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from isis_networks import contents, first_binary, labelled, networks, older, pvl_text
+from isis_networks import contents, first_binary, networks, older, pvl_text
 
-from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_network
 from mgsgraph.files.networks.pvl import parse_pvl_network
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
@@ -153,28 +152,3 @@ def test_a_network_of_the_first_version_goes_through_the_last(tmp_path: Path) ->
     read = read_network(tmp_path / "old.net")
 
     assert contents(parse_binary_network(binary_network(read), "")) == contents(read)
-
-
-WHOLE = first_binary(
-    ControlNetwork("n", "Mars", (ControlPoint("p", PointType.FREE, (ControlMeasure("A", MeasureType.MANUAL),)),))
-)
-FAULTS = {
-    "no LogData": (WHOLE.replace(b"= LogData", b"= Figures"), "no LogData"),
-    "cut short": (WHOLE[:-1], "LogData: "),
-    "figures of others": (
-        WHOLE[:-4].replace(b"Bytes     = 4", b"Bytes     = 2") + b"\n\0", "LogData, point 1, measures: 0"
-    ),
-    "measure type": (WHOLE.replace(b"A\x10\x02", b"A\x10\x00"), "point 1 (p): measure 1: MeasureType"),
-    "no message": (WHOLE.replace(b"Bytes     = 4", b"Bytes     = 3"), "LogData: 3 bytes that are no such message"),
-    "nothing": (labelled(1, b"", b""), "no StartByte"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_of_version_one(fault: str) -> None:
-    data, said = FAULTS[fault]
-    with pytest.raises(InputError) as caught:
-        parse_binary_network(data, "a.net")
-
-    assert str(caught.value).startswith("a.net")
-    assert said in str(caught.value)

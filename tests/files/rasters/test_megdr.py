@@ -1,18 +1,15 @@
 """MEGDR grids and GeoTIFF terrain: where posts lie, by label, by name, and against the altimeter's own shots."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rasterio import Affine
+from rasters import raster
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.files.opening import opened
-from mgsgraph.files.rasters import megdr
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.files.rasters.terrain_file import read_terrain
 from mgsgraph.geometry.body import from_planetocentric
@@ -47,23 +44,6 @@ def image(folder: Path, name: str, counts: np.ndarray) -> Path:
     path = folder / name
     counts.astype(">i2").tofile(path)
     return path
-
-
-def test_the_file_that_was_looked_at_is_the_one_that_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not another one that has its name by then."""
-    counts = radii()
-    path = image(tmp_path, "megr90n000cb.img", counts)
-
-    @contextmanager
-    def gone(path: Path, limit: int) -> Iterator[BufferedReader]:
-        with opened(path, limit) as file:
-            path.unlink()
-            yield file
-
-    monkeypatch.setattr(megdr, "opened", gone)
-    grid = read_megdr(path)
-    assert grid is not None
-    np.testing.assert_array_equal(grid.radii, counts + 3396000)
 
 
 def test_label_and_name_agree(tmp_path: Path) -> None:
@@ -227,56 +207,9 @@ def test_real_areoid_against_real_shots(shared_data: Path, site: str) -> None:
     np.testing.assert_allclose(areoid_heights(shots.footprints, areoid), topography - off, rtol=0, atol=1e-6)
 
 
-def geotiff(
-    path: Path, values: np.ndarray, crs: str, transform: tuple[float, ...], nodata: float | None = None
-) -> Path:
-    rasterio = pytest.importorskip("rasterio")
-    with rasterio.open(
-        path, "w", driver="GTiff", height=values.shape[0], width=values.shape[1], count=1, dtype=values.dtype, crs=crs,
-        transform=rasterio.Affine(*transform), nodata=nodata,
-    ) as file:
-        file.write(values, 1)
-    return path
-
-
-def test_geotiff_in_degrees_and_in_metres_are_one_grid(tmp_path: Path) -> None:
-    values = np.random.default_rng(2).normal(-1900.0, 50.0, (30, 40)).astype(np.float32)
-    values[3, 4] = -32768.0
-    radius, step = 3396190.0, 0.01
-    metres = radius * step * DEG
-    degrees = geotiff(
-        tmp_path / "d.tif", values, f"+proj=longlat +R={radius} +no_defs", (step, 0, 175.2, 0, -step, -14.4), -32768.0
-    )
-    projected = geotiff(
-        tmp_path / "m.tif", values, f"+proj=eqc +R={radius} +lon_0=180 +lat_ts=0 +units=m +no_defs",
-        (metres, 0, radius * (175.2 - 180.0) * DEG, 0, -metres, radius * -14.4 * DEG), -32768.0,
-    )
-    one, two = (read_terrain(path, radius, vertical_sigma=10.0) for path in (degrees, projected))
-
-    for grid in (one, two):
-        np.testing.assert_allclose(grid.first_longitude / DEG, 175.205, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(grid.first_latitude / DEG, -14.405, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(grid.longitude_step / DEG, step, rtol=1e-9)
-        np.testing.assert_allclose(grid.radii[0, 0], radius + values[0, 0])
-        assert np.isnan(grid.radii[3, 4])
-        assert grid.vertical_sigma == 10.0
-
-
 def test_standard_parallel_stretches_longitude(tmp_path: Path) -> None:
-    values = np.full((4, 4), 3390000.0)
-    path = geotiff(tmp_path / "p.tif", values, "+proj=eqc +R=3396190 +lat_ts=60 +units=m", (100.0, 0, 0, 0, -100.0, 0))
+    values, crs = np.full((4, 4), 3390000.0), "+proj=eqc +R=3396190 +lat_ts=60 +units=m"
+    path = raster(tmp_path / "p.tif", values, crs, Affine(100.0, 0, 0, 0, -100.0, 0))
     grid = read_terrain(path)
 
     np.testing.assert_allclose(grid.longitude_step, 2.0 * grid.latitude_step, rtol=1e-12)
-
-
-def test_rasters_that_cannot_be_used(tmp_path: Path) -> None:
-    heights = np.full((4, 4), -1900.0)
-    longlat, place = "+proj=longlat +R=3396190 +no_defs", (0.01, 0, 175.0, 0, -0.01, -14.0)
-    with pytest.raises(InputError, match="reference_radius"):
-        read_terrain(geotiff(tmp_path / "h.tif", heights, longlat, place))
-    with pytest.raises(InputError, match="no such file"):
-        read_terrain(tmp_path / "none.tif")
-    (tmp_path / "text.tif").write_text("no raster")
-    with pytest.raises(InputError, match="no raster that is known"):
-        read_terrain(tmp_path / "text.tif")

@@ -182,17 +182,6 @@ def test_small_bodies_are_not_round(radius: float, polar: float, low: float, hig
         read_terrain(raster(tmp_path / "a.tif", values, crs, place), radius, body=body)
 
 
-@pytest.mark.parametrize("size", [1e-300, 1e-13])
-def test_posts_all_at_one_place(size: float, tmp_path: Path) -> None:
-    """A damaged size of pixels; NumPy's warnings are errors here."""
-    crs, _ = PROJECTIONS["sinusoidal"]
-    path = raster(tmp_path / "a.tif", np.full((30, 40), -1900.0), crs, rasterio.Affine(size, 0.0, 1e5, 0.0, -size, 2e5))
-    model = read_terrain(path, RADIUS)
-    assert isinstance(model, TerrainRaster)
-    with pytest.raises(InputError):
-        model.grid()
-
-
 def test_topography_of_another_projection_is_refused(tmp_path: Path) -> None:
     """Its place depends on its height: without a reference nobody knows that."""
     crs, _ = PROJECTIONS["sinusoidal"]

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import spiceypy
 
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.labels.aberration import Aberration
@@ -100,15 +99,6 @@ def test_laser_points_lie_beside_their_measures_by_a_constant(folder: Path, imag
         np.testing.assert_allclose(apart, np.broadcast_to(offset, apart.shape), atol=0.03)
 
 
-def test_ground_places_are_those_that_spice_would_find(images: dict[str, PushbroomImage]) -> None:
-    """Boresight of both cameras on the sphere, by hand from pose and NAIF surfpt, 1 mm."""
-    for image in images.values():
-        pose = image.pose(np.array([26112.0]))
-        want = spiceypy.surfpt(pose.position[0], pose.matrix[0].T @ [0.0, 0.0, 1.0], *[1737.4 * KM] * 3)
-        points, _ = image.image_to_ground(np.array([26112.0]), np.array([2547.5]))
-        np.testing.assert_allclose(points[0], want, atol=1e-3)
-
-
 def test_metres_read_like_kilometres(folder: Path, tmp_path: Path, images: dict[str, PushbroomImage]) -> None:
     isd = json.loads((folder / "lidarObservationImage1.isd").read_text())
     table = isd["instrument_position"]
@@ -133,12 +123,6 @@ def test_radial_optics_and_summing(folder: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(1e3 * place[0], [0.0, y * (1.0 - 1e-3 - 2e-6 * y**2 - 3e-9 * y**4)], rtol=1e-13)
     assert slope[0, 1] > 1.9 * 7e-6
     assert isinstance(image.interior.distortion, RadialDistortion)
-
-
-def test_no_optics_at_all(folder: Path, tmp_path: Path) -> None:
-    place, _ = with_edits(folder, tmp_path / "n.isd", optical_distortion={}).interior.focal_plane(np.array([10.0]))
-
-    np.testing.assert_allclose(place[0], [0.0, (10.0 - 2547.5) / 142857.0], rtol=1e-14)
 
 
 def test_the_caller_may_overrule_the_file(folder: Path, images: dict[str, PushbroomImage]) -> None:
@@ -198,35 +182,3 @@ def test_line_times_by_isis_get_their_preroll(hadley: dict[str, PushbroomImage])
 
         np.testing.assert_allclose(times, image.trajectory.coverage, rtol=0, atol=1e-6)
         np.testing.assert_allclose(periods, 0.986133e-3 * 1.0045, rtol=1e-12)
-
-
-def test_a_coefficient_by_isis_is_a_number(hadley: dict[str, PushbroomImage]) -> None:
-    left, right = hadley.values()
-
-    assert left.interior.distortion == LrocNacDistortion(pytest.approx(1.81e-5 * 1e6))
-    assert right.interior.distortion == LrocNacDistortion(pytest.approx(1.83e-5 * 1e6))
-
-
-def test_images_side_by_side_meet_at_their_tie_points(shared_data: Path, hadley: dict[str, PushbroomImage]) -> None:
-    """46 points of ISIS's control network: pixels of about a metre."""
-    network = read_control_network(shared_data / "lro_nac_hadley" / "observationPair.net")
-    names = np.array(network.measure_image)
-    origins, directions = np.empty((2, names.size, 3))
-    for name, image in hadley.items():
-        its = names == name
-        origins[its], directions[its] = image.sightlines(*network.measures[its].T)
-    points, _, _ = intersect_rays(origins, directions, network.measure_point, len(network.ids))
-    beside = np.cross(directions, points[network.measure_point] - origins)
-    distances = np.linalg.norm(beside, axis=1) / np.linalg.norm(directions, axis=1)
-
-    assert len(network.ids) == 46
-    assert np.median(distances) < 0.5
-    assert distances.max() < 1.0
-
-
-def test_times_that_hold_the_preroll_are_left_alone(folder: Path, images: dict[str, PushbroomImage]) -> None:
-    isd = json.loads((folder / "lidarObservationImage1.isd").read_text())
-    start = isd["line_scan_rate"][0][1]
-
-    assert isd["naif_keywords"]["INS-85600_ADDITIONAL_PREROLL"] == 1024
-    np.testing.assert_array_equal(images[NAMES[0]].timing.start_times, [start])

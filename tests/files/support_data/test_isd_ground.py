@@ -104,24 +104,6 @@ def by_kernels(shared_data: Path, camera: str, **more: Any) -> PushbroomImage:
     return read_labelled_image(shared_data / file, kernels, camera, **its_own, **more)
 
 
-def test_narrow_angle_as_ale_writes_it_is_where_its_kernels_see_it(shared_data: Path, tmp_path: Path) -> None:
-    """With what mgs_drivers write wrongly of this very image, summed 8 x 8 (ALE, tests/pytests/data/isds/mgsmocna)."""
-    image = by_kernels(shared_data, "MOC-NA", interval=0.25)
-    isd = support_data(image)
-    ((line, start, period),) = isd["line_scan_rate"]
-    path = tmp_path / "m0402852.json"
-    path.write_text(json.dumps(isd | {
-        "name_sensor": "MGS_MOC_NA", "line_scan_rate": [[line, start, period / 8.0]], "detector_line_summing": 8,
-        "optical_distortion": {"radial": {"coefficients": [0, 0.0131240578522949, 0.0131240578522949]}},
-        "detector_center": {"line": 0.0, "sample": 1024.5}, "starting_detector_sample": 1,
-    }))  # fmt: skip
-    lines, samples = np.array([0.5, 700.0, 1535.5]), np.array([0.5, 100.0, 255.5])
-    ground, _ = image.image_to_ground(lines, samples)
-
-    places, _ = read_isd(path, "MOC").ground_to_image(ground)
-    np.testing.assert_allclose(places, np.column_stack([lines, samples]), rtol=0, atol=1e-3)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_ground_of_each_camera_is_usgscsms(shared_data: Path, camera: str) -> None:

@@ -84,22 +84,6 @@ def test_the_detector_lies_where_the_addendum_puts_it(tmp_path: Path) -> None:
     assert place[1, 0] == pytest.approx(0.0, abs=2e-5)
 
 
-@pytest.mark.parametrize("optics", [{}, {"radial": {"coefficients": [0.0, 0.0, 0.0]}}])
-def test_no_optics_both_ways(tmp_path: Path, optics: dict[str, Any]) -> None:
-    there = np.array([20.0]), np.array([700.0])
-    want = read(tmp_path).image_to_ground(*there)[0]
-    np.testing.assert_allclose(read(tmp_path, optical_distortion=optics).image_to_ground(*there)[0], want, atol=1e-6)
-
-
-def test_there_and_back_over_the_changes(tmp_path: Path) -> None:
-    image = read(tmp_path)
-    lines = np.array([10.0, 6663.9, 6664.1, 6664.9, 6665.1, 15000.0])
-    samples = np.linspace(3.0, 1280.0, 6)
-    ground, _ = image.image_to_ground(lines, samples)
-    places, _ = image.ground_to_image(ground, start=lines)
-    np.testing.assert_allclose(places, np.stack([lines, samples], axis=1), atol=1e-6)
-
-
 def test_macropixels_that_ale_leaves_out_are_known_by_the_size(tmp_path: Path) -> None:
     image = read(tmp_path, detector_sample_summing=1)
     assert image.interior.sample_summing == 4.0
