@@ -123,26 +123,23 @@ def test_gaps_may_be_where_a_format_has_them() -> None:
     assert judged(reading(planted, gaps=(".number",)), b"i").end is End.READ
 
 
-@pytest.mark.parametrize(
-    ("bad", "end"),
-    [(b"1e308", End.RAISED), pytest.param(b"nan", End.PRINTED, marks=pytest.mark.slow)],  # shrinks for 20 s
-)
-def test_what_is_planted_is_found_and_made_small(bad: bytes, end: End) -> None:
-    """One number alone is left of the damage."""
+@pytest.mark.parametrize("end", [End.RAISED, pytest.param(End.PRINTED, marks=pytest.mark.slow)])
+def test_what_is_planted_is_found_and_made_small(end: End) -> None:
+    """One byte alone is left of the damage. A process for every file: some seconds where processors are shared."""
 
     def read(path: Path) -> None:
-        if bad in path.read_bytes().lower():
+        if len(set(path.read_bytes()) - set(sound)) > 0:
             if end is End.RAISED:
-                raise ValueError("one number is odd")
-            print("one number is odd")
+                raise ValueError("a byte is odd")
+            print("a byte is odd")
 
     sound = b"key = 1\nother = 2\n"
-    ends, finding = hunt(reading(read, sound), 30.0)
+    ends, finding = hunt(reading(read, sound), 60.0)
     assert finding is not None
     assert ends[end]
     assert finding["end"] == end
     ((start, stop, ((new, _),)),) = finding["edits"]
-    assert bytes.fromhex(new).lower() == bad
+    assert len(set(bytes.fromhex(new)) - set(sound)) == 1
     assert stop - start <= len("other")
 
 
