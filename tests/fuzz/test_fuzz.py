@@ -125,13 +125,13 @@ def test_gaps_may_be_where_a_format_has_them() -> None:
 
 @pytest.mark.parametrize("end", [End.RAISED, pytest.param(End.PRINTED, marks=pytest.mark.slow)])
 def test_what_is_planted_is_found_and_made_small(end: End) -> None:
-    """One byte alone is left of the damage. A process for every file: some seconds where processors are shared."""
+    """One digit alone is left of the damage. A process for every file: some seconds where processors are shared."""
 
     def read(path: Path) -> None:
-        if len(set(path.read_bytes()) - set(sound)) > 0:
+        if b"0" in path.read_bytes():
             if end is End.RAISED:
-                raise ValueError("a byte is odd")
-            print("a byte is odd")
+                raise ValueError("a zero is odd")
+            print("a zero is odd")
 
     sound = b"key = 1\nother = 2\n"
     ends, finding = hunt(reading(read, sound), 60.0)
@@ -139,8 +139,8 @@ def test_what_is_planted_is_found_and_made_small(end: End) -> None:
     assert ends[end]
     assert finding["end"] == end
     ((start, stop, ((new, _),)),) = finding["edits"]
-    assert len(set(bytes.fromhex(new)) - set(sound)) == 1
-    assert len(bytes.fromhex(new)) + stop - start < len(sound)
+    assert bytes.fromhex(new) == b"0"
+    assert stop - start <= len("other")
 
 
 @given(st.data())
