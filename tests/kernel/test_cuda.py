@@ -25,6 +25,7 @@ def assert_near(found: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("name", simulated_gpu.QUICK)
 def test_the_simulated_device_gives_the_cpus_answers(name: str) -> None:
+    """All in one process, some 10 s: the simulator runs each of the device's threads as Python."""
     assert_near(simulated_gpu.differences(*simulated_gpu.QUICK)[name])
 
 
