@@ -75,7 +75,7 @@ def alone(code: str, how: dict[str, str]) -> str:
 
 
 def test_the_kernel_is_dense_algebra_of_the_explicit_factors() -> None:
-    """Also by parts of its points. The whole kernel as Python, for 4 s: two points of each kind, both lines."""
+    """Also by parts of its points. The whole kernel as Python, for 4 s: six points, both forms of the line."""
     alone(DENSE, {"NUMBA_DISABLE_JIT": "1"})
 
 
