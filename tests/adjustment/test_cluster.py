@@ -3,7 +3,6 @@
 import logging
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -47,9 +46,8 @@ def test_a_scheduler_elsewhere(protocol: str, host: str, port: int) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "locals", "local:", "local:0", "local:-2", "local:x", "local:99999", "LOCAL", "127.0.0.1:8786", "tcp://host",
-     "tcp://:8786", "tcp://host:0", "tcp://host:70000", "tcp://host:port", "tcp://host:8786/x", "http://host:8786"],
-)  # fmt: skip
+    ["", "local:0", "local:x", "local:99999", "127.0.0.1:8786", "tcp://host:70000", "tcp://host:8786/x"],
+)
 def test_other_places_are_refused(text: str) -> None:
     with pytest.raises(InputError, match=r"^--cluster .*expected .*(local:N|1 to)"):
         parse_cluster(text)
@@ -88,17 +86,6 @@ def test_results_belong_to_their_items(two: Connection) -> None:
     items = list(range(-5, 6))
     assert dict(two.each(abs, items)) == dict(enumerate(map(abs, items)))
     assert not list(two.each(abs, []))
-
-
-def test_both_workers_work(two: Connection) -> None:
-    def busy(seconds: float) -> int:
-        import os
-        import time
-
-        time.sleep(seconds)
-        return os.getpid()
-
-    assert set(dict(two.each(busy, [0.3] * 4)).values()) == {worker.process for worker in two.workers}
 
 
 def test_a_task_that_fails_is_told_and_the_others_go_on(two: Connection) -> None:
@@ -335,15 +322,6 @@ def test_nobody_there() -> None:
         "--cluster tcp://127.0.0.1:9: no scheduler answers there within 0.5 s"
     )
     assert time.monotonic() - began < 20.0  # dask itself would wait for 30 s
-
-
-def test_somebody_else_there() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as mute:
-        assert "no scheduler answers" in refusal(f"tcp://127.0.0.1:{mute.getsockname()[1]}", 0.5)
-
-
-def test_tls_without_certificates() -> None:
-    assert "no certificates for tls" in refusal("tls://127.0.0.1:8786", 0.5)
 
 
 @pytest.mark.slow

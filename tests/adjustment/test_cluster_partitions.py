@@ -20,7 +20,6 @@ from mgsgraph.adjustment.cluster import connection, partitions
 from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
 from mgsgraph.adjustment.cluster.partitions import Answer, Order
 from mgsgraph.adjustment.cluster.workers import Worker, require_memory
-from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
@@ -40,11 +39,6 @@ def many() -> Network:
     places = net.rays.places.copy()
     places[50:90:5] += 60.0
     return replace(net, rays=replace(net.rays, places=places))
-
-
-@pytest.fixture(scope="module")
-def layout() -> Layout:
-    return lay_out(many(), SolverSettings())
 
 
 def scale(values: np.ndarray) -> float:
@@ -110,17 +104,6 @@ def test_the_same_answer(two: Connection, how: dict[str, Any], monkeypatch: pyte
     if how.get("reject"):
         assert not np.all(spread.rays_used)
         assert "passes" in spread.message
-
-
-def test_a_cost_is_repeatable(two: Connection) -> None:
-    first, second = (adjust_network(many(), SolverSettings(), cluster=two) for _ in range(2))
-    assert first.cost_final == second.cost_final
-    np.testing.assert_array_equal(first.places, second.places)
-
-
-def test_a_network_of_few_pieces(two: Connection) -> None:
-    net = network(pair())
-    assert_the_same(adjust_network(net, SolverSettings()), adjust_network(net, SolverSettings(), cluster=two))
 
 
 @pytest.mark.slow
@@ -270,8 +253,3 @@ def test_a_gpu_on_a_cluster_is_refused(case_file: Path, tmp_path: Path) -> None:
     assert isinstance(told.exception, InputError)
     assert str(told.exception).startswith("--cluster local:2: solver, device 'cuda'; expected 'cpu' on a cluster")
     assert not (tmp_path / "o").exists()
-
-
-def test_a_place_that_is_none_is_told_before_anything_is_read(tmp_path: Path) -> None:
-    told = CliRunner().invoke(group, ["adjust", "absent.toml", "--out", str(tmp_path / "o"), "--cluster", "nowhere"])
-    assert str(told.exception).startswith("--cluster nowhere: no place for the work")

@@ -164,15 +164,6 @@ def test_poses_and_projections_follow_from_the_whole_covariance() -> None:
     np.testing.assert_allclose(profile.position_sigma[1], np.sqrt(np.diagonal(middle))[:3], rtol=1e-9)
 
 
-def test_points_of_the_posterior_are_the_solutions() -> None:
-    net = stripped(network(pair(ties=30, shots=6)))
-    solution = adjust_network(net, SolverSettings(**TIGHT))
-    posterior = Posterior.of(solution)
-    for i in (0, 17, 33):
-        found = posterior.point(net.points.ids[i])
-        np.testing.assert_allclose(found.covariance, solution.covariances[i], rtol=1e-8, atol=1e-8)
-
-
 def test_no_direction_is_known_less_than_before() -> None:
     """Of nodes that are known together a whole bias of the strip counts by its own a-priori sigma, not a node's."""
     net = stripped(network(pair(ties=60, shots=12)))

@@ -160,19 +160,6 @@ def test_only_the_direction_of_relief_counts() -> None:
         match(template, search, points, points, SAME, relief=directions[1:])
 
 
-def test_swapping_lines_and_samples_swaps_curved_ground() -> None:
-    template, search, points = curved_pair(5, CURVATURE)
-    template, search = with_noise((template, search), 1.5, 51)
-    one = match(template, search, points, points, SAME, relief=along(points))
-    other = match(
-        template.T, search.T, points[:, ::-1], points[:, ::-1], SAME, half=HALF[::-1], relief=along(points)[:, ::-1]
-    )
-    assert np.all(one.status == other.status)
-    assert other.pixels[:, ::-1] == pytest.approx(one.pixels, abs=1e-5, nan_ok=True)
-    stated = other.covariance_with_relief(along(points)[:, ::-1])[:, ::-1, ::-1]
-    assert stated == pytest.approx(one.covariance_with_relief(along(points)), rel=2e-3, abs=1e-7, nan_ok=True)
-
-
 def test_a_gap_that_only_curved_ground_reaches() -> None:
     """Pixels are looked for where the curved window has them, not where a plane one would."""
     template, search, points = curved_pair(5, np.array([0.0, 0.0, 0.03]))

@@ -70,13 +70,6 @@ def test_after_is_with_the_solutions_corrections_and_places(case: Case, solution
     assert np.nanmax(moved) > 1.0  # before is something else
 
 
-def test_without_a_solution_there_is_no_after(case: Case) -> None:
-    found = register_case(case)
-    assert found.after == ()
-    assert [name for name, _ in found.states()] == ["nominal"]
-    np.testing.assert_array_equal(found.before[0].points, case.profiles[0].footprints)
-
-
 def test_the_adjustment_removes_the_discrepancy_as_the_truth_has_it(case: Case, solution: Solution) -> None:
     """Against the simulation's true places: what is seen before is there, and the adjustment takes it away."""
     pair = networks.pair(ties=20, shots=8)
@@ -129,31 +122,7 @@ def test_a_solution_of_another_case_is_refused(case: Case, solution: Solution) -
         register_case(replace(case, network=replace(case.network, images=longer)), solution)
 
 
-def test_images_without_ties_in_common_are_named_not_compared(case: Case) -> None:
-    found = register_case(replace(case, ties=None))
-    assert found.before[0].discrepancies == ()
-    assert any("0 tie points in common" in sentence for sentence in registration_section(found).sentences)
-
-
-def test_an_adjustment_that_failed_is_no_result(case: Case, solution: Solution) -> None:
-    found = register_case(case, replace(solution, converged=False, message="Stopped."))
-    assert any("NOT CONVERGED" in sentence for sentence in registration_section(found).sentences)
-
-
 # --- words
-
-
-def test_statements_hold_the_figures(case: Case, solution: Solution) -> None:
-    found = register_case(case, solution)
-    sentences = registration_section(found).sentences
-    one = found.before[0].discrepancies[0]
-    inside = found.before[0].found.inside.sum(axis=1)
-    count = case.profiles[0].times.size
-    assert sentences[0].startswith(f"Of {count} shots of profile, {inside[0]} fall in SIM/A (taken")
-    mean, rms = one.metres[:, 0].mean(), math.sqrt((one.metres[:, 0] ** 2).mean())
-    first, second = registration_section(found).tables[0].rows
-    assert first[5::2][:2] == [f"{mean:.2f}", f"{rms:.2f}"]
-    assert (first[0], second[0]) == ("nominal", "adjusted")
 
 
 def sparse(shots: AltimeterShots) -> AltimeterShots:

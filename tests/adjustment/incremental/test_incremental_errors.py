@@ -79,11 +79,8 @@ def endless() -> KnownImage:
 Attempt = Callable[[IncrementalAdjustment], Any]
 REFUSED: dict[str, tuple[Attempt, str]] = {
     "image twice": (lambda a: a.add(MADE.images[0], own_measures(MADE, "FAN/0")), r"image FAN/0: in the adjustment"),
-    "image twice at once": (lambda a: a.add([KnownImage(NEW, NOISE.prior)] * 2), r"image FAN/3: named twice"),
     "unknown image in ties": (lambda a: a.add(NEW, renamed(ties(), "nowhere")), r"measures in the image 'nowhere'"),
-    "ties of an image to come": (lambda a: a.add([], own_measures(MADE, "FAN/4")), r"measures in the image 'FAN/4'"),
     "measured before": (lambda a: a.add([], own_measures(MADE, "FAN/1")), r"image FAN/1: measured there before"),
-    "measured twice": (lambda a: a.add(NEW, [ties(), ties()]), r"image FAN/3: measured there before"),
     "outside": (lambda a: a.add(NEW, replace(ties(), measures=ties().measures + 5e4)), r"a place inside 5000 lines"),
     "another place": (lambda a: a.add(NEW, moved(shots())), r"two a-priori places, 52 m apart"),
     "another class": (
@@ -93,7 +90,6 @@ REFUSED: dict[str, tuple[Attempt, str]] = {
     "behind": (lambda a: a.add(NEW, [ties(), doubled(shots())]), r"point up S000.*lies behind the camera"),
     "no prior": (lambda a: a.add(endless(), MEASURES), r"image FAN/3: a coefficient without an a-priori sigma"),
     "remove unknown": (lambda a: a.remove("FAN/0", "nowhere"), r"image nowhere: no such image"),
-    "correction": (lambda a: a.correction("nowhere"), r"image nowhere: no such image"),
     "covariance": (lambda a: a.covariance("FAN/0", "nowhere"), r"image nowhere: no such image"),
     "point": (lambda a: a.points(["nowhere"]), r"point nowhere: no such point"),
 }
