@@ -129,15 +129,6 @@ def test_both_forms_agree(considered: tuple[str, ...]) -> None:
     assert spread == pytest.approx(before**2 * np.eye(2), rel=1e-6, abs=1e-2)
 
 
-def test_an_unknown_that_is_known_already_may_be_considered_or_estimated() -> None:
-    """With a sigma far below what the observations tell, the two are the same."""
-    net = with_profile()
-    assert net.shifts is not None
-    net = replace(net, shifts=replace(net.shifts, sigmas=np.array([0.01])))
-    estimated, considered = (adjust_network(one, EXACT) for one in (net, replace(net, considered=("profile",))))
-    np.testing.assert_allclose(considered.covariances, estimated.covariances, rtol=1e-5)
-
-
 def test_parts_of_a_network_keep_what_they_consider() -> None:
     net = replace(with_shift_and_surface(network(pair()), SHIFT), considered=("profile", TERRAIN))
     ties, shots = (np.flatnonzero(net.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))

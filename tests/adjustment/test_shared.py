@@ -327,7 +327,7 @@ def test_a_laser_that_truly_sits_elsewhere_is_found() -> None:
 # --- what is known of them
 
 
-SEEDS = range(10)
+SEEDS = range(5)
 
 
 @cache
@@ -346,7 +346,7 @@ def test_an_attitude_time_bias_over_six_images_is_recovered() -> None:
     assert np.all(sigmas < 0.35)
     assert np.all(np.abs(errors) < 3.0 * sigmas)
     squares = float(np.sum((errors / sigmas) ** 2))
-    assert 2.16 < squares < 25.2  # chi-square with 10 degrees of freedom, 99%
+    assert 0.41 < squares < 16.75  # chi-square with 5 degrees of freedom, 99%
 
 
 def test_sigmas_of_whole_corrections() -> None:

@@ -103,18 +103,6 @@ def test_level_ground_gives_height_and_moves_nothing_horizontally() -> None:
     assert heights[0] <= heights[1] * (1.0 + 1e-6)
 
 
-def test_starting_at_the_answer_moves_nothing() -> None:
-    """The objective is one function: rows that are linear about the answer have the answer for their minimum."""
-    net = stereo_network(pair(12, 24))
-    assert net.stereo is not None
-    found = adjust_network(net, SolverSettings())
-    again = adjust_network(replace(net, stereo=replace(net.stereo, starts=found.places)), SolverSettings())
-    laser = net.stereo.surface >= 0
-    sigmas = np.sqrt(np.diagonal(found.covariances[laser], axis1=1, axis2=2))
-    assert np.abs((again.places - found.places)[laser] / sigmas).max() < 1e-3
-    assert again.cost_final == pytest.approx(found.cost_final, rel=1e-8)
-
-
 def test_an_adjustment_begins_where_another_ended() -> None:
     """Its first step is tiny, and it ends there."""
     net = stereo_network(pair(12, 24))

@@ -15,7 +15,6 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.rounds import everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis import weak
 from mgsgraph.analysis.weak import WeakDirection, spectrum, weak_directions, weakest
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.files.tie_points import PointKind
@@ -183,20 +182,6 @@ def test_lanczos_finds_the_same_eigenvalues() -> None:
     assert np.linalg.norm(covariance @ directions - directions * few, axis=0).max() < 0.02
 
 
-def test_a_large_network_names_single_images_as_weak_as_the_weakest(monkeypatch: pytest.MonkeyPatch) -> None:
-    layout, solution = on_strip(12)
-    dense = weakest(layout, solution.joint_covariance, 4)
-    monkeypatch.setattr(weak.spectrum, "__defaults__", (0,))
-    found = weakest(layout, solution.joint_covariance, 4)
-    covariance = solution.joint_covariance.dense() / layout.scales / layout.scales[:, None]
-    for direction, other in zip(found, dense, strict=True):
-        variance = direction.direction @ covariance @ direction.direction
-        assert direction.ratio == pytest.approx(np.sqrt(variance), rel=1e-6)
-        assert direction.ratio == pytest.approx(other.ratio, rel=0.011)
-        assert "against" in direction.sentence
-        assert len({part.axis.owner for part in direction.parts}) == 1
-
-
 @pytest.mark.parametrize("loose", [0, 1])
 def test_the_one_image_that_is_loose_is_named(loose: int) -> None:
     net = network(pair(ties=40))
@@ -268,17 +253,6 @@ def test_each_control_point_takes_its_share_of_the_datum(chosen: list[int], left
     if left == 0:
         assert "nothing determines" in str(error)
         assert "image SIM/" in str(error)
-
-
-@pytest.mark.parametrize(("axes", "says"), [([0], "X"), ([0, 2], "X and Z"), ([0, 1, 2], "X, Y and Z")])
-def test_unknown_positions_leave_translations(axes: list[int], says: str) -> None:
-    net = network(pair(ties=60), laser=False)
-    sigmas = net.priors[0].sigmas.copy()
-    sigmas[0, axes] = np.inf
-    error = refused(replace(net, priors=(OrientationPrior(sigmas),) * 2))
-    assert error.count == error.of_datum == len(axes)
-    assert f"translation along {says} of the whole network" in str(error)
-    assert error.directions == (f"translation along {says} of the whole network",)
 
 
 @pytest.mark.parametrize(("angles", "known"), [("camera", 7), ("opk-peer", 7), ("opk-paper", 6)])

@@ -160,22 +160,6 @@ def test_what_gtsam_s_cholesky_calls_indeterminate_is_no_harder(rows: int) -> No
     assert np.all(from_dense(tree, priors, {}) < CLOSE)
 
 
-def test_a_tree_that_cholesky_s_method_has_grown_goes_on_by_qr() -> None:
-    priors, systems = drawn(4)
-    more_priors, more = pair_of_poorly_scaled_images(20)
-    dropped = Unknown("image", "dropped")
-    tree = Tree()
-    tree.change(priors | {dropped: np.ones(6)}, systems)
-    tree.change(dropped=[dropped])
-    assert not tree._by_qr
-    tree.change(more_priors, more)
-    assert tree._by_qr
-    assert np.all(from_dense(tree, priors | more_priors, systems | more) < (1e-4, 1e-5))
-    tree.change(gone=[*more, next(iter(systems))])
-    left = dict(list(systems.items())[1:])
-    assert np.all(from_dense(tree, priors | more_priors, left) < CLOSE)
-
-
 def test_a_gradient_without_curvature_is_balanced_by_the_prior() -> None:
     """Rounding leaves such systems: the estimate is off by all of the gradient where it is lost."""
     name = Unknown("image", "one")
