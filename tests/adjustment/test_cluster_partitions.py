@@ -1,7 +1,5 @@
 """One adjustment whose points lie with workers: the same answer as one process's, whoever comes and goes meanwhile."""
 
-import os
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -104,35 +102,6 @@ def test_the_same_answer(two: Connection, how: dict[str, Any], monkeypatch: pyte
     if how.get("reject"):
         assert not np.all(spread.rays_used)
         assert "passes" in spread.message
-
-
-@pytest.mark.slow
-def test_a_worker_killed_in_mid_sweep_is_told(two: Connection) -> None:
-    deadline = time.monotonic() + 30.0
-    while len(two.workers) < 2 and time.monotonic() < deadline:
-        time.sleep(0.1)
-    first, second = two.workers
-    orders = {0: (first.address, ("exit", 7)), 1: (second.address, ("sleep", 0.2)), 2: (second.address, ("int", "x"))}
-    began, do = time.monotonic(), _doing()
-    answers = dict(two.at_workers(do, orders))
-    assert answers[0] is None
-    assert answers[1] is None  # what time.sleep returns
-    assert isinstance(answers[2], Lost)
-    assert "ValueError" in answers[2].message
-    assert dict(two.at_workers(do, {5: (first.address, ("int", "5"))})) == {5: None}  # nobody there any more
-    assert dict(two.at_workers(do, {6: (second.address, ("int", "6"))})) == {6: 6}
-    assert time.monotonic() - began < 15.0
-
-
-def _doing() -> Callable[[tuple[str, Any]], Any]:
-    """A function that dask sends as code: workers don't know this file."""
-
-    def do(what: tuple[str, Any]) -> Any:
-        import time
-
-        return {"exit": os._exit, "sleep": time.sleep, "int": int}[what[0]](what[1])
-
-    return do
 
 
 def test_points_are_let_go_at_the_end(two: Connection) -> None:

@@ -15,8 +15,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import without_terrain
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_out import orientation_polynomials
-from mgsgraph.export.isis import adjusted_network
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind
@@ -74,29 +72,6 @@ def test_the_covariance_is_that_of_estimates_that_a_shift_displaces() -> None:
     units = np.sqrt(np.diagonal(plain.joint_covariance.of(images)))
     np.testing.assert_allclose(more / units / units[:, None], expected / units / units[:, None], atol=2e-3)
     assert found.shift_covariance(0) == pytest.approx(SHIFT**2 * np.eye(2), rel=1e-6, abs=1e-3)
-
-
-def test_what_is_exported_has_it_carried() -> None:
-    """Covariances and sigmas in ISIS's terms: those without the unknown, and S C S' with S of exported values."""
-    net, step = with_profile(), 20.0
-    found = adjust_network(replace(net, considered=("profile",)), EXACT)
-    plain = adjust_network(displaced(net, np.zeros(2)), EXACT)
-    points, images, count = [], [], len(net.images)
-    for way in np.eye(2):
-        both = [adjust_network(displaced(net, sign * step * way), EXACT) for sign in (1.0, -1.0)]
-        ends = [np.array([one.adjusted for one in adjusted_network(each).points]) for each in both]
-        points.append((ends[0] - ends[1]) / (2.0 * step))
-        ends = [np.array([orientation_polynomials(each, j, 2).correction for j in range(count)]) for each in both]
-        images.append((ends[0] - ends[1]) / (2.0 * step))
-    spread = [np.array([one.adjusted_covariance for one in adjusted_network(each).points]) for each in (found, plain)]
-    rows, across = np.triu_indices(3)
-    added = SHIFT**2 * np.einsum("kni,knj->nij", np.array(points), np.array(points))[:, rows, across]
-    assert added.max() > 100.0
-    np.testing.assert_allclose(spread[0] - spread[1], added, atol=2e-3 * added.max())
-    sigmas = [np.array([orientation_polynomials(each, j, 2).sigma for j in range(count)]) for each in (found, plain)]
-    expected = sigmas[1] ** 2 + SHIFT**2 * np.sum(np.array(images) ** 2, axis=0)
-    np.testing.assert_allclose(sigmas[0] ** 2 / expected, 1.0, atol=2e-3)
-    assert np.max(sigmas[0] / sigmas[1]) > 1.2
 
 
 def test_redundancy_is_the_estimators() -> None:

@@ -15,7 +15,6 @@ from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PolynomialTrajectory, fit_polynomials
 from mgsgraph.network import Network, PointClass, SharedKind
@@ -123,22 +122,6 @@ def test_rows_are_exactly_those_of_the_adjusted_interior_orientation(angles: Ang
         assert np.all(off[:, 1] < 1e-7 + 3e-4 * own[:, 1] ** 2)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in INTERIOR if kind is not SharedKind.FOCAL_LENGTH])
-def test_optics_that_truly_are_so_are_found(kind: SharedKind) -> None:
-    """A tenth of a millimetre, eight pixels: within what the noise leaves open, which is little."""
-    simulated = simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2)
-    net = with_other_optics(simulated, millimetre(network(simulated), [kind], 0.1), (True, True))
-    n, places = len(net.points), np.concatenate([simulated.true_ties, simulated.true_footprints])
-    known = np.full(n, PointKind.CONSTRAINED), places, np.tile(1e-4 * np.eye(3), (n, 1, 1))  # tie points are in all y
-    net = replace(net, points=replace(net.points, kinds=known[0], places=known[1], covariances=known[2]))
-    solution = adjust_network(replace(net, shared=(shared(kind, [0, 1], 1e-2),)), SolverSettings())
-    sigmas = np.sqrt(np.diag(solution.shared_covariance(0)))
-    assert sigmas.max() < 1e-6
-    assert np.all(np.abs(solution.shared[0] - 1e-4) < 4.0 * sigmas + 1e-8)
-    assert np.abs(solution.residuals).max() < 0.02
-    assert solution.cost_initial > 10.0 * solution.cost_final
-
-
 CASES = [
     (SharedKind.ATTITUDE_TIME, InstrumentErrors(attitude_time=0.04), [0.04]),
     (SharedKind.POSITION_TIME, InstrumentErrors(position_time=0.01), [0.01]),
@@ -227,24 +210,6 @@ def test_effects_are_polynomials_of_the_line() -> None:
     _, angular_rate = image.trajectory.camera.at(times)  # type: ignore[attr-defined]
     turned = basis @ image_effect(image, SharedKind.ATTITUDE_TIME, "camera")[0]
     np.testing.assert_allclose(turned[:, 3:], angular_rate, atol=1e-9)
-
-
-def test_an_orbit_is_displaced_outward_along_and_to_the_left() -> None:
-    """At lines that were not fitted, against the image's inertial trajectory; and shots by other code."""
-    image = drawn(1).images[0]
-    lines = np.random.default_rng(2).uniform(0.0, image.lines, 50)
-    times, _ = image.timing.at(lines)
-    basis = image.normalised(lines)[:, None] ** np.arange(6)
-    place, velocity = image.trajectory.position.at(times)  # type: ignore[attr-defined]
-    to_body, _ = image.trajectory.body.at(times)  # type: ignore[attr-defined]
-    normal = np.cross(place, velocity)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    outward = place / np.linalg.norm(place, axis=1, keepdims=True)
-    effect = image_effect(image, SharedKind.ORBIT_POSITION, "camera")
-    for one, axis in zip(effect, (outward, np.cross(normal, outward), normal), strict=True):
-        moved = basis @ one
-        np.testing.assert_allclose(moved[:, :3], np.einsum("nij,nj->ni", to_body, axis), atol=2e-6)
-        assert not moved[:, 3:].any()
 
 
 def test_an_orbit_that_truly_lies_elsewhere_is_found() -> None:

@@ -106,23 +106,6 @@ def test_what_cannot_be_told_apart_is_said() -> None:
         assert "inseparable" in one.sentence
 
 
-def test_each_process_of_a_sum_has_its_own() -> None:
-    net = network(7, 1.0)
-    prior = net.passes[0].prior
-    assert isinstance(prior, ProcessPrior)
-    slow = Process("matern-3/2", np.full(3, 1e-4), 60.0, estimated=True)
-    both = replace(prior, attitude=(*prior.attitude, slow), position=(replace(prior.position[0], estimated=False),))
-    net = replace(net, passes=(replace(net.passes[0], prior=both),))
-    found = estimated_strengths(net, SolverSettings(), most=3)
-    assert [(one.kind, one.components) for one in found.strengths] == [
-        (kind, (3, 4, 5)) for kind in ("gauss-markov", "matern-3/2")
-    ]
-    after = found.network.passes[0].prior
-    assert isinstance(after, ProcessPrior)
-    np.testing.assert_array_equal(after.position[0].sigmas, prior.position[0].sigmas)
-    assert not np.array_equal(after.attitude[0].sigmas, prior.attitude[0].sigmas)
-
-
 def test_nothing_to_estimate_is_said() -> None:
     with pytest.raises(InputError, match="none that is to be estimated"):
         estimated_strengths(network(1, 1.0, estimated=False), SolverSettings())

@@ -1,13 +1,11 @@
 """A case's images with their pixels over its ground, and what must be in it for them to be matched."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import matched
 import numpy as np
 import profiles
 import pytest
-from sites import plain_site
 from strip_files import write_block
 
 from mgsgraph.case.case_file import decode
@@ -15,7 +13,6 @@ from mgsgraph.case.reading import picture_of
 from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.simulation.files import write_site
 
 
 @pytest.fixture(scope="module")
@@ -137,18 +134,3 @@ def test_pixels_of_another_image_are_refused(case: Path) -> None:
     ):
         file.write(np.zeros((50, 60), dtype=np.uint8), 1)
     refused(case, "image SIM/B: pixels of shape (50, 60); expected 5000 lines x 1024 samples")
-
-
-def test_pixels_of_one_grey_can_be_read(tmp_path: Path) -> None:
-    """And are refused by what would match them."""
-    plain = plain_site()
-    cut = tuple(
-        replace(
-            image, true=replace(image.true, lines=300), nominal=replace(image.nominal, lines=300),
-            pixels=image.pixels[:300],
-        )
-        for image in plain.images
-    )  # fmt: skip
-    _, scene = read_scene(write_site(replace(plain, images=(cut[0], cut[1])), tmp_path))
-    with pytest.raises(InputError, match="100% of its pixels at the darkest value, 120"):
-        _ = scene.pictures[0].levels

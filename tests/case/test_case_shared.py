@@ -10,10 +10,8 @@ from redraw import redraw
 from sites import plain_site
 
 import mgsgraph
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
-from mgsgraph.project.project import open_project
 from mgsgraph.results.inventory import inventory
 from mgsgraph.simulation.files import write_site
 
@@ -105,15 +103,6 @@ def test_one_clear_line(case_file: Path, entry: str, message: str) -> None:
         mgsgraph.read_case(with_text(case_file, f"\n[[shared]]\n{entry}\n"))
     assert str(caught.value).startswith(str(case_file))
     assert "\n" not in str(caught.value)
-
-
-def test_projects_keep_them(case_file: Path, tmp_path: Path) -> None:
-    with_text(case_file, GOOD)
-    project = tmp_path / "project"
-    assert not group(["init", str(project), "--case", str(case_file)], standalone_mode=False)
-    with open_project(project) as opened:
-        kinds = [one.kind for one in opened.store.network().shared]
-    assert kinds == [SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT, SharedKind.RANGE_BIAS]
 
 
 # --- beams of rolled profiles

@@ -215,16 +215,6 @@ def test_a_redundant_candidate_falls() -> None:
 # --- candidates
 
 
-def test_planned_measures_have_no_residual() -> None:
-    chosen = candidate(8, existing=True)
-    present = CurrentState(state())
-    after = updated(present, added(present, [addition(chosen)])).added.after
-    planned = addition(chosen).points
-    place = {name: i for i, name in enumerate(after.network.points.ids)}
-    solved_places = after.layout.network_order(after.reduction.points)[[place[name] for name in planned.ids]]
-    assert np.max(np.abs(solved_places - planned.places)) < 1e-3
-
-
 def test_sigmas_are_those_asked_for() -> None:
     known = KnownImage(made().images[8], NOISE.prior)
     planned = addition(planned_image(coverage(), known, PlannedTies(5, sigma=0.7, own_sigma=0.3)))

@@ -1,8 +1,6 @@
 """Registration of a case: its tables and words against the geometry and the truth of a simulated pair; its figures."""
 
 import csv
-import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -187,19 +185,6 @@ def test_discrepancy_table_is_the_discrepancy(written: tuple[CaseRegistration, P
     in_spacings = numbers(mine, "along_spacings", "across_spacings", "sigma_along_spacings", "sigma_across_spacings")
     np.testing.assert_allclose(in_spacings * wanted.spacing, np.hstack([wanted.metres, wanted.metre_sigmas]))
     assert len(rows) == len(mine) + found.after[0].discrepancies[0].shots.size
-
-
-def test_the_record_is_strict_json_and_agrees_with_the_table(written: tuple[CaseRegistration, Path]) -> None:
-    found, folder = written
-    record = json.loads((folder / "registration.json").read_text(encoding="utf-8"))
-    assert record.items() > plain(registration_section(found).numbers).items()
-    for state in ("nominal", "adjusted"):
-        rows = [row for row in rows_of(folder / "discrepancy.csv") if row["orientation"] == state]
-        one = record["orientations"][state][0]["discrepancies"][0]
-        for name in ("along_px", "across_px", "along_m", "across_m", "along_spacings", "across_spacings"):
-            values = numbers(rows, name)
-            assert one[name]["mean"] == pytest.approx(values.mean(), rel=1e-12, abs=1e-12)
-            assert one[name]["rms"] == pytest.approx(math.sqrt((values**2).mean()), rel=1e-12)
 
 
 # --- folders

@@ -25,7 +25,6 @@ from increments import (
 )
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental import engine
 from mgsgraph.adjustment.incremental.impact import EXACT
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
@@ -308,14 +307,6 @@ def test_blunders_of_batch_stay_out_until_batch_looks_again() -> None:
     marks = sum(int(adjustment.store.bundle(m).network.rays.rejected.sum()) for m in adjustment.store.members())
     assert marks == np.count_nonzero(solution.rays_rejected)
     assert distances(adjustment, solution).within()
-
-
-def test_a_change_larger_than_what_is_kept_laid_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "MOST_KEPT", 20)
-    made, adjustment = fan(), IncrementalAdjustment()
-    for k in range(4):
-        take_alone(adjustment, made, k)
-        assert distances(adjustment, by_batch(adjustment)).within()
 
 
 def test_batch_that_does_not_converge_is_not_taken_over() -> None:
