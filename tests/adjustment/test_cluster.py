@@ -159,17 +159,6 @@ def test_no_more_workers_than_work() -> None:
         assert len(cluster.workers) == 1
 
 
-def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "find_spec", lambda name: None)
-    with (
-        pytest.raises(
-            InputError, match=r'local: dask\.distributed is not installed; pip install "mgsgraph\[cluster\]"'
-        ),
-        open_cluster("local"),
-    ):
-        pass
-
-
 def test_one_task_at_a_time_in_a_process() -> None:
     running, most = [0], [0]
 

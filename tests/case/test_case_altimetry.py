@@ -30,14 +30,6 @@ def case_with(case_file: Path, table: str) -> Path:
     return case_file
 
 
-def test_keys_of_a_table(case_file: Path) -> None:
-    (entry,) = decode(case_with(case_file, TABLE)).altimetry
-
-    assert entry.sigma_m == (5.0, 0.5)
-    assert entry.shift_sigma_m == (20.0, 30.0, 2.0)
-    assert (entry.drift_sigma_m, entry.footprint_m, entry.margin_px) == (1.5, 12.0, 20.0)
-
-
 def test_shots_that_a_table_names(tmp_path: Path) -> None:
     (tmp_path / "cloud.csv").write_text(SHOTS, encoding="utf-8")
     cloud = read_altimetry(AltimetryInput("cloud.csv", footprint_m=12.0), tmp_path, MARS)

@@ -58,7 +58,7 @@ def test_one_picture_given_twice_has_no_infinite_weight() -> None:
     scene = matched.scene()
     first = scene.pictures[0]
     twin = replace(first, image=replace(first.image, name="TWIN"))
-    found = match_scene(replace(scene, pictures=(first, twin)), matched.SETTINGS)
+    found = match_scene(replace(scene, pictures=(first, twin)), replace(matched.SETTINGS, cells=20, features=800))
     sigmas = np.linalg.eigvalsh(found.covariances[~found.reference])
     assert np.all(sigmas >= 0.9999 * 0.01**2)
     assert found.ties.measure_sigmas.min() > 0.005
