@@ -87,7 +87,7 @@ def solved(name: str, loss: Loss = "none") -> Solution:
     return adjust_network(nets[name], SolverSettings(loss=loss))
 
 
-NAMES = ["pair", "shift and surface", "surface that tilts", "one held", "both held", "fixed points", "all kinds shared"]
+NAMES = ["shift and surface", "surface that tilts", "both held", "fixed points", "all kinds shared"]
 
 
 def assert_alike(found: np.ndarray, right: np.ndarray, share: float = TIGHT) -> None:

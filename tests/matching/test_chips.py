@@ -176,16 +176,6 @@ def test_a_misfit_stands_out_among_its_neighbours() -> None:
     assert np.abs(np.delete(odd, 7)).max() < 0.5 * np.abs(odd[7])
 
 
-def test_few_points_have_no_neighbours_and_one_ray_no_misfit() -> None:
-    ties = ties_at(inner(5))
-    assert np.isnan(misfit_beside_neighbours(chip_frames(PAIR.images, ties), ties)).all()
-    alone = ties_at(inner(2), PAIR.images[:1])
-    frames = chip_frames(PAIR.images[:1], alone)
-    assert np.isnan(frames.skew).all()
-    assert np.isfinite(frames.step).all()
-    assert np.isnan(likeness(picture, alone, frames).correlation).all()
-
-
 def test_measures_must_lie_in_images_of_the_case() -> None:
     ties = ties_at(inner(2))
     with pytest.raises(InputError, match=r"SIM/B.*expected one of the case's images"):
