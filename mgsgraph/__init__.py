@@ -101,7 +101,7 @@ if TYPE_CHECKING:
     from mgsgraph.export.solution_export import export_solution as export_solution
     from mgsgraph.fetch.folder import fetch_images as fetch_images
     from mgsgraph.fetch.needs import Archives as Archives
-    from mgsgraph.files.tie_points import TiePoints as TiePoints
+    from mgsgraph.files.networks.tie_points import TiePoints as TiePoints
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
@@ -151,7 +151,7 @@ _HOME = {
     "to_geopandas": "mgsgraph.export.frames",
     "to_pandas": "mgsgraph.export.frames",
     "to_xarray": "mgsgraph.export.frames",
-    "TiePoints": "mgsgraph.files.tie_points",
+    "TiePoints": "mgsgraph.files.networks.tie_points",
     "write_coregistration": "mgsgraph.results.relief",
     "write_report": "mgsgraph.results.page",
     "write_results": "mgsgraph.results.results",

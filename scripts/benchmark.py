@@ -1,25 +1,25 @@
-"""How fast, and how large: this program measured, each study a command of its own.
+"""How fast, and how large: this program measured, each part a command of its own.
 
     python scripts/benchmark.py speed [S M L XL Kaguya] [--peer PEER_CERES] [--repeat 5] [--json OUT] [--markdown OUT]
     python scripts/benchmark.py speed L XL --peer PEER_CERES --gate    # against baseline.json; exit status 1 if worse
     python scripts/benchmark.py speed --problem FILE.bin --json OUT    # one file, once
-    python scripts/benchmark.py scaling [--out docs]                   # seconds and bytes against points and images
-    python scripts/benchmark.py analysis [L] [--queries 20]            # what it costs to ask an adjustment
-    python scripts/benchmark.py incremental [--equality 40] [--cost 10 100 500] [--ties 2000]   # adding an image
-    python scripts/benchmark.py project [10 100 498] [--ties 2000] [--no-solve]     # commands: add, status, solve
     python scripts/benchmark.py archive --work WORK [block kaguya dense ctx]   # from files to results, archives
+    python scripts/benchmark.py project [10 100 498] [--ties 2000]     # commands: add, status, solve
+    python scripts/benchmark.py analysis [L] [--queries 20]            # what it costs to ask an adjustment
     python scripts/benchmark.py COMMAND --help                         # all options
 
-Each writes its page into docs, or where --out says (`speed`: --markdown). Exit status: 0 done, 1 a limit
+Each fills its page in docs, or writes it where --out says (`speed`: --markdown). Exit status: 0 done, 1 a limit
 missed or not converged, 2 bad input, 130 interrupted.
 """
 
+import inspect
 import sys
 from importlib import import_module
 
 from study import command
 
-COMMANDS = ("speed", "scaling", "analysis", "incremental", "project", "archive")
+COMMANDS = {"speed": "benchmark_speed", "archive": "benchmark_costs", "project": "benchmark_costs",
+            "analysis": "benchmark_costs"}  # fmt: skip
 
 
 def main() -> int:
@@ -28,8 +28,9 @@ def main() -> int:
         parser = command(__doc__, "benchmark")
         parser.add_argument("command", choices=COMMANDS)
         parser.parse_args([name, *given])
-    module = import_module(f"benchmark_{name}")  # not before its --threads count
-    return int(module.main(command(module.__doc__, f"benchmark {name}"), given))
+    module = import_module(COMMANDS[name])  # not before its --threads count
+    run = getattr(module, name)
+    return int(run(command(inspect.getdoc(run), f"benchmark {name}"), given))
 
 
 if __name__ == "__main__":

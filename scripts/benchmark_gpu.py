@@ -2,8 +2,8 @@
 
 For a bare machine: needs NumPy, SciPy, numba-cuda and CuPy, neither GTSAM nor files nor network; run it from a checkout
 by `python scripts/benchmark_gpu.py --out gpu_times.md`. Problems are made here. What is timed: making the problem,
-laying it out, the first adjustment (kernels are compiled, rows sent), the median of more of them, by stages; and a
-sweep beside what the device reaches in the same run in float64 multiplications and additions, and in its memory.
+laying it out, the first adjustment (kernels are compiled, rows sent), the median of more of them; a sweep by itself,
+and the covariances of all points.
 With NUMBA_ENABLE_CUDASIM=1 the smallest problem shows that the program works.
 """
 
@@ -11,9 +11,8 @@ import json
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -125,11 +124,7 @@ class Times:
     first: float = 0.0
     """First adjustment."""
     adjusted: float = 0.0
-    """Median of the later ones."""
-    sweeps: float = 0.0
-    """Of it."""
-    eliminations: float = 0.0
-    """Of it: factors and solutions of the reduced equations."""
+    """Median of the later ones, s."""
     iterations: int = 0
     cost: float = 0.0
     system: float = 0.0
@@ -140,57 +135,10 @@ class Times:
     """Of all points, with their way to the host."""
 
 
-@dataclass
-class Clock:
-    """Seconds by stage."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Book what is done, with all that the device has to do for it."""
-        begin = time.perf_counter()
-        yield
-        synchronise()
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
-
-
 def synchronise() -> None:
     """Wait until the device has done all that it was told."""
     if not SIMULATED:
         cuda.synchronize()
-
-
-class Timed:
-    """A sweeper whose sweeps and eliminations are timed."""
-
-    def __init__(self, sweeper: GpuSweeper, clock: Clock) -> None:
-        self._sweeper, self._clock = sweeper, clock
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._sweeper, name)
-
-    def reduction(self, *arguments: Any) -> Any:
-        """As the sweeper's."""
-        with self._clock.stage("sweeps"):
-            return self._sweeper.reduction(*arguments)
-
-    def factor(self, *arguments: Any) -> Any:
-        """As the sweeper's."""
-        with self._clock.stage("eliminations"):
-            return _Solving(self._sweeper.factor(*arguments), self._clock)
-
-
-class _Solving:
-    """A factor whose solutions are timed."""
-
-    def __init__(self, factor: Any, clock: Clock) -> None:
-        self._factor, self._clock = factor, clock
-
-    def solve(self, right: Any) -> Any:
-        """As the factor's."""
-        with self._clock.stage("eliminations"):
-            return self._factor.solve(right)
 
 
 def median(job: Callable[[], Any], runs: int) -> float:
@@ -217,22 +165,12 @@ def timed(size: str, line: Any, runs: int, deterministic: bool) -> Times:
     del problem
     sweeper, start = GpuSweeper(find_gpu(), layout, deterministic), np.zeros(layout.columns)
 
-    def adjust(clock: Clock) -> Any:
-        graph = BundleGraph(layout, layout.rows, Timed(sweeper, clock))
+    def adjust() -> Any:
+        graph = BundleGraph(layout, layout.rows, sweeper)
         return levenberg_marquardt(BundleProblem(graph), start, settings, lambda _: None)
 
-    found.first = median(lambda: adjust(Clock()), 1)
-    clocks, times, outcome = [], [], None
-    for _ in range(runs):
-        clock = Clock()
-        begin = time.perf_counter()
-        outcome = adjust(clock)
-        times.append(time.perf_counter() - begin)
-        clocks.append(clock.seconds)
-    assert outcome is not None
-    found.adjusted, found.cost, found.iterations = statistics.median(times), outcome.cost_final, len(outcome.history)
-    found.sweeps = statistics.median(clock["sweeps"] for clock in clocks)
-    found.eliminations = statistics.median(clock["eliminations"] for clock in clocks)
+    found.first, found.adjusted, outcome = median(adjust, 1), median(adjust, runs), adjust()
+    found.cost, found.iterations = outcome.cost_final, len(outcome.history)
     last = sweeper.reduction(layout, layout.rows, outcome.state, SYSTEM, None)
     again = (layout, layout.rows, outcome.state)
     found.system = median(lambda: sweeper.reduction(*again, SYSTEM, last), runs)
@@ -245,14 +183,14 @@ def timed(size: str, line: Any, runs: int, deterministic: bool) -> Times:
 def page(found: list[Times], line: str, deterministic: bool, runs: int) -> str:
     """The table of a run, in Markdown."""
     head = [
-        "problem", "images / points / rays", "made, laid out, s", "first, s", "adjustment, s", "of it sweeps, s",
-        "eliminations, s", "iterations", "final cost", "sweep, ms", "costs alone, ms", "covariances, ms",
+        "problem", "images / points / rays", "made, laid out, s", "first, s", "adjustment, s",
+        "iterations", "final cost", "sweep, ms", "costs alone, ms", "covariances, ms",
         "aim, s",
     ]  # fmt: skip
     rows = [
         [
             t.size, f"{t.images} / {t.points:,} / {t.rays:,}", f"{t.made:.1f}, {t.laid_out:.1f}", f"{t.first:.1f}",
-            f"{t.adjusted:.4f}", f"{t.sweeps:.4f}", f"{t.eliminations:.4f}", str(t.iterations), f"{t.cost:.9f}",
+            f"{t.adjusted:.4f}", str(t.iterations), f"{t.cost:.9f}",
             f"{1e3 * t.system:.2f}", f"{1e3 * t.costs:.2f}", f"{1e3 * t.covariances:.2f}",
             f"{BOUNDS[t.size]}" if t.size in BOUNDS else "",
         ]

@@ -4,21 +4,19 @@ Draws of networks whose errors are exactly those that the sigmas state (`tests/r
 own; nothing is rendered): adjusted as they are, and with one ray in fifty moved by so many sigmas in a random
 direction, limits and sizes in turn.
 
-    python scripts/blunders.py [--draws 200] [--first 0] [--cases block gusev eos isidis hrsc] [--out FILE]
+    python scripts/blunders.py [--cases block gusev eos isidis hrsc] [--seeds 200] [--processes N] [--out FILE]
 
 Exit status: 0 done, 2 bad input.
 """
 
 import sys
-from argparse import Namespace
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from montecarlo_draw import prepared
+from montecarlo import prepared
 from scipy.stats import ncx2
-from study import DOCS, Z99, at_least, command, made_with, show, table, write_page
+from study import Z99, Blocks, Draw, cases, names_of, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import UNCONTROLLED, critical_value, judged, swept
@@ -41,44 +39,7 @@ RATE = 0.02
 POWERS = 0.80, 0.95
 HRSC = BlockSettings(strips=2, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
 CASES = "block", "gusev", "eos", "isidis", "hrsc"
-WORDS = """# Blunder limits: what goes, and what stays
-
-Made by `scripts/blunders.py`, seeds {first} to {last} of each case: a strip of six images, the three sites (terrain
-model left out), a block of two HRSC strips of five lines. All errors are drawn from the sigmas that the adjustment is
-told. `--reject 4` is a test of each ray, range and stereo height with the two-sided chance of a normal error beyond
-four sigmas, 6.3e-5, in as many dimensions as its redundancy leaves ([theory](theory.md)).
-
-## Clean data
-
-Rays that an adjustment with `--reject 4` throws away, where nothing is wrong. Wanted: 0.05 % at most.
-
-"""
-POWER = """
-## Planted blunders
-
-{rate:.0%} of the rays are off by so many sigmas of theirs in a random direction, one of a point at most; each
-line has every fourth draw. What its redundancy leaves of a blunder *e* (in sigmas) is the non-centrality *e' M e* of
-its ray's test, *M* the covariance of the residuals; with it the test is beyond its limit with a probability that is
-known beforehand.
-
-* *expected*: sum of these probabilities, each blunder by itself, with the 99 % band of that sum; *found*: planted rays
-  that were rejected.
-* *80 %*, *95 %*: of the planted rays, those whose blunder is at least the minimal detectable one of that power; how
-  many of them were rejected, and in brackets how many were expected to be.
-* *beside it*: rays that were not planted, of points with a planted one, that were rejected: what can't be told apart
-  from it (of a tie with two rays always the other one). *elsewhere*: rays of points without a blunder.
-
-"""
-READING = """
-In two dimensions a limit of four sigmas is {least:.2f} in the root of the test, and a blunder of 6 sigmas in a ray that
-all others determine without error would be beyond it in {most:.1%} of draws: hardly any of 6 sigmas has a power of
-95 % at `--reject 4`. A tie with two rays shows at most half of the square of a blunder, in one dimension. Where rays of
-a point come from nearly the same direction (pairs of the block's six images) one may be mistaken for the other: both
-go, which costs a good ray for most blunders there. `--reject 3` finds more, and throws away 43 times as many good ones.
-"""
-
-
-def drawn(case: str, seed: int) -> tuple[Network, SolverSettings]:
+def network_of(case: str, seed: int) -> tuple[Network, SolverSettings]:
     """A draw of a case, and the settings it is adjusted with."""
     if case == "hrsc":
         return simulate_hrsc_block(HRSC, 1000 + seed).network, SolverSettings()
@@ -136,13 +97,25 @@ def of_planted(clean: Solution, limit: float, size: float, seed: int) -> Array:
     return np.array([*sums, *strong, np.sum(others & beside), np.sum(others & ~beside)], dtype=np.float64)
 
 
-def clean_row(case: str, draws: int, sums: Array) -> Sequence[str]:
-    rays, gone, ranges, gone_too = sums
+def one_draw(case: str, seed: int) -> Draw:
+    """What is rejected of clean data, and of planted blunders."""
+    network, settings = network_of(case, seed)
+    good, clean = of_clean(network, settings), adjust_network(network, settings)
+    turn = seed % len(PLANTED)
+    return {"clean": good.tolist(), "turn": turn, "planted": of_planted(clean, *PLANTED[turn], seed).tolist()}
+
+
+def clean_row(case: str, every: list[Draw]) -> list[str]:
+    """What a limit of four sigmas takes of clean data."""
+    rays, gone, ranges, gone_too = np.sum([draw["clean"] for draw in every], axis=0)
     of_ranges = f"{gone_too:.0f} of {ranges:.0f}" if ranges else "-"
-    return case, str(draws), f"{rays:.0f}", f"{gone:.0f}", f"{gone / rays:.4%}", f"{rays * 6.334e-5:.1f}", of_ranges
+    expected = f"{rays * 6.334e-5:.1f}"
+    return [case, str(len(every)), f"{rays:.0f}", f"{gone:.0f}", f"{gone / rays:.4%}", expected, of_ranges]
 
 
-def planted_row(case: str, limit: float, size: float, sums: Array) -> Sequence[str]:
+def planted_row(case: str, turn: int, every: list[Draw]) -> list[str]:
+    """What is found of blunders of one size."""
+    sums = np.sum([draw["planted"] for draw in every if draw["turn"] == turn] or np.zeros((1, 12)), axis=0)
     count, found, expected, variance, *strong, beside, elsewhere = sums
     half = Z99 * np.sqrt(variance)
     of_powers = [
@@ -150,45 +123,22 @@ def planted_row(case: str, limit: float, size: float, sums: Array) -> Sequence[s
         for number, gone, wanted in (strong[:3], strong[3:])
     ]  # fmt: skip
     band = f"{expected:.0f} ({expected - half:.0f} .. {expected + half:.0f})"
-    return (
-        case, f"{limit:g}", f"{size:g}", f"{count:.0f}", f"{found:.0f}", band, *of_powers, f"{beside:.0f}",
-        f"{elsewhere:.0f}",
-    )  # fmt: skip
+    counts = f"{count:.0f}", f"{found:.0f}"
+    ends = f"{beside:.0f}", f"{elsewhere:.0f}"
+    return [case, *(f"{value:g}" for value in PLANTED[turn]), *counts, band, *of_powers, *ends]
 
 
-def page(wanted: Namespace) -> str:
+def judge(every: list[Draw]) -> Blocks:
     """Both tables."""
-    seeds = range(wanted.first, wanted.first + wanted.draws)
-    stays, found = list[Sequence[str]](), list[Sequence[str]]()
-    for case in wanted.cases:
-        good, bad = np.zeros(4), np.zeros((len(PLANTED), 12))
-        for seed in seeds:
-            network, settings = drawn(case, seed)
-            good += of_clean(network, settings)
-            turn = seed % len(PLANTED)
-            bad[turn] += of_planted(adjust_network(network, settings), *PLANTED[turn], seed)
-            show(f"{case}: {seed + 1 - wanted.first} of {wanted.draws} draws")
-        stays.append(clean_row(case, wanted.draws, good))
-        found += [planted_row(case, *how, sums) for how, sums in zip(PLANTED, bad, strict=True)]
-    least = critical_value(4.0, 2)
+    of = {case: cases(every, case) for case in names_of(every)}
+    clean = [clean_row(case, mine) for case, mine in of.items()]
+    wrong = [planted_row(case, turn, mine) for case, mine in of.items() for turn in range(len(PLANTED))]
     heads = "case", "limit", "sigmas", "planted", "found", "expected", "80 %", "95 %", "beside it", "elsewhere"
-    return "\n".join([
-        WORDS.format(first=seeds[0], last=seeds[-1]).rstrip(), "",
-        *table(("case", "draws", "rays", "rejected", "share", "expected", "ranges rejected"), stays),
-        POWER.format(rate=RATE).rstrip(), "", *table(heads, found),
-        READING.format(least=np.sqrt(least), most=ncx2.sf(least, 2, 36.0)), made_with(), "",
-    ])  # fmt: skip
-
-
-def main() -> int:
-    parser = command(__doc__)
-    parser.add_argument("--draws", type=at_least(1), default=200)
-    parser.add_argument("--first", type=at_least(0), default=0, help="first seed")
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)
-    parser.add_argument("--out", type=Path, default=DOCS / "blunders.md")
-    wanted = parser.parse_args()
-    return write_page(parser, wanted.out, lambda: page(wanted))
+    return {
+        "clean": table(("case", "draws", "rays", "rejected", "share", "expected", "ranges rejected"), clean),
+        "planted": table(heads, wrong),
+    }
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(seeds_of(__doc__, CASES, 200, "blunders.md"), one_draw, judge))

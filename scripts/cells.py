@@ -5,9 +5,7 @@ cells of the true ground), in the mission's formats, with dense matches of the t
 adjusted with tie points on the B-spline of the model's posts, then with its posts on the surface that the images
 show (`registration.relief`), and both are held against the truth.
 
-    python scripts/cells.py [--sites eos,gusev,isidis] [--seeds 200] [--first 1] [--keep FILE] [--page docs/cells.md]
-
-With --keep each draw is noted in FILE as soon as it is done, and not done again. Exit status: 0 done, 2 bad input.
+    python scripts/cells.py [--cases eos ...] [--seeds 200] [--first 1] [--processes N] [--keep FILE] [--out FILE]
 """
 
 import sys
@@ -18,20 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from study import (
-    Draw,
-    at_least,
-    cases,
-    chi_square_band,
-    command,
-    draws,
-    machine,
-    number,
-    refusals,
-    student,
-    table,
-    write_page,
-)
+from study import Blocks, Draw, cases, names_of, nees_cell, number, refusals, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -60,44 +45,10 @@ REACH = 1000.0
 """m, up to which shifts are searched."""
 KINDS = {"terrain": 3, "ties": 3, "profiles": 2, "laser": 3}
 """Degrees of freedom of each normalised error."""
-ALONE = ("terrain",)
-"""One in each draw, and so chi-square over draws."""
 WAYS = ("ties", "cells")
-WORDS = """# Terrain models by cells against truth
-
-Made by `scripts/cells.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that their
-cases state (terrain model: 200 m east and north, {height:g} m up, 10 m for each post of 463 m, which is the mean of the
-true ground over its cell; profiles 100 m), written in the mission's formats and read again, dense matches of the true
-ground with noise of {noise:g} pixels, no rendering. *ties*: each tie point lies on the B-spline of the model's
-posts, as `mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as
-`mgsgraph coregister` has it. NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets:
-*terrain* of the model's shift east, north and up (bands: chi-square), *ties* and *laser* of all tie points and
-footprints, *profiles* of the profiles' shifts (bands: scatter over the draws). *95 %*: share of tie points within their
-95 % ellipsoids. Errors are rms over all draws, in m; of the model the horizontal ones.
-"""
 HEAD = (
     "site", "by", "draws", "not converged", *KINDS, "95 %", "model, m", "ties, m", "laser, m", "seconds",
 )  # fmt: skip
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Exit status."""
-    parser = command(__doc__)
-    parser.add_argument("--sites", default=",".join(SITE_NAMES), help="with commas between")
-    parser.add_argument("--seeds", type=at_least(2), default=200, help="draws of each site")
-    parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
-    parser.add_argument("--keep", type=Path, metavar="FILE", help="note draws here, and go on where it ended")
-    parser.add_argument("--page", type=Path, help="file to write the table to")
-    given = parser.parse_args(arguments)
-    sites, seeds = given.sites.split(","), range(given.first, given.first + given.seeds)
-
-    def make() -> str:
-        every = draws(sites, seeds, one_draw, given.keep)
-        words = WORDS.format(machine=machine(), first=seeds[0], last=seeds[-1], height=HEIGHT_SIGMA, noise=NOISE)
-        rows = [row(site, way, cases(every, site)) for site in sites for way in WAYS]
-        return "\n".join([words, *table(HEAD, rows), "", refusals(every), ""])
-
-    return write_page(parser, given.page, make)
 
 
 def one_draw(name: str, seed: int) -> Draw:
@@ -217,13 +168,10 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
 def row(site: str, way: str, every: list[Draw]) -> list[str]:
     """Of one site, by tie points or by cells."""
     mine = [draw[way] for draw in every]
-    cells = []
-    for kind, degrees in KINDS.items():
-        values = np.array([one["nees"][kind] for one in mine])
-        half = student(0.01, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
-        low, high = chi_square_band(degrees * len(values)) if kind in ALONE else (1.0 - half, 1.0 + half)
-        within = low <= values.mean() <= high
-        cells.append(f"{'' if within else '**'}{values.mean():.2f}{'' if within else '**'} ({low:.2f} .. {high:.2f})")
+    cells = [
+        nees_cell([one["nees"][kind] for one in mine], degrees if kind == "terrain" else 0)  # others share the draw
+        for kind, degrees in KINDS.items()
+    ]
     errors = [float(np.sqrt(np.mean([one[name] ** 2 for one in mine]))) for name in ("model", "ties", "laser")]
     return [
         site, way, str(len(mine)), str(sum(not one["converged"] for one in mine)), *cells,
@@ -232,5 +180,11 @@ def row(site: str, way: str, every: list[Draw]) -> list[str]:
     ]  # fmt: skip
 
 
+def judge(every: list[Draw]) -> Blocks:
+    """The table."""
+    rows = [row(site, way, cases(every, site)) for site in names_of(every) for way in WAYS]
+    return {"cells": [*table(HEAD, rows), "", refusals(every)]}
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 200, "cells.md"), one_draw, judge))

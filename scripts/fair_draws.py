@@ -4,7 +4,7 @@ Each error is what an adjustment would have to find: the nominal image against t
 line; a footprint as given against where its beam met the mean of the ground; and so on. Divided by its stated sigma, it
 must have variance 1. The ground is the same for all seeds, and nothing is rendered.
 
-    python scripts/fair_draws.py [--sites gusev,eos,isidis] [--seeds 300] [--first 1] [--page docs/fair_draws.md]
+    python scripts/fair_draws.py [--cases gusev ...] [--seeds 300] [--first 1] [--processes N] [--out FILE]
 
 Exit status: 0 done, 2 bad input.
 """
@@ -13,11 +13,11 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import numpy as np
-from study import at_least, chi_square_band, command, show, table, within, write_page
+from study import Blocks, Draw, cases, chi_square_band, names_of, run, seeds_of, table, within
 
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
@@ -30,13 +30,6 @@ from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOp
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import MRAD
 
-WORDS = """# Errors of simulated sites over their stated sigmas
-
-Made by `scripts/fair_draws.py`, seeds {first} to {last}: mean square of each kind of error over the sigma that the case
-of the site states, with the 99 % band of as many independent draws (of shots and ties, of as many draws as there are
-seeds times points). `pitch 0`, `pitch 1` and `pitch 2` are the coefficients of 1, u and u^2 of the normalised line.
-One value in a hundred falls outside by chance.
-"""
 OPTIONS = SimulationOptions(pictures=False, resolution=16)
 """Of all draws."""
 _LINES = 31
@@ -44,34 +37,30 @@ _LINES = 31
 AXES = ("X", "Y", "Z", "roll", "pitch", "yaw")
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Exit status."""
-    parser = command(__doc__)
-    parser.add_argument("--sites", default=",".join(SITE_NAMES), help="with commas between")
-    parser.add_argument("--seeds", type=at_least(1), default=300, help="draws of each site")
-    parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
-    parser.add_argument("--page", type=Path, help="file to write the table to")
-    given = parser.parse_args(arguments)
-
-    def make() -> str:
-        seeds = range(given.first, given.first + given.seeds)
-        sites = given.sites.split(",")
-        found = [squares(name, seeds, make_terrain(name, 1)) for name in sites]
-        rows = [[kind, *(_band(one[kind]) for one in found)] for kind in found[0]]
-        return "\n".join([WORDS.format(first=seeds[0], last=seeds[-1]), *table(("error", *sites), rows), ""])
-
-    return write_page(parser, given.page, make)
+@cache
+def ground(name: str) -> SiteTerrain:
+    """The ground of all draws of a site."""
+    return make_terrain(name, 1)
 
 
-def squares(name: str, seeds: range, terrain: SiteTerrain) -> dict[str, Array]:
-    """Squares of all errors of a site over their sigmas, by kind: (draws of it,), over one ground."""
-    drawn: dict[str, list[Array]] = {}
-    for seed in seeds:
-        show(f"{name}, seed {seed}")
-        site = simulate_site(name, seed, OPTIONS, replace(terrain, seed=seed))
-        for kind, errors in _normalised(site):
-            drawn.setdefault(kind, []).append(np.square(errors).ravel())
-    return {kind: np.concatenate(parts) for kind, parts in drawn.items()}
+def one_draw(name: str, seed: int, terrain: SiteTerrain | None = None) -> Draw:
+    """Of each kind of error the sum of their squares over their sigmas, and how many there are."""
+    found = dict[str, tuple[float, int]]()
+    for kind, errors in _normalised(simulate_site(name, seed, OPTIONS, replace(terrain or ground(name), seed=seed))):
+        squares, count = found.get(kind, (0.0, 0))
+        found[kind] = squares + float(np.square(errors).sum()), count + errors.size
+    return {"squares": found}
+
+
+def judge(every: list[Draw]) -> Blocks:
+    """The table."""
+    sites, cells = names_of(every), dict[str, list[str]]()
+    for site in sites:
+        mine = [draw["squares"] for draw in cases(every, site)]
+        for kind in mine[0]:
+            squares, count = (sum(draw[kind][k] for draw in mine) for k in (0, 1))
+            cells.setdefault(kind, []).append(within(squares / count, chi_square_band(count)))
+    return {"errors": table(("error", *sites), [[kind, *row] for kind, row in cells.items()])}
 
 
 def _normalised(site: SimulatedSite) -> Iterator[tuple[str, Array]]:
@@ -119,9 +108,5 @@ def _of_profile(image: SimulatedImage, stated: dict[str, Any]) -> Iterator[tuple
     yield "footprint, height", off[:, 2] / stated["height_sigma_m"]
 
 
-def _band(squares_of_one: Array) -> str:
-    return within(float(squares_of_one.mean()), chi_square_band(squares_of_one.size))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 300, "fair_draws.md"), one_draw, judge))

@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from study import DOCS, command, made_with, number, table, write_page
+from study import DOCS, Blocks, command, number, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.networks.network_file import read_control_network
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.binary import read_control_network
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
@@ -46,85 +46,12 @@ LEVEL, RELIEF, LOOSE = 1_736_930.0, 1000.0, 20e3
 are 2 km apart), and sigma of its horizontal place: as good as unknown."""
 PRIORS = (0.1, 1.0, 10.0)
 """mrad, a-priori sigmas of R's boresight about each axis."""
-
-WORDS = """# NAC-L and NAC-R near Hadley rille: one rig
-
-`mgsgraph adjust scripts/cases/hadley_rig.toml` is the rig with radii free.
-Made by `scripts/hadley.py` from `lro_nac_hadley`: both images of 2009-07-13, read from the cubes' labels and tables
-(whose line times hold the preroll and the line-time correction that the ISDs beside them lack), and ISIS's network:
-46 points in the seam, two of them fixed, 92 measures of {sigma} px. (What jigsaw makes of it: [](real_networks.md).)
-One trajectory for both: position of degree 1 (30 m, 10 m), attitude of degree 3 ({attitude} mrad). R's camera is
-mounted 179.6 degrees about its axis and 2.75 degrees across against L's, and off that by a boresight about its axes x
-(roll: across the track), y (pitch: along) and z (turn in its plane), unknown to 1 mrad each. Rays of a point converge
-by 0.1 degrees, so the radii of the free points are held to {level:.2f} km by {relief:.0f} m, the level of LOLA's
-shots in NAC-L; their horizontal places are free. The camera is {away:.0f} km from the ground.
-
-## Residuals
-"""
-RESIDUALS = """
-The cameras measure to 0.16 px (sigma0 times 0.3 px). *Each image its own polynomials* has the smaller residuals, and
-the wrong ground: L and R see a point 140 lines (0.14 s, 220 m of flight) apart, so that its height moves it in lines
-against each other, 1 px for some 1000 m; two polynomials take that for attitude, one trajectory can't. With the radii
-free the rig's lines fit to 0.009 px, since every height is the parallax's, and what remains are the samples. Closer
-nodes (5 microradians that forget themselves in 3 s) change nothing: no jitter shows.
-
-## The boresight of R
-"""
-OFFSET = """
-Metres are on the ground: x and y times the distance, z at R's far edge.
-
-* *x* is what the seam sees at once: a sample's shift between L and R.
-* *y and z are one unknown here*: their correlation is {pitch:.3f}. All ties lie within 130 samples of R's edge, where
-  a turn in the focal plane moves lines as pitch does. What the ties know is their sum at the seam, to {near:.2f} m;
-  at R's far edge the same camera is known to {far:.1f} m, which is the prior of z. The wider that prior, the further
-  *y* and *z* run apart, in step.
-* A second pass whose L covers R's ground separates them (simulated: [](rigs.md)).
-
-## What separates it from the attitude
-
-Of each coefficient of the pass's attitude, about the axes of L (x rolls, y pitches): posterior over a-priori sigma,
-and its correlation with R's boresight.
-"""
-TOLD = """
-Roll and pitch of the pass come from the two fixed points and their priors; the boresight comes from L against R and
-is hardly correlated with them: R's mounting can't be mistaken for attitude of degree 3, since the pass moves both
-cameras alike. A turn of the pass about its axis is known by nothing (posterior over prior 1.000), and is what
-correlates most, with R's roll.
-
-## Heights by the parallax of 0.14 s
-
-With radii free, two polynomials know no heights (median sigma {alone:.0f} m; with jigsaw's priors 18 km). One
-trajectory does: radii of the ties, in m above {level:.2f} km, by the rig and two fixed points alone (whose heights are
--1199 and 795 m, at lines 1,032 and 46,675), and those of LOLA's nearest shots, which the adjustment was not told.
-
-"""
-STEP = """
-The rig finds a step of 2 km from the mare to the mountains between lines 26,000 and 31,000. LOLA, five kilometres
-beside, climbs at the same lines, more slowly: 1 km lower up to line 38,000, and the same to half a sigma beyond. The
-sigma is that of 0.3 px; of the 0.16 px that the measures are good for it is 275 m. An outside look at trajectory and
-mounting alike.
-"""
 HEAD = ("lines of L", "ties", "median, m", "scatter, m", "sigma of one, m", "nearest shot, km away", "its median, m")
 STRETCHES = ((0, 10_000), (10_000, 20_000), (20_000, 28_000), (28_000, 30_500), (30_500, 38_000), (38_000, 45_000),
              (45_000, 52_224))  # fmt: skip
 """Lines of NAC-L by which heights are compared."""
 NEAR = 9e3
 """m from a tie, beyond which a shot says nothing of its height."""
-LOLA = """## LOLA as control: not possible here
-
-{left:,} of LOLA's shots lie in NAC-L, on {dates} dates, and {right} in NAC-R. To be control, a shot must be found in
-an image: in its pixels, which are not in the data, or on a surface that the images know.
-
-* The shots lie in samples {first:.0f} to {last:.0f} of NAC-L, the ties at {ties:.0f} and beyond: the nearest shot is
-  {nearest:,.0f} m from a tie. A surface through the ties would have to be extrapolated by that, and its other side is
-  130 samples (190 m) away.
-* The surface of the ties is too rough: with nothing said of heights the median sigma of their radii is {heights:,.0f}
-  m (for 0.3 px), and LOLA's ground rises and falls by {relief:.0f} m (standard deviation) under the shots. Relief is
-  found where it is many times the surface's sigma.
-* None was shot at the time of the images: no range belongs to this trajectory.
-
-What LOLA gives is the level of the ground, which the adjustments above use.
-"""
 
 
 class Rig(NamedTuple):
@@ -353,8 +280,8 @@ def height_rows(rig: Rig, shots: AltimeterShots) -> tuple[list[list[str]], float
 # --- the page
 
 
-def page(data: Path) -> str:
-    """The page, as Markdown."""
+def tables(data: Path) -> Blocks:
+    """All of them."""
     rig = read_rig(data)
     rows, pitch = correlations(rig)
     near, far = seam(rig)
@@ -364,16 +291,24 @@ def page(data: Path) -> str:
     head = ["", "image", "lines, px", "samples, px", "rms, px", "median, px", "largest, px", "sigma0", "dof"]
     offset = ["a-priori sigma, mrad", "axis", "value, mrad", "sigma, mrad", "posterior over prior", "value, m",
               "sigma, m"]  # fmt: skip
-    told = ["attitude of the pass", "prior, mrad", "posterior over prior", "with x", "with y", "with z"]
-    return "\n".join([
-        WORDS.format(sigma=SIGMA, relief=RELIEF, level=LEVEL / 1e3, away=rig.away / 1e3, attitude=", ".join(
-            f"{value / MRAD:g}" for value in ERRORS.attitude), bias=ERRORS.position[0], drift=ERRORS.position[1]),
-        *table(head, residual_rows(rig)), RESIDUALS,
-        *table(offset, boresight_rows(rig)), OFFSET.format(pitch=pitch, near=near, far=far),
-        *table(told, rows), TOLD.format(level=LEVEL / 1e3, alone=alone), *table(HEAD, stretches), STEP,
-        LOLA.format(**control._asdict(), first=control.samples[0], last=control.samples[1], heights=heights),
-        made_with(), "",
-    ])  # fmt: skip
+    attitude = ["attitude of the pass", "prior, mrad", "posterior over prior", "with x", "with y", "with z"]
+    known = [
+        ["correlation of R's y and z", f"{pitch:.3f}"],
+        ["sigma along the track at the seam, and at R's far edge", f"{near:.2f} and {far:.1f} m"],
+    ]
+    of_lola = [
+        ["LOLA's shots in NAC-L, on so many dates; in NAC-R", f"{control.left:,}, {control.dates}; {control.right}"],
+        ["samples of NAC-L in which they lie; least of a tie",
+         f"{control.samples[0]:.0f} to {control.samples[1]:.0f}; {control.ties:.0f}"],
+        ["nearest shot to a tie; relief under the shots (standard deviation)",
+         f"{control.nearest:,.0f} m; {control.relief:.0f} m"],
+        ["sigma of a tie's radius, free: by the rig; by two polynomials", f"{heights:,.0f} m; {alone:.0f} m"],
+    ]  # fmt: skip
+    return {
+        "residuals": table(head, residual_rows(rig)), "boresight": table(offset, boresight_rows(rig)),
+        "known": table(("", "value"), known), "correlations": table(attitude, rows), "heights": table(HEAD, stretches),
+        "lola": table(("", "value"), of_lola),
+    }  # fmt: skip
 
 
 def main() -> int:
@@ -382,7 +317,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     parser.add_argument("--out", type=Path, default=DOCS / PAGE)
     chosen = parser.parse_args()
-    return write_page(parser, chosen.out, lambda: page(chosen.data))
+    return write_page(parser, chosen.out, PAGE, lambda: tables(chosen.data))
 
 
 if __name__ == "__main__":

@@ -1,16 +1,16 @@
 """The adjusted cameras of ISIS jigsaw's LROC test in this project's geometry, and what its network determines."""
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jigsaw_published import Jigsaw
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.networks.network_file import read_control_network
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.binary import read_control_network
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.image import PushbroomImage, fit_attitude
@@ -24,6 +24,23 @@ SIDES = ("LRO/1/269182000:51104/NACL", "LRO/1/269182000:51104/NACR")
 DEGREE = 3
 GROUND = -900.0
 """m, height of the ground above the Moon's sphere, by ISIS's adjusted places; for what depends on it weakly."""
+
+
+class Jigsaw(NamedTuple):
+    """What a version of ISIS expects; published/jigsaw.toml says what is what."""
+
+    mean: float
+    largest: float
+    places: Array
+    ascension: Array
+    declination: Array
+
+
+_TEXT = (Path(__file__).parent / "published" / "jigsaw.toml").read_text(encoding="utf-8")
+PUBLISHED = {
+    version: Jigsaw(**{key: np.array(value) if isinstance(value, list) else value for key, value in told.items()})
+    for version, told in tomllib.loads(_TEXT).items()
+}
 
 
 def read_rig(data: Path) -> tuple[list[PushbroomImage], TiePoints]:

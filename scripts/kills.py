@@ -20,6 +20,7 @@ import struct
 import sys
 import tempfile
 import time
+import tomllib
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -30,7 +31,7 @@ from typing import NamedTuple
 
 from study import at_least, command, show, table
 
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
@@ -48,16 +49,13 @@ from profiles import with_profile
 
 TEMPORARY = "tmp"
 """Folder of a trial that stands for the system's temporary files."""
-TABLES = (
-    "image", "shared", "bundle", "bundle_image", "packed", "grid", "profile",
-)  # fmt: skip
+TABLES = ("image", "shared", "bundle", "bundle_image", "packed", "grid", "profile")
 """Of a project, all that is no time and no name of a machine."""
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _CAUGHT = (signal.SIGTERM, signal.SIGINT)
 """Signals that the program handles, once it has begun; sooner they end it as they end any process."""
 _LATE = 1.1
 """Shares of a command's seconds until which it is killed."""
-_TORN = ".jsonl"
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _EVENTS = ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.truncate")
 
@@ -78,36 +76,8 @@ class Verb(NamedTuple):
     """Of all kills, beside those of other commands."""
 
 
-VERBS = (
-    Verb("simulate", "simulate pair --out made", "made", earlier=False),
-    Verb("new", "new pair --out made.toml --replace", "made.toml"),
-    Verb("fetch", "fetch M04/02852 --out made --mirror ADDRESS", "made", several=True, earlier=False),
-    Verb("adjust", "adjust pair/case.toml --out made --no-figures", "made"),
-    Verb("adjust, figures", "adjust pair/case.toml --out made", "made", share=1),
-    Verb("register", "register profile/case.toml --out made --no-figures", "made", share=3),
-    Verb("nodes", "nodes strip/case.toml --spacings 3,1.85 --out made --no-figures", "made", share=3),
-    Verb("coregister", "coregister site/case.toml --reach 40 --workers 1 --out made --no-figures", "made", share=1),
-    Verb("campaign", "campaign pair strip --out made --no-figures", "made", several=True, earlier=False, share=3),
-    Verb("demo", "demo pair --out made --no-figures --no-relief", "made", share=3),
-    Verb("match", "match site/bare.toml --out made --cells 12 --no-figures --workers 1", "made", share=1),
-    Verb("dem", "dem matched --case site/case.toml --out made --spacing 60 --no-figures --workers 1", "made", share=1),
-    Verb("analyze", "analyze result --out made --no-figures", "made"),
-    Verb("plan", "plan plan/results plan/candidates.toml --out made", "made", share=3),
-    Verb("report", "report result --out made.html", "made.html", share=1),
-    Verb("review", "review site/case.toml --worst 4 --out made.html", "made.html"),
-    Verb("review --verdicts", "review site/case.toml --verdicts verdicts.csv --out made.net", "made.net"),
-    Verb("convert", "convert pair/network.pvl --out made.net", "made.net"),
-    Verb("convert, two files", "convert pair/network.pvl --case pair/case.toml --out made.nvm", "made", several=True),
-    Verb("export --to isis", "export result --to isis --out made", "made", several=True),
-    Verb("export --to csm", "export result --to csm --out made", "made", several=True),
-    Verb("export --to gis", "export result --to gis --out made", "made", several=True),
-    Verb("project", "project pair/case.toml SIM/A --points places.csv --out made.csv", "made.csv"),
-    Verb("shots", "shots profile/profile.csv --case profile/case.toml --out made.csv", "made.csv"),
-    Verb("init", "init made --case pair/case.toml", "made", earlier=False),
-    Verb("add", "add project SIM/B=pair/image_B.isd --ties pair/network.pvl", "", earlier=False),
-    Verb("remove", "remove kept SIM/B", "", earlier=False),
-    Verb("solve", "solve kept --no-figures", "", several=True, earlier=False),
-)
+_TEXT = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+VERBS = tuple(Verb(name, **how) for name, how in tomllib.loads(_TEXT).items())
 
 
 # --- a command in a process of its own

@@ -7,7 +7,7 @@ crop are for comparison alone.
 
     python scripts/match_moc_pair.py [--data FOLDER] [--step METRES] [--cells N] [--out FILE]
 
-Prints, and writes to a file (Markdown) if one is given. Exit status: 0 done, 2 bad input.
+Prints, and fills docs/moc_pair.md. Exit status: 0 done, 2 bad input.
 """
 
 import csv
@@ -19,13 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
-from study import at_least, command, positive, show, table, write_page
+from study import DOCS, Blocks, at_least, command, positive, show, table, write_page
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.labels.image_label import read_label
 from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.pvl import read_label
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry import rotation
@@ -331,36 +331,10 @@ def ground_about(image: PushbroomImage, grid: MapGrid, shape: tuple[int, ...], d
 
 
 HEAD = ("tie", "matches", "scatter", "line / sample", "across / along", "model / ground, m")
-WORDS = """# A real MOC pair matched
-
-Made by `scripts/match_moc_pair.py`. E02/01461 (1024 x 8064, summed 2 x 2, 11.6 degrees off the nadir) is there
-as a map-projected crop of 500 x 500 pixels with the whole image's SPICE tables
-(`mgsgraph.files.labels.isis_cube.read_isis_cube`); M01/00115 (672 x 4864, summed 3 x 3) with all pixels, without SPICE.
-The crop is brought back into the camera's geometry, M01 is resected from the given ties outside the crop (an
-orbit like E02's, looking at the nadir; six components, quadratic), and both are matched by the same functions
-as `mgsgraph match`.
-"""
-BELOW = """Matches within {near:.0f} px of E02 of each tie; their scatter about a surface through them (px of M01, as
-all here); where it puts the tie minus where that was given: in line and sample, across and along the parallax. Along it
-counts the terrain model that the map was made over, which is not in the data: 100 m of it are {shift:.1f} samples of
-E02. Last, heights above MOLA's grid of 15 km: of that model, if it alone is at fault, and of the ground where the rays
-of the tie meet.
-
-What the pictures showed:
-
-* ISIS made the map with apparent positions (light time, aberration). With geometric ones all of it lies 44 m
-  farther north (9.4 pixels); `read_isis_cube(..., apparent=True)` takes them as ISIS does, for such maps.
-* The coplanarity residual is no noise: it swings by about 4 m on the ground with a period of 320 lines of E02
-  (0.3 s), alike in all samples. About its running median it scatters by 0.5 m (0.1 px of M01). No polynomial of
-  the line follows that.
-* Along the parallax the crop can't judge the ties, nor they the matches: a place of the map is a place of the
-  image only over the terrain model of ISIS (molaMarsPlanetaryRadius0003), which would have to leave MOLA's 15
-  km grid by what stands in the table. The channel is some 200 m deep.
-"""
 
 
-def page(found: Trial) -> str:
-    """What is to be said, in Markdown."""
+def tables(found: Trial) -> Blocks:
+    """Figures, and a table of the ties."""
     matches, inside, others = found.matches, found.inside, ~found.matches.reference
     sigmas = np.median(np.sqrt(np.linalg.eigvalsh(matches.covariances[others])), axis=0)
     before = by_parallax(found.off, found.way)
@@ -371,8 +345,7 @@ def page(found: Trial) -> str:
         for row, up in zip(found.comparisons, heights, strict=True)
     ]
     steps = ", ".join(f"{name} {count}" for name, count in matches.losses._asdict().items())
-    return "\n".join([
-        WORDS,
+    return {"figures": [
         f"* Ties that both images have: {inside.size}; in the crop: {int(inside.sum())}.",
         "* Resection of M01 by those outside, rms across / along the parallax: "
         f"{text(rms(before[~inside], 0))} px; those in the crop, with it: {text(rms(before[inside], 0))} px.",
@@ -380,9 +353,9 @@ def page(found: Trial) -> str:
         f"({steps}); {found.seconds:.1f} s.",
         f"* Their stated sigmas (px of M01, axes of the ellipse, median): {text(sigmas)}; correlation, median: "
         f"{np.median(matches.correlation[others]):.3f}; coplanarity, rms: {text(rms(matches.misfit[others], 0))} m.",
-        f"* Agreement with the ties, rms across / along the parallax: {text(rms(parted, 0))} px.", "",
-        *table(HEAD, rows), "", BELOW.format(near=NEAR, shift=100.0 * found.samples_per_metre),
-    ])  # fmt: skip
+        f"* Agreement with the ties, rms across / along the parallax: {text(rms(parted, 0))} px.",
+        f"* 100 m of the map's terrain model are {100.0 * found.samples_per_metre:.1f} samples of E02.",
+    ], "ties": table(HEAD, rows)}  # fmt: skip
 
 
 def main() -> int:
@@ -391,10 +364,10 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the real data")
     parser.add_argument("--step", type=positive, default=None, help="m between pixels of the ground grid")
     parser.add_argument("--cells", type=at_least(1), default=1000, help="of the ground that both show")
-    parser.add_argument("--out", type=Path, default=None, help="file for what is printed")
+    parser.add_argument("--out", type=Path, default=DOCS / "moc_pair.md", help="the page")
     chosen = parser.parse_args()
     settings = MatchSettings(step=chosen.step, cells=chosen.cells)
-    return write_page(parser, chosen.out, lambda: page(trial(chosen.data, settings)))
+    return write_page(parser, chosen.out, "moc_pair.md", lambda: tables(trial(chosen.data, settings)))
 
 
 if __name__ == "__main__":

@@ -3,21 +3,20 @@
 Each site is simulated with rendered pictures, written in the mission's formats, read back, matched, and adjusted twice:
 with the tie points that are given with it, and with the matches alone. A match's true error: the ray of its reference
 pixel is cast on the true ground with the true orientation, and the place found there projected into the other image.
+Fills docs/matching_truth.md.
 
-    python scripts/matching.py [--sites gusev,eos,isidis] [--seeds 3] [--out FOLDER]
+    python scripts/matching.py [--cases gusev eos isidis] [--seeds 3] [--first 1] [--processes N] [--out FILE]
 
-Writes matching_truth.md to the folder, docs by default. Exit status: 0 done, 2 bad input.
+Exit status: 0 done, 2 bad input.
 """
 
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from study import DOCS, at_least, command, machine, number, show, table, write_page
+from study import Blocks, Draw, number, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution, orientation_profile
@@ -26,87 +25,37 @@ from mgsgraph.case.scene import read_scene
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.match import Matches
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.registration.case import ProfileRegistration, register_case
 from mgsgraph.results.matching import match_into
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
-from mgsgraph.text import root_mean_square
+from mgsgraph.text import root_mean_square as rms
 
-PAGE = "matching_truth.md"
 BLUNDER = 1.0
 """pixels in line or sample beyond which a match is called a blunder."""
-WORDS = """# Matches against truth
-
-Made by `scripts/matching.py` ({machine}). Simulated sites with rendered pictures (noise of 1.5 grey
-values), in the mission's formats, the whole road: `simulate`, `match`, `adjust`, `register`. Errors are those of the
-second image's line and sample against the true ground under the reference's pixel. *stated / true*: root of the mean
-stated variance over the rms error, for line and for sample (1: as stated). *NEES / 2*: squared errors by their stated
-covariances, 1 expected. *blunders*: errors beyond {blunder:g} px.
-"""
-CHAIN = """## The whole chain without outside tie points
-
-The same case adjusted with the given tie points (1 px of noise) and with the matches alone. *between*: largest
-difference of the two adjusted orientations over 31 lines, two images and six components, in sigmas of the first.
-*misregistration*: of the altimeter's footprints in the two images, rms of its two components, m on the ground.
-*points*: matched tie points against the true ground, rms of X, Y, Z, and of the same by the stated sigmas.
-"""
+HEAD = ("site", "seed", "seconds", "points", "cells", "rms error, px", "mean error, px", "stated / true", "NEES / 2",
+        "blunders")  # fmt: skip
 
 
-class Row(NamedTuple):
-    """One site and seed."""
-
-    site: str
-    seed: int
-    seconds: float
-    points: int
-    cells: tuple[int, int]
-    rms: Array
-    mean: Array
-    ratio: Array
-    nees: float
-    blunders: int
-    chain: tuple[str, ...]
-
-
-def main() -> int:
-    """Entry point."""
-    parser = command(__doc__)
-    parser.add_argument("--sites", default="gusev", help=f"some of {','.join(SITE_NAMES)}")
-    parser.add_argument("--seeds", type=at_least(1), default=3)
-    parser.add_argument("--out", type=Path, default=DOCS)
-    chosen = parser.parse_args()
-
-    def text() -> str:
-        rows = list[Row]()
-        for site in chosen.sites.split(","):
-            for seed in range(1, chosen.seeds + 1):
-                show(f"{site}, seed {seed} of {chosen.seeds}")
-                rows.append(one(site, seed, MatchSettings()))
-        return page(rows)
-
-    return write_page(parser, chosen.out / PAGE, text)
-
-
-def one(name: str, seed: int, settings: MatchSettings) -> Row:
+def one_draw(name: str, seed: int) -> Draw:
     """Simulate, match, compare, adjust."""
     site = simulate_site(name, seed)
     with tempfile.TemporaryDirectory() as folder:
         case = write_site(site, Path(folder) / "site")
         begun = time.perf_counter()
         title, scene = read_scene(case)
-        matches = match_into(title, scene, Path(folder) / "matches", settings, figures=False)
+        matches = match_into(title, scene, Path(folder) / "matches", MatchSettings(), figures=False)
         seconds = time.perf_counter() - begun
-        errors, covariances = true_errors(matches, site)
         chain = chained(case, Path(folder) / "matches" / "network.pvl", site, matches)
-    stated = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0))
-    rms = np.sqrt((errors**2).mean(axis=0))
-    blunders = int(np.count_nonzero(np.abs(errors).max(axis=1) > BLUNDER))
-    return Row(
-        name, seed, seconds, len(matches.ties.ids), matches.cells, rms, errors.mean(axis=0), stated / rms,
-        float(nees(errors, covariances).mean() / 2.0), blunders, chain,
-    )  # fmt: skip
+    errors, covariances = true_errors(matches, site)
+    stated, size = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0)), rms(errors, 0)
+    return chain | {
+        "seconds": seconds, "points": len(matches.ties.ids), "cells": "{} of {}".format(*matches.cells),
+        "rms": size.tolist(), "mean": errors.mean(axis=0).tolist(), "ratio": (stated / size).tolist(),
+        "nees": float(nees(errors, covariances).mean() / 2.0),
+        "blunders": int(np.count_nonzero(np.abs(errors).max(axis=1) > BLUNDER)),
+    }  # fmt: skip
 
 
 def true_errors(matches: Matches, site: SimulatedSite) -> tuple[Array, Array]:
@@ -133,7 +82,7 @@ def ground_of(matches: Matches, site: SimulatedSite) -> Array:
     return ground
 
 
-def chained(path: Path, network: Path, site: SimulatedSite, matches: Matches) -> tuple[str, ...]:
+def chained(path: Path, network: Path, site: SimulatedSite, matches: Matches) -> Draw:
     """Both adjustments compared."""
     given, matched = read_case(path), read_case(path, ties=network)
     first, second = (adjust_network(case.network, case.settings, case.name) for case in (given, matched))
@@ -141,13 +90,10 @@ def chained(path: Path, network: Path, site: SimulatedSite, matches: Matches) ->
     mine = np.array([row[name] for name in matches.ties.ids])
     off = second.places[mine] - ground_of(matches, site)
     sigmas = np.sqrt(np.diagonal(second.covariances[mine], axis1=1, axis2=2))
-    rms, scaled = (root_mean_square(values, 0) for values in (off, off / sigmas))
-    registered = [register_case(case, solution) for case, solution in ((given, first), (matched, second))]
-    return (
-        number(apart(first, second)), number(second.sigma0), number(misregistration(registered[0].before)),
-        *(number(misregistration(one.after)) for one in registered),
-        " / ".join(number(float(value)) for value in rms), " / ".join(number(float(value)) for value in scaled),
-    )  # fmt: skip
+    return {
+        "between": apart(first, second), "sigma0": float(second.sigma0), "off": rms(off, 0).tolist(),
+        "scaled": rms(off / sigmas, 0).tolist(),
+    }  # fmt: skip
 
 
 def apart(first: Solution, second: Solution) -> float:
@@ -161,37 +107,20 @@ def apart(first: Solution, second: Solution) -> float:
     return worst
 
 
-def misregistration(profiles: Sequence[ProfileRegistration]) -> float:
-    """Root mean square over all footprints that two images see, m."""
-    parts = [each.metres.ravel() for one in profiles for each in one.discrepancies]
-    values = np.concatenate(parts) if parts else np.full(1, np.nan)
-    return root_mean_square(values)
-
-
-def cells_of(row: Row) -> tuple[str, ...]:
-    """One line of the first table."""
-    pairs = (" / ".join(number(float(value)) for value in both) for both in (row.rms, row.mean, row.ratio))
-    filled, whole = row.cells
-    return (
-        row.site, str(row.seed), number(row.seconds), str(row.points), f"{filled} of {whole}", *pairs,
-        number(row.nees), str(row.blunders),
-    )  # fmt: skip
-
-
-def page(rows: list[Row]) -> str:
+def judge(every: list[Draw]) -> Blocks:
     """Both tables."""
-    head = (
-        "site", "seed", "seconds", "points", "cells", "rms error, px", "mean error, px", "stated / true", "NEES / 2",
-        "blunders",
-    )  # fmt: skip
-    parts = [WORDS.format(machine=machine(), blunder=BLUNDER), *table(head, [cells_of(r) for r in rows])]
-    head = (
-        "site", "seed", "between", "sigma0", "misregistration before", "after, given ties", "after, matches",
-        "points, m", "by sigma",
-    )  # fmt: skip
-    parts += ["", CHAIN, *table(head, [(row.site, str(row.seed), *row.chain) for row in rows]), ""]
-    return "\n".join(parts)
+    matches, chains = list[list[str]](), list[list[str]]()
+    for one in every:
+        begin = [one["case"], str(one["seed"])]
+        parts = {key: " / ".join(map(number, one[key])) for key in ("rms", "mean", "ratio", "off", "scaled")}
+        matches.append([
+            *begin, number(one["seconds"]), str(one["points"]), one["cells"], parts["rms"], parts["mean"],
+            parts["ratio"], number(one["nees"]), str(one["blunders"]),
+        ])  # fmt: skip
+        chains.append([*begin, number(one["between"]), number(one["sigma0"]), parts["off"], parts["scaled"]])
+    head = ("site", "seed", "between", "sigma0", "points, m", "by sigma")
+    return {"matches": table(HEAD, matches), "chain": table(head, chains)}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 3, "matching_truth.md"), one_draw, judge))

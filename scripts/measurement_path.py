@@ -2,9 +2,9 @@
 
 Two adjustments of a case are followed up to the first sweep; in the second, bytes of one of its files are others
 (hex). A function is a station where a number, a text or an array in what it returns, fills in or builds differs
-between the two and was in none before: what only looks at a measurement, hands it on or puts it in a record is none;
-one that is called again (an iteration) is named once. Printed are the files in the order of the flow; `<<` marks a
-return to a room that was left before.
+between the two and was in none before: what only looks at a measurement (`require_*`), hands it on or puts it in a
+record is none; one that is called again (an iteration) is named once. Printed are the files in the order of the flow;
+`<<` marks a return to a room that was left before.
 """
 
 import hashlib
@@ -73,9 +73,10 @@ def stations(case: Path) -> list[Station]:
         elif event == "return" and begun and begun[-1][0] is frame:
             values, (_, before) = given(frame), begun.pop()
             made = set() if any(result is value for value in values) else digests(result)
-            made = made.union(*(digests(value) for value, old in zip(values, before, strict=True) if old))
+            made = made.union(*(digests(value) - old for value, old in zip(values, before, strict=True) if old))
             made |= digests(values[0]) if code.co_name in {"__init__", "__post_init__"} else set()
-            found.append((*place, made))
+            if not any(one.f_code.co_name.startswith("require_") for one, _ in begun):
+                found.append((*place, made))
 
     sys.setprofile(follow)
     try:

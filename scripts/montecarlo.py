@@ -1,144 +1,248 @@
 """Is the posterior right? Coverage of its ellipsoids, NEES and bias over many seeds of the three sites and a block.
 
-Every seed draws a truth, an orientation and all measures from the sigmas that the adjustment assumes, adjusts, and
-holds what the posterior says of points, poses, pairs, projections and new places against the truth. Writes
-montecarlo.md and montecarlo.png, into docs/ by default; 200 seeds of everything take some twelve
-minutes of one processor (NUMBA_NUM_THREADS=1).
+Every seed draws a truth, an orientation and all measurements from the sigmas that the adjustment assumes
+(`tests/redraw.py`), adjusts, and compares what the posterior says of points, poses, pairs, projections and new places
+with the truth. A *planted* case states sigmas that are not those of its draws. Fills docs/montecarlo.md.
 
-    python scripts/montecarlo.py [--case three-sites|block|both] [--seeds 200] [--first 0]
-                                 [--processes 2 | --cluster PLACE] [--out docs] [--keep FILE]
+    python scripts/montecarlo.py [--cases block eos ...] [--seeds 200] [--first 1] [--processes 2 | --cluster PLACE]
+                                 [--keep FILE] [--out FILE]
 
-With --keep every seed that is done is noted in FILE, and not done again. Workers of a cluster that runs elsewhere need
-this folder on their PYTHONPATH. Exit status: 0 done (whatever the figures are: the page tells), 2 bad input.
+200 seeds of everything take some twelve minutes of one processor (NUMBA_NUM_THREADS=1). Workers of a cluster that runs
+elsewhere need this folder on their PYTHONPATH. Exit status: 0 done (whatever the figures are: the page tells), 2 bad
+input.
 """
 
-import json
 import sys
-import time
-from argparse import Namespace
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
-from montecarlo_draw import BLOCK, CASES, EDGE, KINDS, LINES, NEW, PIXELS, POINTS, Drawn, Order, one_seed
-from montecarlo_page import figure, page
-from study import DOCS, REMEDY, OneLine, at_least, require_writable, show, status, write_figure, write_text
+from montecarlo_judge import judge
+from study import Draw as Drawn
+from study import run, seeds_of
 
-from mgsgraph.adjustment.adjust import versions
-from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
-from mgsgraph.errors import InputError, SolverError
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.estimates import PoseEstimate
+from mgsgraph.analysis.posterior import Pixel, Posterior
+from mgsgraph.case.reading import read_case
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.network import Network, PointClass
+from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.files import write_site, write_strip
+from mgsgraph.simulation.site import SimulationOptions, simulate_site
+from mgsgraph.simulation.sites import SITE_NAMES, SiteName
+from mgsgraph.simulation.strip import StripSettings, simulate_strip
 
-CHOICES = {
-    "three-sites": tuple(name for name, case in CASES.items() if case.ground is not None),
-    "block": tuple(name for name, case in CASES.items() if case.ground is None),
-    "both": tuple(CASES),
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from redraw import Draw, redraw
+
+BLOCK = StripSettings(images=6, ties=200, shots=30)
+EDGE = 10.0
+"""pixels from an image's edges, within which places in it are asked for."""
+POINTS, LINES, PIXELS, NEW = 12, 3, 4, 3
+"""Items that one seed asks for, evenly spread: points and pairs of them, lines of each image, projections, new places.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class CaseSettings:
+    """A network to be drawn, and how the adjustment is told of it."""
+
+    ground: SiteName | None
+    """Which site; None for the block."""
+    surface: bool = False
+    """Whether its tie points lie on the terrain model."""
+    prior: float = 1.0
+    """Factor of the a-priori sigmas of the orientation, of draws and adjustment alike."""
+    stated: float = 1.0
+    """Factor of the measures' sigmas that the adjustment is told; 1 is honest, less is a planted fault."""
+
+
+CASES: dict[str, CaseSettings] = {
+    "block": CaseSettings(None),
+    **{name: CaseSettings(name) for name in SITE_NAMES},
+    "eos, half priors": CaseSettings("eos", prior=0.5),
+    **{f"{name}, terrain": CaseSettings(name, surface=True) for name in SITE_NAMES},
+    "block, planted": CaseSettings(None, stated=0.9),
 }
 
 
-def work(orders: Sequence[Order], place: str | None) -> Iterator[Drawn]:
-    """Do orders here, or at the workers of a cluster; as they come."""
-    if place is None:
-        yield from map(one_seed, orders)
-        return
-    with open_cluster(place, most=len(orders)) as cluster:
-        for number, result in cluster.each(one_seed, orders):
-            if isinstance(result, Lost):
-                raise SolverError(f"{orders[number].case}, seed {orders[number].seed}: {result.message}")
-            yield result
+@lru_cache(maxsize=2)
+def prepared(name: str) -> tuple[Network, SolverSettings]:
+    """The network of a case, as the adjustment reads it from files, and its settings."""
+    case = CASES[name]
+    with tempfile.TemporaryDirectory() as folder:
+        if case.ground is None:
+            path = write_strip(simulate_strip(BLOCK), Path(folder))
+        else:
+            site = simulate_site(case.ground, 1, SimulationOptions("published", pictures=False))
+            path = write_site(site, Path(folder))
+        read = read_case(path)
+    priors = tuple(OrientationPrior(one.sigmas * case.prior) for one in read.network.priors)
+    surface = read.network.surface if case.surface else None
+    return replace(read.network, priors=priors, surface=surface), read.settings
 
 
-def gathered(orders: Sequence[Order], place: str | None, keep: Path | None) -> list[Drawn]:
-    """All orders done, those of an earlier run that kept them included; in the orders' order."""
-    with kept(keep) as (before, note):
-        done = {order: before[order] for order in orders if order in before}
-        due = [order for order in orders if order not in done]
-        began = time.perf_counter()
-        for over, drawn in enumerate(work(due, place) if due else (), start=1):
-            done[drawn.order] = drawn
-            if note:
-                note.write(as_line(drawn) + "\n")
-                note.flush()
-            left = (time.perf_counter() - began) / over * (len(due) - over)
-            bar = "#" * (20 * over // len(due))
-            show(f"[{bar:20}] {over} of {len(due)}, {left:.0f} s left: {drawn.order.case}")
-        show("")
-    return [done[order] for order in orders]
+def one_seed(case: str, seed: int) -> Drawn:
+    """Draw, adjust, ask: whether it converged, and by kind of question of each item the normalized estimation error
+    squared (e' C^-1 e, chi-square of the kind's dimension), and estimate minus truth in sigmas along its components.
+    """
+    network, settings = prepared(case)
+    stated = CASES[case].stated
+    draw = redraw(network, np.random.default_rng(seed), settings.angles)
+    solution = adjust_network(with_stated_sigmas(draw.network, stated), settings)
+    rng = np.random.default_rng([seed, 2])
+    asked = questions(Posterior.of(solution), draw, stated, rng)
+    squares, errors = {}, {}
+    for kind, answers in asked.items():
+        error = np.array([one for one, _ in answers])
+        covariance = np.array([one for _, one in answers])
+        squares[kind] = nees(error, covariance).round(5).tolist()
+        errors[kind] = (error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))).round(5).tolist()
+    return {"converged": solution.converged, "squares": squares, "errors": errors}
 
 
-@contextmanager
-def kept(path: Path | None) -> Iterator[tuple[dict[Order, Drawn], TextIO | None]]:
-    """What is noted in a file, and the file to note more."""
-    if path is None:
-        yield {}, None
-        return
-    try:
-        with path.open("a+", encoding="utf-8") as file:
-            file.seek(0)
-            lines = file.read().split("\n")
-            file.truncate(len("\n".join([*lines[:-1], ""]).encode()))  # a crash may have cut the last one short
-            found = [from_line(line, f"{path}, line {number}") for number, line in enumerate(lines[:-1], start=1)]
-            yield {drawn.order: drawn for drawn in found if drawn is not None}, file
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(str(path), f"can't be read and written ({error})", remedy=REMEDY) from None
+def with_stated_sigmas(network: Network, stated: float) -> Network:
+    """The network with its measures' sigmas misstated by a factor."""
+    rays, ranges = network.rays, network.ranges
+    return replace(
+        network,
+        rays=replace(rays, sigmas=rays.sigmas * stated),
+        ranges=replace(ranges, sigmas=ranges.sigmas * stated),
+    )
 
 
-def recipe(case: str) -> str:
-    """What a kept seed depends on; of another recipe it is done again."""
-    return repr((CASES.get(case), BLOCK, POINTS, LINES, PIXELS, NEW, EDGE, sorted(versions().items())))
+Answers = list[tuple[Array, Array]]
+"""Errors (d,) and their stated covariances (d, d)."""
 
 
-def as_line(drawn: Drawn) -> str:
-    """One line of JSON."""
-    order, rounded = drawn.order, {
-        name: {kind: np.round(values, 5).tolist() for kind, values in parts.items()}
-        for name, parts in (("squares", drawn.squares), ("errors", drawn.errors))
+def questions(posterior: Posterior, draw: Draw, stated: float, rng: np.random.Generator) -> dict[str, Answers]:
+    """All kinds of questions to one posterior; keys as in KINDS."""
+    network = posterior.network
+    ties, laser = (np.flatnonzero(network.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))
+    both = np.concatenate([evenly(ties, POINTS // 2), evenly(laser, POINTS // 2)])
+    shown = inside(network)
+    positions, pointings = poses(posterior, draw)
+    return {
+        "tie point": [of_point(posterior, draw, i) for i in evenly(ties, POINTS)],
+        "footprint": [of_point(posterior, draw, i) for i in evenly(laser, POINTS)],
+        "position": positions,
+        "pointing": pointings,
+        "height difference": [of_heights(posterior, draw, i, j) for i, j in zip(both, np.roll(both, -1), strict=True)],
+        "projection": of_projections(posterior, draw, evenly(np.flatnonzero(shown), PIXELS)),
+        "new place": list(new_places(posterior, draw, np.setdiff1d(ties, network.rays.point[~shown]), stated, rng)),
     }
-    known = {"case": order.case, "seed": order.seed, "recipe": recipe(order.case), "converged": drawn.converged}
-    return json.dumps(known | rounded)
 
 
-def from_line(line: str, where: str) -> Drawn | None:
-    """The same back; None for one of another recipe."""
-    try:
-        known = json.loads(line)
-        if known["recipe"] != recipe(known["case"]):
-            return None
-        squares, errors = ({kind: np.array(known[name][kind]) for kind in KINDS} for name in ("squares", "errors"))
-        return Drawn(Order(known["case"], known["seed"]), known["converged"], squares, errors)
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(where, f"not a kept seed ({error})", "what --keep has written", "take it out") from None
+def inside(network: Network) -> Mask:
+    """Which rays (k,) lie well inside their images: by the orientation drawn, others lie beside them."""
+    rays = network.rays
+    size = np.array([[image.lines, image.samples] for image in network.images])[rays.image]
+    return np.asarray(np.all((rays.places > EDGE) & (rays.places < size - EDGE), axis=1))
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
-    """The command."""
-    parser = OneLine(prog="montecarlo.py", description="Coverage, NEES and bias of the posterior over many seeds.")
-    parser.add_argument("--case", choices=tuple(CHOICES), default="both")
-    parser.add_argument("--seeds", type=at_least(2), default=200, help="number of seeds of each case")
-    parser.add_argument("--first", type=at_least(0), default=0, help="first of them")
-    workers = parser.add_mutually_exclusive_group()
-    workers.add_argument("--processes", type=at_least(1), help="worker processes on this machine")
-    workers.add_argument("--cluster", metavar="PLACE", help="local, local:N, tcp://host:port or tls://host:port")
-    parser.add_argument("--out", type=Path, default=DOCS, help="folder of montecarlo.md and montecarlo.png")
-    parser.add_argument("--keep", type=Path, metavar="FILE", help="note seeds here, and go on where it ended")
-    wanted = parser.parse_args(arguments)
-    return status(parser.prog, lambda: prove(wanted))
+def evenly(items: Index, count: int) -> Index:
+    """So many of them, or all, from the first to the last."""
+    return items[np.unique(np.linspace(0, items.size - 1, min(count, items.size)).round().astype(np.int64))]
 
 
-def prove(wanted: Namespace) -> None:
-    """Draw, judge, write."""
-    table, picture = wanted.out / "montecarlo.md", wanted.out / "montecarlo.png"
-    require_writable(table, picture, wanted.keep)
-    place = f"local:{wanted.processes}" if wanted.processes and wanted.processes > 1 else wanted.cluster
-    seeds = range(wanted.first, wanted.first + wanted.seeds)
-    orders = [Order(case, seed) for case in CHOICES[wanted.case] for seed in seeds]
-    drawn = gathered(orders, place, wanted.keep)
-    by_case = {case: [one for one in drawn if one.order.case == case] for case in CHOICES[wanted.case]}
-    write_figure(figure(by_case), picture)
-    write_text(page(by_case), table)
-    print(f"Written to {table} and {picture}")
+def of_point(posterior: Posterior, draw: Draw, i: int) -> tuple[Array, Array]:
+    """East, north, up of a ground point, m."""
+    found = posterior.point(posterior.network.points.ids[i])
+    return east_north_up(found.position[None])[0] @ (found.position - draw.places[i]), found.east_north_up
+
+
+def of_heights(posterior: Posterior, draw: Draw, i: int, j: int) -> tuple[Array, Array]:
+    """How much higher one point is than another, m."""
+    ids = posterior.network.points.ids
+    found = posterior.difference(ids[i], ids[j])
+    true = np.linalg.norm(draw.places[j]) - np.linalg.norm(draw.places[i])
+    return np.array([found.height - true]), np.array([[found.height_sigma**2]])
+
+
+def of_projections(posterior: Posterior, draw: Draw, rays: Index) -> Answers:
+    """Line and sample at which the points of some rays truly fall in their images, px."""
+    network = posterior.network
+    points, images = network.rays.point[rays], network.rays.image[rays]
+    truth = seen(network, draw, draw.places[points], images)
+    found = [
+        posterior.projection(network.points.ids[i], network.images[j].name) for i, j in zip(points, images, strict=True)
+    ]
+    return [(one.pixel - true, one.covariance) for one, true in zip(found, truth, strict=True)]
+
+
+def seen(network: Network, draw: Draw, places: Array, images: Index) -> Array:
+    """(n, 2) px: where true places (n, 3) fall in images (n,) truly oriented."""
+    found = np.empty((images.size, 2))
+    for j in np.unique(images).tolist():
+        mine = images == j
+        found[mine] = network.images[j].ground_to_image(places[mine], draw.corrections[j])[0]
+    return found
+
+
+def poses(posterior: Posterior, draw: Draw) -> tuple[Answers, Answers]:
+    """Positions (along, across, radial, m) and pointings (roll, pitch, yaw, rad) at some lines of each image that is
+    adjusted. Truth: nominal (+) true corrections.
+    """
+    positions: Answers = []
+    pointings: Answers = []
+    for j in np.flatnonzero(~posterior.network.held).tolist():
+        image = posterior.network.images[j]
+        lines = np.linspace(0.0, float(image.lines), LINES)
+        truth = image.pose(lines, draw.corrections[j])
+        for k, found in enumerate(posterior.poses(image.name, lines)):
+            moved, turned = pose_errors(found, truth, k)
+            positions.append((moved, found.flight[:3, :3]))
+            pointings.append((turned, found.flight[3:, 3:]))
+    return positions, pointings
+
+
+def pose_errors(found: PoseEstimate, truth: Pose, k: int) -> tuple[Array, Array]:
+    """Errors of a pose against the k-th true one: (3,) m along, across, radial; (3,) rad of roll, pitch, yaw."""
+    axes = flight_axes(found.position, found.velocity)
+    turned = -rotation.logarithm((found.matrix @ truth.matrix[k].T)[None])[0]
+    return axes @ (found.position - truth.position[k]), camera_axes(found.matrix @ axes[0]) @ turned
+
+
+def new_places(
+    posterior: Posterior, draw: Draw, ties: Index, stated: float, rng: np.random.Generator
+) -> Iterator[tuple[Array, Array]]:
+    """Places half-way between two tie points that two images or more share: measured anew in these with noise of their
+    own, and intersected. East, north, up, m.
+    """
+    network = posterior.network
+    rays = network.rays
+    sees = np.zeros((len(network.points), len(network.images)), dtype=bool)
+    sees[rays.point, rays.image] = True
+    trues, noises = list[Array](), list[Array]()
+    images, starts, sigmas = list[int](), list[int](), list[float]()
+    for i in evenly(ties, NEW):
+        partners = ties[np.count_nonzero(sees[ties] & sees[i], axis=1) >= 2]
+        other = int(rng.choice(partners[partners != i]))
+        starts.append(len(images))
+        for j in np.flatnonzero(sees[i] & sees[other]).tolist():
+            trues.append(0.5 * (draw.places[i] + draw.places[other]))
+            images.append(j)
+            sigmas.append(float(rays.sigmas[(rays.point == i) & (rays.image == j)][0, 0]))
+            noises.append(rng.standard_normal(2) * sigmas[-1] / stated)
+    measured = seen(network, draw, np.array(trues), np.array(images)) + np.array(noises)
+    pixels = [
+        Pixel(network.images[j].name, float(line), float(sample), sigma)
+        for j, (line, sample), sigma in zip(images, measured, sigmas, strict=True)
+    ]
+    for start, end in zip(starts, [*starts[1:], len(images)], strict=True):
+        found = posterior.intersection(pixels[start:end])
+        yield east_north_up(found.position[None])[0] @ (found.position - trues[start]), found.east_north_up
 
 
 if __name__ == "__main__":
-    sys.exit(run())
+    sys.exit(run(seeds_of(__doc__, tuple(CASES), 200, "montecarlo.md"), one_seed, judge))

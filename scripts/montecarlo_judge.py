@@ -6,17 +6,27 @@ well their mean is known. The second sees smaller faults.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from montecarlo_draw import KINDS, Drawn
 from scipy.stats import binom
-from study import chi_square_band, student
+from study import Blocks, Draw, cases, chi_square_band, names_of, student, table
 
 from mgsgraph.analysis.estimates import chi_square_radius
 from mgsgraph.geometry.records import Array, Index
 
+_PLACE, _FLIGHT, _TURN = ("east", "north", "up"), ("along", "across", "radial"), ("roll", "pitch", "yaw")
+KINDS: dict[str, tuple[str, ...]] = {
+    "tie point": _PLACE,
+    "footprint": _PLACE,
+    "position": _FLIGHT,
+    "pointing": _TURN,
+    "height difference": ("height",),
+    "projection": ("line", "sample"),
+    "new place": _PLACE,
+}
+"""What the posterior is asked, and the components in which bias is told."""
 LEVELS = (0.68, 0.95, 0.99)
 """Probabilities of the ellipsoids."""
 CHANCE = 0.01
@@ -114,11 +124,11 @@ class Judged:
         return f"Outside: {'; '.join(self.outside)}." if self.outside else "Honest, all within limits."
 
 
-def astray(drawn: Drawn) -> bool:
+def astray(draw: Draw) -> bool:
     """Whether some item's error has a chance below ASTRAY: of 200 honest seeds hardly ever one."""
     return any(
-        bool(np.any(squares > chi_square_radius(1.0 - ASTRAY, len(KINDS[kind])) ** 2))
-        for kind, squares in drawn.squares.items()
+        bool(np.any(np.array(squares) > chi_square_radius(1.0 - ASTRAY, len(KINDS[kind])) ** 2))
+        for kind, squares in draw["squares"].items()
     )
 
 
@@ -131,16 +141,16 @@ def breaking_strain(seeds: int) -> float:
     return student(CHANCE / (len(KINDS) * (len(LEVELS) + 2) + of_bias), seeds - 1)
 
 
-def judged(case: str, kind: str, draws: Sequence[Drawn]) -> Judged:
+def judged(case: str, kind: str, draws: Sequence[Draw]) -> Judged:
     """One kind of question over all draws, two or more, of one case."""
     seeds, dimension = len(draws), len(KINDS[kind])
-    squares = np.array([one.squares[kind] for one in draws])
-    lots = [np.random.default_rng([one.order.seed, 1]).integers(squares.shape[1]) for one in draws]
+    squares = np.array([one["squares"][kind] for one in draws])
+    lots = [np.random.default_rng([one["seed"], 1]).integers(squares.shape[1]) for one in draws]
     lot = squares[np.arange(seeds), lots]
     limit = np.array([chi_square_radius(level, dimension) ** 2 for level in LEVELS])
     shares = np.mean(squares[:, :, None] < limit, axis=1)
     levels = np.array(LEVELS)
-    errors = np.array([one.errors[kind].mean(axis=0) for one in draws])
+    errors = np.array([np.mean(one["errors"][kind], axis=0) for one in draws])
     # few seeds may all have all items inside: the scatter is never below that of items which share nothing
     scatter = np.maximum(shares.std(axis=0, ddof=1), np.sqrt(levels * (1.0 - levels) / squares.shape[1]))
     wide = student(CHANCE, seeds - 1) / math.sqrt(seeds)
@@ -165,3 +175,78 @@ def judged(case: str, kind: str, draws: Sequence[Drawn]) -> Judged:
 def binomial_limits(seeds: int, level: float, chance: float = CHANCE) -> tuple[int, int]:
     """Least and most successes of so many trials: beyond either lies no more than half the chance."""
     return int(binom.ppf(0.5 * chance, seeds, level)), int(binom.isf(0.5 * chance, seeds, level))
+
+
+# --- tables
+
+
+def judge(every: list[Draw]) -> Blocks:
+    """Made parts of the page."""
+    found = {case: [judged(case, kind, cases(every, case)) for kind in KINDS] for case in names_of(every)}
+    of_cases = [line for case, rows in found.items() for line in (f"## {case.capitalize()}", "", *case_table(rows), "")]
+    return {"summary": summary(found, every), "cases": of_cases}
+
+
+def summary(found: Mapping[str, Sequence[Judged]], every: Sequence[Draw]) -> list[str]:
+    """One line for each case."""
+    rows = []
+    for case, kinds in found.items():
+        count, outside = CHECKS * len(kinds), sum(len(one.outside) for one in kinds)
+        shares = [sum(one.share[k] for one in kinds) / len(kinds) for k in range(len(LEVELS))]
+        coverage = ", ".join(f"{100.0 * share:.1f}" for share in shares)
+        mine = cases(every, case)
+        away = sum(not draw["converged"] for draw in mine)
+        lot = sum(not low <= n <= high for one in kinds for n, (low, high) in zip(one.inside, one.limits, strict=True))
+        rows.append((
+            case, str(len(mine)), str(away), str(sum(map(astray, mine))), coverage,
+            f"{lot} of {len(LEVELS) * len(kinds)}",
+            f"{outside} of {count}", f"{CHANCE * count:.1f}",
+            f"{max(one.strain for one in kinds):.1f} ({breaking_strain(len(mine)):.1f})", verdict(case, kinds),
+        ))  # fmt: skip
+    levels = ", ".join(f"{level:.0%}" for level in LEVELS)
+    return table(
+        ("case", "N", "not converged", "astray", f"inside {levels}: mean of kinds, %", "binomial limits broken",
+         "all checks outside", "by chance", "worst, in standard errors (limit)", "verdict"), rows,
+    )  # fmt: skip
+
+
+def verdict(case: str, kinds: Sequence[Judged]) -> str:
+    """Sentence for a case, by the limit for all its checks together."""
+    sound = max(one.strain for one in kinds) <= breaking_strain(kinds[0].seeds)
+    if case.endswith("planted"):
+        return "The planted fault is not seen." if sound else "The planted fault is seen."
+    return "The posterior is honest." if sound else "The posterior is not honest here; see below."
+
+
+def case_table(rows: Sequence[Judged]) -> list[str]:
+    """One line for each kind."""
+    seeds = rows[0].seeds
+    by_lot = [f"{level:.0%} by lot ({'..'.join(map(str, binomial_limits(seeds, level)))})" for level in LEVELS]
+    head = ("kind", "d", "items", *by_lot, *(f"{level:.0%} all" for level in LEVELS), "NEES by lot", "NEES all", "bias")
+    return table((*head, "verdict"), [cells(row) for row in rows])
+
+
+def cells(row: Judged) -> tuple[str, ...]:
+    """One line of a table."""
+    by_lot = [
+        bold(str(count), not low <= count <= high) for count, (low, high) in zip(row.inside, row.limits, strict=True)
+    ]
+    everything = [
+        bold(f"{100.0 * share:.1f}", abs(share - level) > band) + f" ({level:.0%} ± {100.0 * band:.1f})"
+        for share, level, band in zip(row.share, LEVELS, row.band, strict=True)
+    ]
+    mean, low, high = row.lot_nees
+    worst, most = row.worst, row.bias_limit * row.error[row.worst]
+    return (
+        row.kind, str(len(row.components)), str(row.items), *by_lot, *everything,
+        bold(f"{mean:.2f}", not low <= mean <= high) + f" ({low:.2f}..{high:.2f})",
+        bold(f"{row.nees:.3f}", abs(row.nees - 1.0) > row.nees_band) + f" (1 ± {row.nees_band:.3f})",
+        f"{row.components[worst]} " + bold(f"{row.bias[worst]:+.3f}", abs(row.bias[worst]) > most)
+        + f" ± {row.error[worst]:.3f} (limit {most:.3f})",
+        row.sentence,
+    )  # fmt: skip
+
+
+def bold(text: str, outside: bool) -> str:
+    """Outside its limits."""
+    return f"**{text}**" if outside else text

@@ -1,4 +1,8 @@
-"""Pictures of the pages that show results of the demo: docs/pictures, made with the program itself. In an empty folder:
+"""Pictures for the pages, and of them; playwright and Chromium take them.
+
+python scripts/page_pictures.py site SITE OUT     # every page of the built site at 1280 and 380 px: contact sheets to
+    # look at, and what is wider than its screen; SITE: what sphinx-build has written, OUT: a folder for the sheets
+python scripts/page_pictures.py demo FOLDER       # docs/pictures, of results of the demo, made in FOLDER by
 
 mgsgraph demo --out mgsgraph-demo
 mgsgraph match mgsgraph-demo/inputs/case.toml --out MATCHES
@@ -8,14 +12,14 @@ mgsgraph dem RESULT --case mgsgraph-demo/inputs/case.toml --out DEM
 mgsgraph analyze mgsgraph-demo --out analysis
 mgsgraph analyze mgsgraph-demo --curve E02-00665 --raster --out sigmas
 mgsgraph report mgsgraph-demo --out report.html
-python scripts/page_pictures.py FOLDER      # that folder; playwright and Chromium take the pages' pictures
 """
 
 import sys
+from io import BytesIO
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Browser, Page, Request, sync_playwright
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 WIDTH = 1040
@@ -34,24 +38,50 @@ FIGURES = {
 }
 PAGES = {"review.jpg": ("review.html", 820, 150), "report.jpg": ("report.html", 760, 0)}
 """Files, how much of them is shown, and from where on, px."""
+WIDTHS = {1280: (4, 0.5), 380: (7, 0.75)}
+"""px; pages in a row of a sheet, and their scale there."""
+_TALLEST = 2400
+"""px of a page that are shown."""
+_SHEET = 2600
+"""px, height of a sheet."""
+_WIDER = """() => {
+    const out = [];
+    const whole = document.documentElement.scrollWidth;
+    if (whole > innerWidth + 1) out.push(`page ${whole} px`);
+    for (const one of document.querySelectorAll('article *')) {
+        const box = one.getBoundingClientRect();
+        if (box.right <= innerWidth + 1 || !box.width) continue;
+        let up = one.parentElement;
+        while (up && !/(auto|scroll)/.test(getComputedStyle(up).overflowX)) up = up.parentElement;
+        if (!up) out.push(`${one.tagName.toLowerCase()} ${one.className}: ${one.textContent.trim().slice(0, 40)}`);
+    }
+    return out.slice(0, 3);
+}"""
+"""What lies beyond the right edge and in nothing that scrolls."""
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 
 
 def main() -> None:
-    work = Path(sys.argv[1]).resolve()
+    what, *folders = sys.argv[1:]
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
+        {"demo": demo, "site": site}[what](browser, *(Path(folder).resolve() for folder in folders))
+        browser.close()
+
+
+# --- pictures of the demo
+
+
+def demo(browser: Browser, work: Path) -> None:
     PICTURES.mkdir(exist_ok=True)
     for name, file in FIGURES.items():
         save(Image.open(work / file), name)
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
-        for name, (file, height, top) in PAGES.items():
-            page = browser.new_page(viewport={"width": WIDTH, "height": height})
-            page.goto((work / file).as_uri())
-            page.evaluate(f"scrollTo(0, {top})")
-            page.wait_for_timeout(2000)
-            page.screenshot(path=work / "screen.png")
-            save(Image.open(work / "screen.png"), name)
-        browser.close()
+    for name, (file, height, top) in PAGES.items():
+        page = browser.new_page(viewport={"width": WIDTH, "height": height})
+        page.goto((work / file).as_uri())
+        page.evaluate(f"scrollTo(0, {top})")
+        page.wait_for_timeout(2000)
+        save(Image.open(BytesIO(page.screenshot())), name)
 
 
 def save(picture: Image.Image, name: str) -> None:
@@ -63,6 +93,44 @@ def save(picture: Image.Image, name: str) -> None:
         picture.save(PICTURES / name, quality=64, optimize=True, progressive=True)
     else:
         picture.quantize(128, kmeans=2, dither=Image.Dither.NONE).save(PICTURES / name, optimize=True)
+
+
+# --- pages of the site
+
+
+def site(browser: Browser, built: Path, out: Path) -> None:
+    out.mkdir(exist_ok=True)
+    pages = [path for path in sorted(built.rglob("*.html")) if "source" not in path.relative_to(built).parts[:-1]]
+    for width, (columns, scale) in WIDTHS.items():
+        page = browser.new_page(viewport={"width": width, "height": 800})
+        page.on("request", tell_outside)
+        contact_sheets([picture_of(page, path, width, scale) for path in pages], columns, out / f"{width}")
+
+
+def tell_outside(request: Request) -> None:
+    if not request.url.startswith(("file:", "data:")):
+        print(f"asked of the network: {request.url}")
+
+
+def picture_of(page: Page, path: Path, width: int, scale: float) -> Image.Image:
+    page.goto(path.as_uri())
+    for found in page.evaluate(_WIDER):
+        print(f"{width} px, {path.name}: {found}")
+    picture = Image.open(BytesIO(page.screenshot(full_page=True)))
+    picture = picture.crop((0, 0, width, min(picture.height, _TALLEST)))
+    return picture.convert("RGB").resize((round(width * scale), round(picture.height * scale)))
+
+
+def contact_sheets(pictures: list[Image.Image], columns: int, begin: Path) -> None:
+    width, count = pictures[0].width + 8, 0
+    while pictures:
+        sheet, heights = Image.new("RGB", (columns * width, _SHEET), "grey"), [0] * columns
+        while pictures and min(heights) + pictures[0].height <= _SHEET:
+            column = heights.index(min(heights))
+            sheet.paste(one := pictures.pop(0), (column * width, heights[column]))
+            heights[column] += one.height + 8
+        sheet.crop((0, 0, sheet.width, max(heights))).save(f"{begin}_{count}.png")
+        count += 1
 
 
 if __name__ == "__main__":

@@ -1,18 +1,63 @@
 """Write what pages say of the program itself, as plain text that reads everywhere: every verb with its options
-(docs/commands.md), every table and key of a case file (docs/case_file.md), every column of the results (docs/files.md).
+(docs/commands.md), every table and key of a case file (docs/case_file.md), every column of the results
+(docs/files.md), every array of a solution.npz (docs/solution_npz.md): what an array means is what stands under its
+field in the source.
 
 `python scripts/pages.py` writes them; a test (tests/test_docs.py) holds them true.
 """
 
 import inspect
 import re
+import tempfile
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import click
-from file_columns import columns_markdown
+import numpy as np
 
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.components import components_of
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.residual_spectrum import ResidualVibrations
+from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.case_file import keys_markdown
+from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.cli import group
+from mgsgraph.files.output.table import Column, Table
+from mgsgraph.geometry.stereo_surface import SurfaceHeights
+from mgsgraph.network import PointClass
+from mgsgraph.record import meanings
+from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.dem.checking import HeightChecks
+from mgsgraph.registration.minima import CostSurface, ProfileState, ReliefProfile
+from mgsgraph.results.analysis import (
+    components_table,
+    likelihood_table,
+    reliability_table,
+    unexplained_table,
+    vibrations_table,
+)
+from mgsgraph.results.archive import FORMAT, array_scalar, kinds_of
+from mgsgraph.results.matching import matches_table
+from mgsgraph.results.passes import nodes_table, shared_table
+from mgsgraph.results.places import selection_table
+from mgsgraph.results.plan import judged_table
+from mgsgraph.results.registration import discrepancy_table, registration_table
+from mgsgraph.results.relief import costs_table, profiles_table, relief_shots_table
+from mgsgraph.results.soundness import drivers_table
+from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
+from mgsgraph.results.terrain_model import shots_table
+from mgsgraph.simulation.demo.truth import disagreement_table
+from mgsgraph.simulation.files import write_pair, write_site
+from mgsgraph.simulation.orbit import MARS
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.simulation.site import SimulationOptions, simulate_site
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 _COMMANDS = """<!-- written by scripts/pages.py -->
@@ -25,6 +70,7 @@ there, a folder that holds anything else is refused.
 """
 _KEYS = "<!-- keys: written by scripts/pages.py -->\n"
 _COLUMNS = "<!-- columns: written by scripts/pages.py -->\n"
+_ARRAYS = "<!-- arrays: written by scripts/pages.py -->\n"
 
 
 def pages() -> dict[Path, str]:
@@ -33,6 +79,7 @@ def pages() -> dict[Path, str]:
         DOCS / "commands.md": _COMMANDS + commands_markdown(),
         DOCS / "case_file.md": f"{_by_hand('case_file.md', _KEYS)}\n{keys_markdown()}",
         DOCS / "files.md": _by_hand("files.md", _COLUMNS) + columns_markdown(),
+        DOCS / "solution_npz.md": _by_hand("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
     }
 
 
@@ -71,6 +118,205 @@ def _marked(text: str) -> str:
 
 def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", r"\|")
+
+
+# --- columns of the results
+
+_MORE = """
+[[shared]]
+kind = "range bias"
+sigma_m = 5.0
+
+[[passes]]
+name = "A"
+images = ["SIM/A"]
+prior = {}
+
+[solver]
+reject = 4.0
+"""
+"""What a small simulated case gets, so that every table has something in it."""
+
+
+def columns_markdown() -> str:
+    """A section for each file."""
+    return "\n".join(line for file, table in _tables() for line in _section(file, table)) + "\n"
+
+
+def _solution() -> Solution:
+    with tempfile.TemporaryDirectory() as folder:
+        case = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), Path(folder))
+        case.write_text(case.read_text(encoding="utf-8") + _MORE, encoding="utf-8")
+        return adjust(read_case(case))
+
+
+def _tables() -> Iterator[tuple[str, Table]]:
+    solution = _solution()
+    linearised = Posterior.of(solution).linearised
+    yield "points.csv", points_table(solution)
+    yield "orientation.csv", orientation_table(solution)
+    yield "residuals.csv", residuals_table(solution)
+    yield "connectivity.csv", connectivity_table(solution_connectivity(solution))
+    yield "shared.csv", shared_table(solution)
+    yield "passes.csv", nodes_table(solution)
+    yield "drivers.csv", drivers_table(solution)
+    yield "reliability.csv", reliability_table(reliability(linearised))
+    yield "unexplained.csv", unexplained_table(unexplained(linearised))
+    yield "vibrations.csv", vibrations_table(ResidualVibrations((), ()))
+    yield "components.csv", components_table(components_of(linearised))
+    yield "likelihood.csv", likelihood_table(())
+    registration = _registration()
+    yield "registration.csv", registration_table(registration)
+    yield "discrepancy.csv", discrepancy_table(registration)
+    yield "what mgsgraph shots writes", selection_table(registration.before[0].found)
+    yield from _without_rows()
+
+
+def _registration() -> CaseRegistration:
+    with tempfile.TemporaryDirectory() as folder:
+        site = simulate_site("gusev", 1, SimulationOptions(pictures=False))
+        return register_case(read_case(write_site(site, Path(folder))))
+
+
+def _without_rows() -> Iterator[tuple[str, Table]]:
+    """Tables whose columns are the same without a plan, a match or a laser shot."""
+    none, pairs, index = np.zeros(0), np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
+    ties = SimpleNamespace(ids=(), measure_point=index, measure_image=(), measures=pairs, measure_sigmas=pairs)
+    covariances, reference = np.zeros((0, 2, 2)), np.zeros(0, dtype=np.bool_)
+    matches: Any = SimpleNamespace(
+        ties=ties, covariances=covariances, reference=reference, correlation=none, misfit=none
+    )
+    checks = HeightChecks((), index, (), np.zeros((0, 3)), pairs, none, none, none, none)
+    dem: Any = SimpleNamespace(checks=checks, model=SimpleNamespace(map=SimpleNamespace(radius=0.0)))
+    yield "plan.csv", judged_table({})
+    yield "matches.csv", matches_table(matches)
+    yield "shots.csv", shots_table(dem)
+    relief = _relief_without_shots()
+    yield "profiles.csv", profiles_table(relief)
+    yield "shots.csv of coregister", relief_shots_table(relief)
+    yield "costs.csv", costs_table(relief)
+    yield "disagreement.csv", disagreement_table(())
+
+
+def _relief_without_shots() -> Any:
+    """A registration by relief of one profile without shots."""
+    none, index, mask = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+    vectors, pairs = np.zeros((0, 3)), np.zeros((0, 2))
+    heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 9)), pairs, pairs, mask, none, none, none)
+    state = ProfileState(vectors, heights, CostSurface("", np.zeros(1), np.zeros((1, 1)), 0, ()))
+    profile = ReliefProfile("", PointClass.LASER, index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
+    points, image = SimpleNamespace(ids=(), places=vectors), SimpleNamespace(body=MARS)
+    network = SimpleNamespace(points=points, images=(image,), shifts=SimpleNamespace(sigmas=np.zeros(1)))
+    return SimpleNamespace(profiles=(profile,), solution=SimpleNamespace(network=network))
+
+
+def _section(file: str, table: Table) -> list[str]:
+    lines = ["", f"## {file}", "", f"{table.title}. {table.note}".rstrip(), "", "| column | unit | meaning |"]
+    return [*lines, "|---|---|---|", *(_row(column) for column in table.columns if column.files)]
+
+
+def _row(column: Column) -> str:
+    names = ", ".join(f"`{one.name()}`" for one in column.split)
+    unit = column.unit if isinstance(column.unit, str) else "in `unit`"
+    return f"| {names} | {unit} | {column.meaning} |".replace("|  |", "| |")
+
+
+# --- arrays of a solution.npz
+
+_ARRAY_HEAD = "| array | numbers | unit | meaning |"
+GROUPS = ("", "network", "network.images.*", "network.points", "network.rays", "network.ranges", "network.surface",
+          "network.passes.*", "network.stereo", "network.crossovers", "joint_covariance")  # fmt: skip
+"""Paths of records whose arrays have a table of their own; the longest one counts."""
+_SHAPE = re.compile(r"(\([^()]*(?:\([^()]*\))?[^()]*\))[:,]? *")
+_UNIT = re.compile(
+    r"(m and rad squared|m and rad|1/m and 1/rad|pixels and pixels/m|rad/s|m/s|m\^2|m per m|pixels|rad|m|s)\b"
+    r"(?![\w^])[,:;.]? *"
+)
+_LATER = re.compile(r", (pixels)\b|(m or rad)\b|in the unit (of its kind)")
+
+
+class ArrayRow(NamedTuple):
+    """An array, or several of the same place in the record."""
+
+    path: str
+    """With `*` for the numbers of a sequence, or the keys of a mapping."""
+    scalars: tuple[str, ...]
+    """NumPy's types of the numbers; one of them."""
+    shape: str
+    unit: str
+    meaning: str
+
+    @property
+    def group(self) -> str:
+        """Which table it stands in."""
+        return max((one for one in GROUPS if not one or self.path.startswith(f"{one}.")), key=len)
+
+    @property
+    def line(self) -> str:
+        """In the table of its group."""
+        name = self.path.removeprefix(f"{self.group}.") if self.group else self.path
+        numbers = f"{' or '.join(self.scalars)} {self.shape}"
+        return f"| `{name}` | {numbers} | {self.unit} | {self.meaning.replace('|', chr(92) + '|')} |"
+
+
+def array_rows() -> list[ArrayRow]:
+    """All of them, in the order of the record; those of the same name and meaning, once."""
+    found = [
+        ArrayRow("format", ("int64",), "()", "-", f"Version of this layout: {FORMAT}."),
+        ArrayRow("record", ("uint8",), "(b,)", "-",
+                 "JSON in UTF-8: all that is no array, and where the arrays belong."),
+    ]  # fmt: skip
+    merged = dict[tuple[str, str, str, str], list[str]]()
+    for path, scalar, said in _walk(Solution, "", ""):
+        shape, unit, meaning = _parts(said, scalar)
+        scalars = merged.setdefault((path, shape, unit, meaning), [])
+        scalars += [scalar] if scalar not in scalars else []
+    return [*found, *(ArrayRow(path, tuple(scalars), *rest) for (path, *rest), scalars in merged.items())]
+
+
+def array_tables() -> list[str]:
+    """Markdown: a heading and a table for each group that there is."""
+    found, lines = array_rows(), list[str]()
+    for name in GROUPS:
+        title = f"Arrays of `{name}`" if name else "Arrays of the solution itself"
+        mine = [row.line for row in found if row.group == name]
+        lines += [f"## {title}", "", _ARRAY_HEAD, "|---|---|---|---|", *mine, ""]
+    return lines[:-1]
+
+
+def _walk(kind: Any, path: str, said: str) -> Iterator[tuple[str, str, str]]:
+    """Path, type and meaning of the arrays in a value of a declared type."""
+    origin, options = get_origin(kind), get_args(kind)
+    if scalar := array_scalar(kind):
+        yield path, scalar.__name__, said
+    elif origin in (Union, types.UnionType):
+        for one in options:
+            if one is not type(None):
+                yield from _walk(one, path, said)
+    elif origin is tuple and options[0] is str:
+        yield path, "str", said
+    elif origin is tuple or origin is Mapping:
+        yield from _walk(options[0 if origin is tuple else 1], f"{path}.*", said)
+    elif is_dataclass(kind) and isinstance(kind, type):
+        said_of, hints = meanings(kind), get_type_hints(kind)
+        for field in fields(kind):
+            below = f"{path}.{field.name}" if path else field.name
+            yield from _walk(hints[field.name], below, said_of.get(field.name, ""))
+    else:
+        for one in kinds_of(kind):
+            yield from _walk(one, path, said)
+
+
+def _parts(said: str, scalar: str) -> tuple[str, str, str]:
+    """Shape, unit and meaning of a field that is described as "(n, 3) m, body-fixed"."""
+    shape = _SHAPE.match(said)
+    rest = said[shape.end() :] if shape else said
+    unit = _UNIT.match(rest) if scalar.startswith("float") else None  # numbers of points and bytes have none
+    later = _LATER.search(rest) if scalar.startswith("float") else None
+    rest = rest[unit.end() :] if unit else rest
+    dimension = unit[1] if unit else later[later.lastindex or 0] if later else "-"
+    rest = rest[:1].upper() + rest[1:] if rest else "As the name says."
+    return shape[1] if shape else "(i,)", dimension, " ".join(rest.split())
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Weights and counts that the papers' own tables imply, and which of their numbers exclude each other.
+"""What the papers print (published/papers.toml), and weights and counts that their own tables imply.
 
 *Weights.* At a least-squares solution the pull of all rows on a constant shift of one image along one of its axes is
 that of the orientation's prior, which with the published corrections is below 1 % of either side at Gusev and Isidis,
@@ -14,11 +14,13 @@ treated as measurements", ground points and orientation as weighted parameters. 
 unknowns.
 """
 
+import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-import published
 from numpy.typing import NDArray
 from study import table
 
@@ -26,6 +28,65 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
 
+
+class Scatter(NamedTuple):
+    """Mean and RMSE, as the papers print them."""
+
+    mean: tuple[float, ...]
+    spread: tuple[float, ...]
+
+
+class Sigmas(NamedTuple):
+    """Table 4: m in X, Y, Z; pixels."""
+
+    mola: tuple[float, ...]
+    tie: tuple[float, ...]
+    sigma0: float
+
+
+class ImageRow(NamedTuple):
+    """PE&RS Table 1, one image."""
+
+    emission_deg: float
+    exposure_ms: float
+    lines: int
+    samples: int
+    pixel_m: float
+    shots: int
+    spacing_m: float
+
+
+class Published(NamedTuple):
+    """What the papers print of a site; their file says which table is which."""
+
+    ties: int
+    base_to_height: float
+    images: tuple[ImageRow, ...]
+    orientation: tuple[Scatter, ...]
+    mola_pixels: Scatter
+    tie_residuals: Scatter
+    mola_corrections: Scatter
+    tie_corrections: dict[str, Scatter]
+    """By paper."""
+    sigmas: dict[str, Sigmas]
+
+
+PAPERS = tomllib.loads((Path(__file__).parent / "published" / "papers.toml").read_text(encoding="utf-8"))
+
+
+def published(site: dict[str, Any]) -> Published:
+    """A site of the file."""
+    papers = {name: site[name] for name in ("PE&RS", "ISPRS")}
+    scatters = (Scatter(*site[name]) for name in ("mola_pixels", "tie_residuals", "mola_corrections"))
+    return Published(
+        site["ties"], site["base_to_height"], tuple(ImageRow(*row) for row in site["images"]),
+        tuple(Scatter(*pair) for pair in site["orientation"]), *scatters,
+        {name: Scatter(*one["tie_corrections"]) for name, one in papers.items()},
+        {name: Sigmas(**one["sigmas"]) for name, one in papers.items()},
+    )  # fmt: skip
+
+
+PUBLISHED = {name: published(site) for name, site in PAPERS["sites"].items()}
 UNKNOWNS = 36
 """Coefficients of two images, second-order polynomials of six elements."""
 STATED_SIGMA = 30.0
@@ -34,16 +95,16 @@ _RANGE_SQUARES = (1.5 / 10.0) ** 2
 """Of a range: "about 1 meter up to about 2 meters", with a sigma of 10 m."""
 
 
-def squares(site: str, printed: dict[str, published.Scatter]) -> Array:
+def squares(printed: Scatter) -> Array:
     """(2, 2) pixels^2, mean squares of Table 5 or of the ties' residuals: left and right, x and y."""
-    mean, spread = (np.array(part) for part in printed[site])
+    mean, spread = (np.array(part) for part in printed)
     return np.asarray((mean**2 + spread**2).reshape(2, 2))
 
 
 def information(site: str) -> Array:
     """(2, 2) pixels^-2, N / sigma^2 of the footprints in the left and right image, x and y."""
-    ties, footprints = (np.array(part[site].mean) for part in (published.TIE_RESIDUALS, published.TABLE_5))
-    return np.asarray(np.abs(published.TIES[site] * ties / footprints).reshape(2, 2))
+    told = PUBLISHED[site]
+    return np.abs(told.ties * np.array(told.tie_residuals.mean) / np.array(told.mola_pixels.mean)).reshape(2, 2)
 
 
 def implied_sigmas(site: str, seen: Sequence[int]) -> Array:
@@ -53,7 +114,7 @@ def implied_sigmas(site: str, seen: Sequence[int]) -> Array:
 
 def shots(site: str) -> int:
     """Footprints of both profiles."""
-    return sum(row.shots for row in published.TABLE_1[site])
+    return sum(row.shots for row in PUBLISHED[site].images)
 
 
 def seen_in(network: Network) -> tuple[int, int]:
@@ -90,24 +151,17 @@ def implied_sigma0(site: str, sigmas: Array, seen: Sequence[int], measurements: 
 
     With `measurements` as PE&RS counts; otherwise with the weighted parameters' rows, whose residuals are next to none.
     """
-    ties, number = published.TIES[site], shots(site)
-    whole = float((np.array(seen)[:, None] * squares(site, published.TABLE_5) / sigmas**2).sum())
-    whole += ties * float(squares(site, published.TIE_RESIDUALS).sum()) + number * _RANGE_SQUARES
+    told, ties, number = PUBLISHED[site], PUBLISHED[site].ties, shots(site)
+    whole = float((np.array(seen)[:, None] * squares(told.mola_pixels) / sigmas**2).sum())
+    whole += ties * float(squares(told.tie_residuals).sum()) + number * _RANGE_SQUARES
     freedom = 2 * sum(seen) + 4 * ties + number - 3 * (number + ties)
     return float(np.sqrt(whole / (freedom - UNKNOWNS if measurements else freedom + 3 * number)))
 
 
-def worst_sigma0() -> float:
-    """By what part sigma0 of the published residuals, with weights that balance them, departs most from Table 4."""
-    found = {site: (shots(site),) * 2 for site in published.TABLE_1}
-    implied = {site: implied_sigma0(site, implied_sigmas(site, seen), seen) for site, seen in found.items()}
-    return max(abs(value / published.TABLE_4["PE&RS"][site].sigma0 - 1.0) for site, value in implied.items())
-
-
 def tie_noise() -> float:
     """pixels, of a tie along the flight, where one row of a pair is redundant: pooled residuals of the three sites."""
-    whole = sum(ties * float(squares(site, published.TIE_RESIDUALS).sum()) for site, ties in published.TIES.items())
-    return float(np.sqrt(whole / sum(published.TIES.values())))
+    whole = sum(one.ties * float(squares(one.tie_residuals).sum()) for one in PUBLISHED.values())
+    return float(np.sqrt(whole / sum(one.ties for one in PUBLISHED.values())))
 
 
 # --- tables
@@ -126,7 +180,7 @@ def balance_table(networks: dict[str, Network]) -> list[str]:
             f"{implied_sigma0(site, implied[1], whole, measurements=False):.3f}",
             f"{implied_sigma0(site, stated, whole):.3f}",
             f"{implied_sigma0(site, stated, whole, measurements=False):.3f}",
-            f"{published.TABLE_4['PE&RS'][site].sigma0:.3f}",
+            f"{PUBLISHED[site].sigmas['PE&RS'].sigma0:.3f}",
         ))  # fmt: skip
     head = (
         "site", "footprints inside, left right", "sigma / sqrt(N) (px): left x y, right x y",
@@ -134,83 +188,3 @@ def balance_table(networks: dict[str, Network]) -> list[str]:
         "all in both, all rows", "30 px", "30 px, all rows", "published",
     )  # fmt: skip
     return table(head, rows)
-
-
-def contradictions(ties_with_one_sigma: Sequence[float], shares: dict[str, list[list[float]]]) -> list[str]:
-    """Published numbers that exclude each other: where, what follows, what is published, how far apart.
-
-    `ties_with_one_sigma`: Table 4 over Eos' tie sigmas with x's sigmas in y, empty without Eos; `shares`: of each site,
-    the part of the corrections along the flight (Table 5) that positions take (Table 2), left, right; then simulated.
-    """
-    rows = []
-    for site in published.TABLE_1:
-        wanted = published.TABLE_4["PE&RS"][site].sigma0
-        whole = (shots(site),) * 2
-        stated = implied_sigma0(site, np.full((2, 2), STATED_SIGMA), whole)
-        all_rows = implied_sigma0(site, implied_sigmas(site, whole), whole, measurements=False)
-        rows += [
-            (site, "30 px for MOLA's image points (PE&RS text), residuals of Table 5 and ISPRS Table 3",
-             f"sigma0 {stated:.2f}", f"{wanted}", _times(stated, wanted)),
-            (site, "the same residuals with the weights that balance them, weighted parameters counted as rows",
-             f"sigma0 {all_rows:.2f}", f"{wanted}", _times(all_rows, wanted)),
-        ]  # fmt: skip
-        sizes, ties = published.TABLE_1[site], published.TIE_RESIDUALS[site].mean
-        expected, found = sizes[0].pixel_m / sizes[1].pixel_m, abs(ties[0] / ties[2])
-        rows.append((
-            site, "pixel sizes of Table 1: ratio of the ties' mean residuals in x, left to right (each tie's own "
-            "ground point sees to it)", f"{expected:.2f}", f"{found:.2f}", _times(found, expected),
-        ))  # fmt: skip
-    needed = published.TABLE_5["eos"].mean[3] * information("eos")[1, 0] / published.TIES["eos"]
-    tie = abs(published.TIE_RESIDUALS["eos"].mean[3])
-    rows.append((
-        "eos", "corrections of 47.1 px in y of the right image (Table 5) with the weight of x: mean residual of ties "
-        "in y",
-        f"{needed:.3f} px", f"{tie:.3f} px", _times(needed, tie),
-    ))  # fmt: skip
-    if ties_with_one_sigma:
-        rows.append((
-            "eos", "one sigma for line and sample (text): tie sigmas X Y Z of Table 4 are larger",
-            "1", " ".join(f"{value:.2f}" for value in ties_with_one_sigma) + " times",
-            f"{max(ties_with_one_sigma):.2f}",
-        ))  # fmt: skip
-    spread = published.TABLE_2["eos"][1].spread
-    moved, turned = float(np.linalg.norm(spread[:3])), _TILT * spread[3] + spread[4]
-    least = (moved - _RANGE_M * turned * np.pi / 648000.0) / published.TABLE_1["eos"][1].pixel_m
-    x = abs(published.TABLE_5["eos"].spread[2])
-    rows.append((
-        "eos", f"Table 2, right: the position varies by {moved:.0f} m RMSE along the flight, and omega and phi by at "
-        f"most {turned:.0f}\" across the ray: image corrections in x vary", f"{least:.0f} px or more", f"{x:.1f} px",
-        _times(least, x),
-    ))  # fmt: skip
-    rows.append(("eos", "Table 5, right: a root mean square", "positive", f"{-x} px", ""))
-    for site, (theirs, simulated) in shares.items():
-        each = [" and ".join(f"{100.0 * value:.0f}" for value in part) for part in (simulated, theirs)]
-        rows.append((
-            site, "sigmas of pointing that match those of position (text): share of positions in the corrections along "
-            "the flight, left and right", f"{each[0]} %", f"{each[1]} %",
-            f"{max(max(a / b, b / a) for a, b in zip(theirs, simulated, strict=True)):.2f}",
-        ))  # fmt: skip
-    for site in ("gusev", "isidis"):
-        left, right = published.TABLE_1[site]
-        mean = published.TABLE_5[site].mean
-        shift = abs(mean[0] * left.pixel_m - mean[2] * right.pixel_m)
-        rows.append((
-            site, "corrections of Table 5 along the flight, times the pixel sizes of Table 1: shift between images",
-            f"{shift:.0f} m", f"{published.STATED_SHIFT_M:.0f} m", _times(shift, published.STATED_SHIFT_M),
-        ))  # fmt: skip
-    most, isprs = 10.0 * published.TABLE_4["ISPRS"]["isidis"].sigma0, published.TABLE_4["ISPRS"]["isidis"].mola[2]
-    rows.append((
-        "isidis", "a priori 10 m for each coordinate of a footprint: its sigma in ISPRS Table 4 (PE&RS has 9.85 m)",
-        f"at most {most:.1f} m", f"{isprs:.1f} m", _times(isprs, most),
-    ))  # fmt: skip
-    return table(("site", "what is stated", "what follows", "what is published", "factor"), rows)
-
-
-_TILT = 0.2425
-"""cos(phi) of Eos' right image: how much of a turn about the first axis is across the ray; the rest is yaw."""
-_RANGE_M = 405e3
-"""m, from Eos' right camera to the ground."""
-
-
-def _times(found: float, wanted: float) -> str:
-    return f"{max(found / wanted, wanted / found):.2f}"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.settings import Line, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.writing import fresh_file
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid

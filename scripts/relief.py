@@ -3,10 +3,7 @@
 Each draw is a simulated site, whose errors have the sigmas that its case states: rendered images in the mission's
 formats are read, matched densely, and the profiles registered (`registration.relief`).
 
-    python scripts/relief.py [--sites gusev,eos,isidis] [--seeds 20] [--first 1] [--no-terrain] [--keep FILE]
-        [--page docs/relief.md]
-
-With --keep each draw is noted in FILE as soon as it is done, and not done again. Exit status: 0 done, 2 bad input.
+    python scripts/relief.py [--cases gusev ...] [--seeds 20] [--first 1] [--processes N] [--keep FILE] [--out FILE]
 """
 
 import sys
@@ -16,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from study import Draw, at_least, cases, chi_square_band, command, draws, machine, number, refusals, table, write_page
+from study import Blocks, Draw, cases, names_of, nees_cell, number, refusals, run, seeds_of, table
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
@@ -32,16 +29,8 @@ from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES, site_settings
 from mgsgraph.text import root_mean_square as rms
 
-WORDS = """# Registration by relief against truth
-
-Made by `scripts/relief.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that
-their cases state, rendered images, own dense matches, {terrain}. *after*: misplacement of a profile against the
-stereo surface, found minus true, rms of both axes over all profiles and draws; *captured*: profiles for which it is
-below {captured:g} m; *before*: the same of the first search, where it ties the profile. *shifts*: NEES of the
-profiles' shifts per axis. *ties*: rms error of the tie points' positions without and with the rows, and the NEES of
-their mean position in the plane. 99 % bands in brackets (the profiles of a draw share the orientation: they are not
-independent).
-"""
+CASES = (*SITE_NAMES, *(f"{name}, no terrain" for name in SITE_NAMES))
+"""Sites, with terrain models by cells or without any."""
 HEAD = (
     "site", "draws", "captured", "before, m", "after, m", "shifts", "ties before, m", "ties after, m", "times better",
     "ties' mean", "seconds",
@@ -50,39 +39,17 @@ _CAPTURED = 50.0
 """m, misplacement after which the right minimum was found."""
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Exit status."""
-    parser = command(__doc__)
-    parser.add_argument("--sites", default=",".join(SITE_NAMES), help="with commas between")
-    parser.add_argument("--seeds", type=at_least(1), default=20, help="draws of each site")
-    parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
-    parser.add_argument("--no-terrain", action="store_true", help="leave out the case's terrain model")
-    parser.add_argument("--keep", type=Path, metavar="FILE", help="note draws here, and go on where it ended")
-    parser.add_argument("--page", type=Path, help="file to write the table to")
-    given = parser.parse_args(arguments)
-    sites, seeds = given.sites.split(","), range(given.first, given.first + given.seeds)
-
-    def make() -> str:
-        every = draws(sites, seeds, lambda site, seed: _drawn(site, seed, not given.no_terrain), given.keep)
-        words = WORDS.format(
-            machine=machine(), first=seeds[0], last=seeds[-1], captured=_CAPTURED,
-            terrain="no terrain model" if given.no_terrain else "terrain models by cells",
-        )
-        rows = [_row(site, cases(every, site)) for site in sites]
-        return "\n".join([words, *table(HEAD, rows), "", refusals(every), ""])
-
-    return write_page(parser, given.page, make)
-
-
-def _drawn(name: str, seed: int, terrain: bool) -> Draw:
-    begin = time.perf_counter()
+def one_draw(case: str, seed: int) -> Draw:
+    """Simulate, read, register, judge."""
+    begin, (name, _, without) = time.perf_counter(), case.partition(", ")
     site = simulate_site(site_settings(name), seed)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            case = read_case(write_site(site, Path(folder)))
+            read = read_case(write_site(site, Path(folder)))
         except InputError as error:
             return {"refused": str(error)}
-        found = register_by_relief(case if terrain else replace(case, network=replace(case.network, surface=None)))
+        network = replace(read.network, surface=None) if without else read.network
+        found = register_by_relief(replace(read, network=network))
     return _judged(site, found) | {"seconds": time.perf_counter() - begin}
 
 
@@ -139,21 +106,21 @@ def surface_errors(site: SimulatedSite, names: list[str], solution: Solution) ->
 
 def _row(site: str, mine: list[Draw]) -> list[str]:
     before, after = (np.array([one for draw in mine for one in draw[name] if one]) for name in ("before", "after"))
-    nees = np.concatenate([draw["shifts"] for draw in mine])
     ties = rms(np.array([draw["ties"] for draw in mine])[:, 0]), rms(np.array([draw["ties"] for draw in mine])[:, 1])
     captured = np.linalg.norm(after, axis=1) < _CAPTURED
     return [
         site, str(len(mine)), f"{int(captured.sum())} of {captured.size}", number(rms(before)), number(rms(after)),
-        _within(nees.sum(), 2 * len(nees)), number(ties[0]), number(ties[1]), number(ties[0] / ties[1]),
-        _within(sum(draw["mean"] for draw in mine), 2 * len(mine)),
+        nees_cell([0.5 * float(np.mean(draw["shifts"])) for draw in mine]),
+        number(ties[0]), number(ties[1]), number(ties[0] / ties[1]),
+        nees_cell([0.5 * draw["mean"] for draw in mine], 2),
         number(float(np.mean([draw["seconds"] for draw in mine]))),
     ]  # fmt: skip
 
 
-def _within(squares: float, degrees: int) -> str:
-    low, high = chi_square_band(degrees)
-    return f"{squares / degrees:.2f} ({low:.2f} .. {high:.2f})"
+def judge(every: list[Draw]) -> Blocks:
+    """The table."""
+    return {"relief": [*table(HEAD, [_row(case, cases(every, case)) for case in names_of(every)]), "", refusals(every)]}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(seeds_of(__doc__, CASES, 20, "relief.md"), one_draw, judge))

@@ -1,17 +1,28 @@
-"""What the studies of this folder share: command lines, progress, exit status, pages in Markdown, bands of a mean."""
+"""The harness of the studies in this folder: command line, draws of many seeds, bands of the NEES, pages.
+
+A study is a file with its settings, a function that makes one draw, and a judge that makes tables of all draws. Its
+page in docs is written by hand but for what stands between marks `<!-- made: NAME -->` and `<!-- end -->`, which
+`write_page` fills: the tables, and last (NAME: by) the command, the commit, the programs and the machine.
+"""
 
 import argparse
 import json
 import math
 import os
 import platform
+import shlex
+import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any, NoReturn
 
-from mgsgraph.errors import InputError, MgsgraphError
+import numpy as np
+
+from mgsgraph.errors import InputError, MgsgraphError, SolverError
 from mgsgraph.files.writing import fresh_file
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -19,6 +30,10 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 REMEDY = "choose a file where you may write"
 Z99 = NormalDist().inv_cdf(0.995)
 """Quantile of the normal distribution, 99 % two-sided."""
+Blocks = Mapping[str, Sequence[str]]
+"""Lines of the made parts of a page, by name."""
+Draw = dict[str, Any]
+"""What one draw gave, as JSON has it: case, seed and figures; or why the draw is no case (`refused`)."""
 
 # --- the command line
 
@@ -78,23 +93,150 @@ def status(name: str, job: Callable[[], int | None]) -> int:
     return 2
 
 
-def write_page(parser: OneLine, path: Path | None, make: Callable[[], str]) -> int:
-    """Make a page, print it and write it to a file, if one is named; the exit status. Whether the file can be written
-    is asked first.
+# --- a study
+
+
+def seeds_of(description: str | None, cases: Sequence[str], seeds: int, page: str) -> OneLine:
+    """The command line of a study of many seeds: cases, seeds, workers, draws to keep, page."""
+    parser = command(description)
+    which = f"cases, or words of their names: {'; '.join(cases)}"
+    parser.add_argument("--cases", nargs="+", default=cases, metavar="CASE", help=which)
+    parser.add_argument("--seeds", type=at_least(2), default=seeds, help=f"draws of each case; {seeds} when absent")
+    parser.add_argument("--first", type=at_least(0), default=1, help="first seed")
+    workers = parser.add_mutually_exclusive_group()
+    workers.add_argument("--processes", type=at_least(1), default=1, help="worker processes on this machine")
+    workers.add_argument("--cluster", metavar="PLACE", help="local, local:N, tcp://host:port or tls://host:port")
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="note draws here, and go on where it ended")
+    parser.add_argument("--out", type=Path, default=DOCS / page, metavar="FILE", help=f"page; docs/{page} when absent")
+    return parser
+
+
+def chosen(parser: OneLine, wanted: Sequence[str]) -> list[str]:
+    """Cases that a command line asks for: by their names, or all with a word in their names."""
+    every: Sequence[str] = parser.get_default("cases")
+    words = {case: case.replace(",", "").split() for case in every}
+    found = [[word] if word in every else [case for case in every if word in words[case]] for word in wanted]
+    for word in (word for word, some in zip(wanted, found, strict=True) if not some):
+        parser.error(f"no case {word!r}; there are {'; '.join(every)}")
+    return list(dict.fromkeys(case for some in found for case in some))
+
+
+def run(
+    parser: OneLine, one: Callable[[str, int], Draw], judge: Callable[[list[Draw]], Blocks],
+    given: Sequence[str] | None = None,
+) -> int:
+    """Make the draws that a command line of `seeds_of` asks for, judge them, write the page; the exit status."""
+    wanted = parser.parse_args(given)
+    place = wanted.cluster or (f"local:{wanted.processes}" if wanted.processes > 1 else None)
+    orders = [(case, wanted.first + k) for case in chosen(parser, wanted.cases) for k in range(wanted.seeds)]
+    page = Path(parser.get_default("out")).name
+    return write_page(parser, wanted.out, page, lambda: judge(drawn(orders, one, wanted.keep, place)))
+
+
+def drawn(
+    orders: Sequence[tuple[str, int]], one: Callable[[str, int], Draw], keep: Path | None, place: str | None = None
+) -> list[Draw]:
+    """Draws of cases and seeds, here or at workers; those that an earlier run of this commit has kept are not made
+    again.
+    """
+    require_writable(keep)
+    this = commit()
+    found = {order: draw for order, draw in kept(keep).items() if draw["commit"] == this}
+    due = [order for order in orders if order not in found]
+    for done, draw in enumerate(_work(due, one, place), start=1):
+        found[draw["case"], draw["seed"]] = draw | {"commit": this}
+        show(f"{done} of {len(due)}: {draw['case']}, seed {draw['seed']}")
+        if keep is not None:
+            with keep.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(draw | {"commit": this}) + "\n")
+    return [found[order] for order in orders]
+
+
+def _work(
+    orders: Sequence[tuple[str, int]], one: Callable[[str, int], Draw], place: str | None
+) -> Iterator[Draw]:
+    """Draws as they come."""
+    if place is None or not orders:
+        yield from (_named(one, order) for order in orders)
+        return
+    from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
+
+    with open_cluster(place, most=len(orders)) as cluster:
+        for number, result in cluster.each(partial(_named, _by_name(one)), orders):
+            if isinstance(result, Lost):
+                raise SolverError("{}, seed {}: {}".format(*orders[number], result.message))
+            yield result
+
+
+def _by_name(one: Any) -> Any:
+    """A function of the program that runs as workers find it: in the module of the program's name."""
+    return getattr(import_module(Path(sys.argv[0]).stem), one.__name__) if one.__module__ == "__main__" else one
+
+
+def _named(one: Callable[[str, int], Draw], order: tuple[str, int]) -> Draw:
+    return {"case": order[0], "seed": order[1]} | one(*order)
+
+
+def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
+    """Draws of an earlier run, by case and seed; a line that a crash has cut short is taken out of the file."""
+    if path is None or not path.exists():
+        return {}
+    try:
+        text, _, cut = path.read_text(encoding="utf-8").rpartition("\n")
+        found = {(draw["case"], draw["seed"]): draw for draw in map(json.loads, text.splitlines()) if draw["commit"]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(str(path), f"holds no kept draws ({error})", "what --keep has written", REMEDY) from None
+    if cut:
+        write_text(f"{text}\n" if text else "", path)
+    return found
+
+
+def cases(every: Sequence[Draw], case: str) -> list[Draw]:
+    """Draws of a case that were not refused."""
+    return [draw for draw in every if draw["case"] == case and "refused" not in draw]
+
+
+def names_of(every: Sequence[Draw]) -> list[str]:
+    """Cases of draws, each once."""
+    return list(dict.fromkeys(draw["case"] for draw in every))
+
+
+def refusals(every: Sequence[Draw]) -> str:
+    """A sentence on draws that are no cases."""
+    count = sum("refused" in draw for draw in every)
+    return f"Of {len(every)} draws {count} are no cases: a profile is drawn so far off that it misses its image."
+
+
+# --- files and pages
+
+
+def write_page(parser: OneLine, path: Path | None, page: str, make: Callable[[], Blocks]) -> int:
+    """Make the blocks of a page of docs, print them, and write the page to a file, if one is named; the exit status.
+    Whether the file can be written is asked first.
     """
 
     def job() -> None:
         require_writable(path)
-        text = make()
+        blocks = make()
         show("")
-        print(text)
+        whole = filled(page, {**blocks, "by": [made_by()]})
+        print("\n\n".join("\n".join(block).strip() for block in [*blocks.values(), [made_by()]]))
         if path is not None:
-            write_text(text, path)
+            write_text(whole, path)
 
     return status(parser.prog, job)
 
 
-# --- files
+def filled(page: str, blocks: Blocks) -> str:
+    """The text of a page of docs with its made parts replaced; InputError where it has no marks of one."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for name, lines in blocks.items():
+        before, begin, rest = text.partition(f"<!-- made: {name} -->\n")
+        _, end, after = rest.partition("<!-- end -->")
+        if not (begin and end):
+            raise InputError(f"docs/{page}", f"no marks of the made part {name!r}", f"{begin} .. <!-- end -->")
+        text = "".join([before, begin, "\n", "\n".join(lines).strip(), "\n\n", end, after])
+    return text
 
 
 def require_writable(*paths: Path | None) -> None:
@@ -121,56 +263,6 @@ def write_text(text: str, path: Path) -> None:
         aside.write_text(text, encoding="utf-8")
 
 
-def write_figure(figure: Any, path: Path) -> None:
-    """Write a figure of matplotlib as PNG, whole or not at all."""
-    with fresh_file(path, remedy=REMEDY) as aside:
-        figure.savefig(aside, dpi=110, format="png")
-
-
-# --- draws of simulated sites
-
-Draw = dict[str, Any]
-"""What one draw gave, as JSON has it: site, seed and figures; or why the draw is no case (`refused`)."""
-
-
-def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
-    """Draws of an earlier run, by site and seed."""
-    if path is None or not path.exists():
-        return {}
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return {(draw["site"], draw["seed"]): draw for draw in map(json.loads, lines)}
-
-
-def note(path: Path | None, draw: Draw) -> None:
-    """Add a draw to those kept."""
-    if path is not None:
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(draw) + "\n")
-
-
-def draws(sites: Sequence[str], seeds: Sequence[int], one: Callable[[str, int], Draw], keep: Path | None) -> list[Draw]:
-    """Draws of all sites and seeds; those of an earlier run that are kept in a file are not made again."""
-    found = kept(keep)
-    for seed in seeds:
-        for site in sites:
-            if (site, seed) not in found:
-                show(f"{site}, seed {seed}")
-                found[site, seed] = {"site": site, "seed": seed} | one(site, seed)
-                note(keep, found[site, seed])
-    return [found[site, seed] for site in sites for seed in seeds]
-
-
-def cases(every: Sequence[Draw], site: str) -> list[Draw]:
-    """Draws of a site that are cases."""
-    return [draw for draw in every if draw["site"] == site and "refused" not in draw]
-
-
-def refusals(every: Sequence[Draw]) -> str:
-    """A sentence on draws that are no cases."""
-    count = sum("refused" in draw for draw in every)
-    return f"Of {len(every)} draws {count} are no cases: a profile is drawn so far off that it misses its image."
-
-
 # --- Markdown
 
 
@@ -184,11 +276,23 @@ def number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:#.3g}".rstrip(".")
 
 
+def made_by() -> str:
+    """Command, commit, programs and machine of a page."""
+    words = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    return f"Made by `python scripts/{words}`, commit {commit()}. {machine()}. {made_with()}"
+
+
 def made_with() -> str:
     """The programs that a page was made with, and their versions."""
     from mgsgraph.adjustment.adjust import versions  # the kernel: not before --threads count
 
     return f"Made with {', '.join(f'{name} {version}' for name, version in versions().items())}."
+
+
+def commit() -> str:
+    """The commit of this checkout; `dirty` where files differ from it."""
+    words = ["git", "-C", str(DOCS), "describe", "--always", "--dirty", "--exclude=*"]
+    return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 
 
 def machine() -> str:
@@ -217,6 +321,22 @@ def student(chance: float, degrees: int) -> float:
     from scipy.stats import t
 
     return float(t.isf(0.5 * chance, degrees))
+
+
+def nees_band(values: Sequence[float], degrees: int = 0) -> tuple[float, float]:
+    """99 % band of the mean of normalised squares, one of each draw and each per degree of freedom, if the covariances
+    are right: a chi-square's for `degrees` of a joint covariance in each draw; for 0 (mean of items that share the
+    draw's orientation) 1 +- Student's quantile times the scatter from draw to draw.
+    """
+    if degrees:
+        return chi_square_band(degrees * len(values))
+    half = student(0.01, len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return 1.0 - half, 1.0 + half
+
+
+def nees_cell(values: Sequence[float], degrees: int = 0) -> str:
+    """Mean of normalised squares with its band (`nees_band`)."""
+    return within(float(np.mean(values)), nees_band(values, degrees))
 
 
 def within(mean: float, band: tuple[float, float]) -> str:

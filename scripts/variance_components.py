@@ -1,25 +1,25 @@
 """Do variance components find wrong sigmas, and are their own uncertainties right? A strip drawn over and over.
 
-Planted: in each draw the groups of rows have errors 0.5, 2 or 5 times as large as their stated sigmas, by turns, all of
-them at once (of position and pointing one in turn: on narrow images neither is worth much against the other);
-`iterated_components` must find the factors. Null: all sigmas are right; one adjustment each, for the p-values
-of the tests. Writes docs/variance_components.md by default.
+Case *planted*: in each draw the groups of rows have errors 0.5, 2 or 5 times as large as their stated sigmas, by turns,
+all of them at once (of position and pointing one in turn: on narrow images neither is worth much against the other);
+`iterated_components` must find the factors. Case *right*: all sigmas are right; one adjustment each, for the p-values
+of the tests. Fills docs/variance_components.md.
 
-    python scripts/variance_components.py [--planted 90] [--null 60] [--images 24] [--out FILE]
+    python scripts/variance_components.py [--cases planted right] [--seeds 90] [--first 1] [--processes N] [--out FILE]
 """
 
 import sys
-import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import binom, chi2, kstest
-from study import DOCS, Z99, at_least, command, show, write_page
+from scipy.stats import binom, kstest
+from study import Z99, Blocks, Draw, cases, chi_square_band, run, seeds_of, table
 
-from mgsgraph.adjustment.adjust import adjust_network, versions
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import Components, Judgement, components_of, iterated_components
-from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
+from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_tests import ALPHA, chi_square_test, residual_statistics
 from mgsgraph.network import Network
@@ -31,50 +31,19 @@ from mgsgraph.simulation.strip import StripSettings, simulate_strip
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import redraw
 
-from mgsgraph.text import root_mean_square
+from mgsgraph.text import root_mean_square as rms
 
 FACTORS = (0.5, 2.0, 5.0)
 NOISE = NoiseSettings(tie=0.5, shot_image=1.0, range=10.0, ground=3.0)
 """Under which every group of the strip can be judged."""
-WORDS = """# Variance components: are planted factors found?
-
-A strip, {network}, is drawn anew from its
-sigmas, but with the errors of each group of rows 0.5, 2 or 5 times as large as the sigmas that the adjustment is given,
-by turns and all groups at once, in {planted} draws; but of position and pointing priors one in turn is right (1), for
-they can hardly be told apart on narrow images, and what one of them is thought to be decides what the other is found to
-be. `iterated_components` scales and adjusts until all factors are one within 1%. Made by
-`scripts/variance_components.py`; seeds from {first} on, {seconds:.0f} s on a busy machine.
-
-* *z*: the factor found against the planted one as a standard normal deviate (Wilson & Hilferty's transform of the
-  chi-square with the stated degrees of freedom). Mean 0 and rms 1 are promised; in brackets their 99% bands. *beyond*:
-  draws with |z| > 2.58 (1% is promised), and how many a binomial law allows in 99% of cases.
-* *spread*: standard deviation of ln(factor / planted) over the draws; *stated*: rms of the stated relative sigmas.
-* *degrees*: median degrees of freedom of the squared factor. *not judged*: draws in which the group was called not
-  judgeable; they have no z.
-* *dependent*: draws whose verdict on the group says that it holds if another group's stated sigmas, which can't be
-  judged, are right: their z are counted by themselves, and the other columns have the rest. Vague factors (sigma above
-  15 %) that go together with another's (correlation above 0.5) are stated without a sigma, and count as not judged:
-  what is the one's may have been booked under the other.
-"""
-NULL = """
-## All sigmas right
-
-{null} draws from the stated sigmas themselves, one adjustment each. Chi-square test: p-values uniform with
-p = {uniform:.2g} (Kolmogorov & Smirnov), false alarms at {alpha:g}%: {alarms} of {null} ({low} to {high} allowed, 99%).
-Squares over degrees of freedom: mean {ratio:.4f} (1 +- {band:.4f}, 99%). Helmert's matrix: rows add up to the
-redundancies within {sum:.1e}.
-
-*z*: as above, from a single pass. *p < 0.05*: draws whose normalised residuals fail the Kolmogorov-Smirnov test at 5%;
-the test counts independent residuals on the safe side, so that fewer than 5% fail.
-
-| group | rows | redundancy | z mean | z rms | p < 0.05 |
-|---|---|---|---|---|---|
-"""
+STRIP = StripSettings(images=24, ties=20, shots=12, noise=NOISE)
+WIDTHS = ("planted", "draws", "z mean", "z rms", "beyond", "spread", "stated", "degrees", "not judged")
 
 
-def strip(images: int) -> Network:
+@cache
+def strip() -> Network:
     """The strip's network with the sigmas that it was drawn from."""
-    made = simulate_strip(StripSettings(images=images, ties=20, shots=12, noise=NOISE))
+    made = simulate_strip(STRIP)
     known = {image.name: KnownImage(image, NOISE.prior) for image in made.images}
     network = observed(known, [made.ties, *made.lasers], NOISE.tie, NOISE.shot_image)
     assert network is not None
@@ -91,115 +60,99 @@ def planted_factors(seed: int, groups: int) -> np.ndarray:
     return factors
 
 
-def planted(network: Network, grouping: Grouping, seeds: range) -> tuple[list[np.ndarray], list[Components], int]:
-    """Planted factors and what was found, and how many did not come to rest."""
-    truths, found, restless = list[np.ndarray](), list[Components](), 0
-    for seed in seeds:
+def one_draw(case: str, seed: int) -> Draw:
+    """Components where factors are planted, or tests and components where all sigmas are right."""
+    network, settings = strip(), SolverSettings()
+    grouping = group_rows(network)
+    if case == "planted":
         truth = planted_factors(seed, len(grouping.names))
-        drawn = redraw(scaled(network, grouping, truth), np.random.default_rng([1, seed])).network
-        honest = iterated_components(scaled(drawn, grouping, 1.0 / truth), SolverSettings())
-        restless += not honest.converged
-        truths.append(truth)
-        found.append(honest.components)
-        show(f"planted: draw {len(found)} of {len(seeds)}")
-    return truths, found, restless
+        draw = redraw(scaled(network, grouping, truth), np.random.default_rng([1, seed])).network
+        found = iterated_components(scaled(draw, grouping, 1.0 / truth), settings)
+        return {"converged": found.converged, "groups": of_groups(found.components, truth)}
+    solution = adjust_network(redraw(network, np.random.default_rng([2, seed])).network, settings)
+    at, test = at_solution(solution), chi_square_test(solution.fit)
+    components = components_of(at, grouping)
+    sums = components.helmert.sum(axis=1) - [one.redundancy for one in components.groups]
+    return {
+        "groups": of_groups(components, np.ones(len(grouping.names))), "off": float(np.abs(sums).max()),
+        "passed": bool(test.passed), "larger": float(test.larger), "squares": float(test.squares / test.degrees),
+        "degrees": int(test.degrees), "p": [float(one.p_value) for one in residual_statistics(at, grouping)],
+    }  # fmt: skip
 
 
-def planted_table(names: tuple[str, ...], truths: list[np.ndarray], found: list[Components]) -> str:
+def of_groups(found: Components, truth: np.ndarray) -> list[Draw]:
+    """Of each group the planted factor, and where it was judged the factor's deviation from it (standard normal), ln of
+    their ratio, its stated relative sigma and its degrees of freedom.
+    """
+    groups = []
+    for factor, one in zip(truth.tolist(), found.groups, strict=True):
+        told: Draw = {"name": one.name, "planted": factor, "rows": int(one.rows), "redundancy": float(one.redundancy)}
+        if one.judgement is Judgement.JUDGED:
+            told |= {
+                "z": float(one.deviation(factor)), "ln": float(np.log(one.factor / factor)),
+                "sigma": float(one.sigma / one.factor), "degrees": float(one.degrees),
+            }  # fmt: skip
+        groups.append(told)
+    return groups
+
+
+def planted_rows(every: list[Draw]) -> list[list[str]]:
     """A row for each group and factor, and one for each group."""
-    lines = [
-        "| group | planted | draws | z mean | z rms | beyond | spread | stated | degrees | dependent: draws, z rms | "
-        "not judged |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for g, name in enumerate(names):
-        for factors in [(one,) for one in (1.0, *FACTORS)] + [(1.0, *FACTORS)]:
-            mine = [(t[g], c.groups[g]) for t, c in zip(truths, found, strict=True) if t[g] in factors]
-            if not mine:
-                continue
-            good = [(t, one) for t, one in mine if one.judgement is Judgement.JUDGED]
-            plain, dependent = ([(t, one) for t, one in good if bool(one.given) is which] for which in (False, True))
-            z = np.array([one.deviation(t) for t, one in dependent])
-            beside = f"{z.size}, {root_mean_square(z):.2f}" if z.size else "0"
-            what = f"{factors[0]:g}" if len(factors) == 1 else "all"
-            lines.append(f"| {name} | {what} | {len(mine)} | {figures(plain)} | {beside} | {len(mine) - len(good)} |")
-    every = [(t[g], one) for t, c in zip(truths, found, strict=True) for g, one in enumerate(c.groups)]
-    for which, what in ((False, "not dependent"), (True, "dependent")):
-        good = [(t, one) for t, one in every if one.judgement is Judgement.JUDGED and bool(one.given) is which]
-        lines.append(f"| all groups, {what} | all | {len(good)} | {figures(good)} | | |")
-    return "\n".join(lines)
+    groups = [one for draw in every for one in draw["groups"]]
+    rows = []
+    for name in dict.fromkeys(one["name"] for one in groups):
+        for factor in (1.0, *FACTORS, None):
+            mine = [one for one in groups if one["name"] == name and factor in (None, one["planted"])]
+            if mine:
+                rows.append([name, f"{factor:g}" if factor else "all", str(len(mine)), *figures(mine)])
+    return [*rows, ["all groups", "all", str(len(groups)), *figures(groups)]]
 
 
-def figures(good: list) -> str:  # type: ignore[type-arg]
-    """z, spread, stated sigma and degrees of the draws that were judged."""
-    n = len(good)
+def figures(mine: list[Draw]) -> list[str]:
+    """z, spread, stated sigma and degrees of those that were judged; how many were not."""
+    judged = [one for one in mine if "z" in one]
+    n, end = len(judged), str(len(mine) - len(judged))
     if n < 2:
-        return "- | - | - | - | - | -"
-    z = np.array([one.deviation(truth) for truth, one in good])
-    logs = np.array([np.log(one.factor / truth) for truth, one in good])
-    stated = root_mean_square(np.array([one.sigma / one.factor for _, one in good]))
-    low, high = np.sqrt(chi2.ppf([0.005, 0.995], n) / n)
+        return ["-"] * 6 + [end]
+    z, logs, sigmas, degrees = (np.array([one[key] for one in judged]) for key in ("z", "ln", "sigma", "degrees"))
+    low, high = np.sqrt(chi_square_band(n))
     beyond, allowed = int(np.count_nonzero(np.abs(z) > Z99)), int(binom.ppf(0.99, n, 0.01))
-    degrees = np.median([one.degrees for _, one in good])
-    return (
-        f"{z.mean():.2f} (+-{Z99 / np.sqrt(n):.2f}) | {root_mean_square(z):.2f} ({low:.2f}-{high:.2f}) | "
-        f"{beyond} ({allowed}) | {logs.std(ddof=1):.3f} | {stated:.3f} | {degrees:.0f}"
-    )
+    return [
+        f"{z.mean():.2f} (+-{Z99 / np.sqrt(n):.2f})", f"{rms(z):.2f} ({low:.2f}-{high:.2f})", f"{beyond} ({allowed})",
+        f"{logs.std(ddof=1):.3f}", f"{rms(sigmas):.3f}", f"{np.median(degrees):.0f}", end,
+    ]  # fmt: skip
 
 
-def null_page(network: Network, grouping: Grouping, seeds: range) -> str:
+def right_lines(every: list[Draw]) -> list[str]:
     """Tests and components of draws from the stated sigmas."""
-    tests, found, p_values, off = [], list[Components](), [], 0.0
-    draws = len(seeds)
-    for seed in seeds:
-        solution = adjust_network(redraw(network, np.random.default_rng([2, seed])).network, SolverSettings())
-        at = at_solution(solution)
-        tests.append(chi_square_test(solution.fit))
-        found.append(components_of(at, grouping))
-        p_values.append([one.p_value for one in residual_statistics(at, grouping)])
-        sums = found[-1].helmert.sum(axis=1) - np.array([one.redundancy for one in found[-1].groups])
-        off = max(off, float(np.abs(sums).max()))
-        show(f"null: draw {len(found)} of {draws}")
+    draws, degrees = len(every), every[0]["degrees"]
     low, high = binom.ppf([0.005, 0.995], draws, ALPHA).astype(int)
-    degrees = tests[0].degrees
-    page = NULL.format(
-        null=draws, uniform=kstest([one.larger for one in tests], "uniform").pvalue, alpha=100 * ALPHA, low=low,
-        high=high, alarms=sum(not one.passed for one in tests), sum=off,
-        ratio=np.mean([one.squares for one in tests]) / degrees, band=Z99 * np.sqrt(2.0 / degrees / draws),
-    )  # fmt: skip
-    for g, name in enumerate(grouping.names):
-        one, p = found[0].groups[g], np.array(p_values)[:, g]
-        z = np.array([c.groups[g].deviation(1.0) for c in found if c.groups[g].judgement is Judgement.JUDGED])
-        judged = f"{z.mean():.2f} | {root_mean_square(z):.2f}" if z.size else "- | -"
-        page += f"| {name} | {one.rows} | {one.redundancy:.1f} | {judged} | "
-        page += f"{100 * np.mean(p < 0.05):.0f}% |\n" if np.all(np.isfinite(p)) else "- |\n"
-    return page
+    p, rows = np.array([draw["p"] for draw in every]), []
+    for g, one in enumerate(every[0]["groups"]):
+        z = np.array([draw["groups"][g]["z"] for draw in every if "z" in draw["groups"][g]])
+        judged = [f"{z.mean():.2f}", f"{rms(z):.2f}"] if z.size else ["-", "-"]
+        failed = f"{100 * np.mean(p[:, g] < 0.05):.0f}%" if np.all(np.isfinite(p[:, g])) else "-"
+        rows.append([one["name"], str(one["rows"]), f"{one['redundancy']:.1f}", *judged, failed])
+    return [
+        f"{draws} draws. Chi-square test: p-values uniform with p = "
+        f"{kstest([draw['larger'] for draw in every], 'uniform').pvalue:.2g} (Kolmogorov & Smirnov), false alarms at "
+        f"{100 * ALPHA:g}%: {sum(not draw['passed'] for draw in every)} ({low} to {high} allowed, 99%).",
+        f"Squares over degrees of freedom: mean {np.mean([draw['squares'] for draw in every]):.4f} "
+        f"(1 +- {Z99 * np.sqrt(2.0 / degrees / draws):.4f}, 99%). Helmert's matrix: rows add up to the redundancies "
+        f"within {max(draw['off'] for draw in every):.1e}.", "",
+        *table(("group", "rows", "redundancy", "z mean", "z rms", "p < 0.05"), rows),
+    ]  # fmt: skip
 
 
-def main() -> int:
-    """Draw, estimate, write."""
-    parser = command(__doc__)
-    parser.add_argument("--planted", type=at_least(0), default=90)
-    parser.add_argument("--null", type=at_least(1), default=60)
-    parser.add_argument("--first", type=at_least(0), default=0, help="first seed")
-    parser.add_argument("--images", type=at_least(2), default=24)
-    parser.add_argument("--out", type=Path, default=DOCS / "variance_components.md")
-    options = parser.parse_args()
-
-    def page() -> str:
-        start, network = time.perf_counter(), strip(options.images)
-        grouping = group_rows(network)
-        first = options.first
-        truths, found, restless = planted(network, grouping, range(first, first + options.planted))
-        table = planted_table(grouping.names, truths, found)
-        null = null_page(network, grouping, range(first, first + options.null))
-        seconds = time.perf_counter() - start
-        words = WORDS.format(network=network, planted=options.planted, first=first, seconds=seconds)
-        rest = f"\nNot at rest after all passes: {restless} of {options.planted} draws.\n"
-        return f"{words}\n{table}\n{rest}{null}\n{versions()}\n"
-
-    return write_page(parser, options.out, page)
+def judge(every: list[Draw]) -> Blocks:
+    """Both tables, of the cases that are there."""
+    wrong, right, blocks = cases(every, "planted"), cases(every, "right"), dict[str, list[str]]()
+    if wrong:
+        rest = sum(not draw["converged"] for draw in wrong)
+        end = f"Not converged after all passes: {rest} of {len(wrong)} draws."
+        blocks["planted"] = [*table(("group", *WIDTHS), planted_rows(wrong)), "", end]
+    return blocks | ({"right": right_lines(right)} if right else {})
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(seeds_of(__doc__, ("planted", "right"), 90, "variance_components.md"), one_draw, judge))

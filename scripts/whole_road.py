@@ -1,11 +1,12 @@
-"""The whole road on a simulated archive, from the ids of two images to a terrain model, command by command.
+"""The whole workflow on a simulated archive, from the ids of two images to a terrain model, command by command.
 
 The site's archives are written to a folder and served from localhost; then the commands of docs/whole_road.md run one
-after the other, each in a process of its own as a person types it. Seconds and peak memory of each are told, and at the
-end the terrain model is held against the truth, which is known here. `--page` writes what was found to that page.
+after the other, each in a process of its own as a user types it. Seconds and peak memory of each are told, and at the
+end the terrain model is compared with the truth, which is known here.
+
+    python scripts/whole_road.py [--site gusev] [--seed 1] [--work FOLDER] [--out FILE]
 """
 
-import argparse
 import os
 import shlex
 import subprocess
@@ -16,8 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import dem_truth
 import numpy as np
+from study import DOCS, at_least, command, table, write_page
 
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
@@ -29,7 +30,7 @@ from simulated_archive import write_archive
 
 from mgsgraph.text import root_mean_square as rms
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "whole_road.md"
+PAGE = DOCS / "whole_road.md"
 ROAD = (
     "fetch {images} --out DATA",
     "init PROJECT --case DATA/case.toml",
@@ -42,8 +43,8 @@ ROAD = (
 """The commands; `fetch` has the mirror's address besides."""
 _BANDS = (1, 2, 3)
 """Of dem.tif: height, its sigma, the share of matching in it, m."""
-_SAMPLE, _NEAR = 20_000, 20.0
-"""Posts by which a terrain model is laid on the truth, and m between which slopes are taken."""
+_SAMPLE, _NEAR, _ROUNDS = 20_000, 20.0, 5
+"""Posts by which a terrain model is laid on the truth, m between which slopes are taken, and rounds of moving it."""
 
 
 class Step(NamedTuple):
@@ -77,25 +78,27 @@ class Judged(NamedTuple):
     """rms of the stated sigma of matching."""
 
 
-def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--site", choices=SITE_NAMES, default="gusev")
-    options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
-    options.add_argument("--page", action="store_true", help=f"write {PAGE.name}")
-    given = options.parse_args()
-    with tempfile.TemporaryDirectory() as aside:
-        work = given.work or Path(aside)
-        site = simulate_site(given.site, given.seed)
-        steps = road(site, work)
-        judged = judge(work / "DEM" / "dem.tif", site)
-    print("\n".join([*table(steps), "", *words(judged)]))
-    if given.page:
-        PAGE.write_text(page(site, steps, judged), encoding="utf-8", newline="\n")
+def main() -> int:
+    """Entry point."""
+    parser = command(__doc__)
+    parser.add_argument("--site", choices=SITE_NAMES, default="gusev")
+    parser.add_argument("--seed", type=at_least(0), default=1)
+    parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
+    parser.add_argument("--out", type=Path, default=PAGE)
+    given = parser.parse_args()
+
+    def make() -> dict[str, list[str]]:
+        with tempfile.TemporaryDirectory() as aside:
+            work, site = given.work or Path(aside), simulate_site(given.site, given.seed)
+            steps = road(site, work)
+            judged = judge(work / "DEM" / "dem.tif", site)
+        return {"commands": step_table(steps), "judged": words(judged), "said": heard(steps)}
+
+    return write_page(parser, given.out, PAGE.name, make)
 
 
 def commands(site: SimulatedSite) -> list[str]:
-    """As a person types them."""
+    """As a user types them."""
     images = " ".join(image.settings.name.replace("-", "/") for image in site.images)
     return [f"mgsgraph {command.format(images=images)}" for command in ROAD]
 
@@ -162,22 +165,25 @@ def laid_on(
     """
     along, across = y / np.abs(y).max(), x / np.abs(x).max()
     shape = np.column_stack([np.ones_like(x), along, across, along**2, along * across])
+    moved, level, off = np.zeros(2), np.zeros(shape.shape[1]), heights
+    for _ in range(_ROUNDS):
+        there = np.column_stack([x, y]) - moved
+        slopes = [
+            (truth(*(there + step).T) - truth(*(there - step).T)) / (2.0 * _NEAR) for step in _NEAR * np.eye(2)
+        ]
+        off, design = heights - truth(*there.T), np.column_stack([shape, *(-slope for slope in slopes)])
+        level, more = np.split(np.linalg.lstsq(design, off)[0], [shape.shape[1]])
+        moved = moved + more
+    return np.array([*moved, level[0]]), rms(off - shape @ level)
 
-    def slopes(plane: np.ndarray) -> np.ndarray:
-        ways = [(plane + step, plane - step) for step in _NEAR * np.eye(2)]
-        return np.column_stack([(truth(*ahead.T) - truth(*behind.T)) / (2.0 * _NEAR) for ahead, behind in ways])
 
-    moved, level, left = dem_truth.laid_on(
-        lambda plane: truth(*plane.T), slopes, np.column_stack([x, y]), heights, np.ones((x.size, 1)), shape
-    )
-    return np.array([*moved[0], level[0]]), rms(left)
-
-
-def table(steps: list[Step]) -> list[str]:
-    rows = [f"| `{one.command}` | {one.seconds:.0f} | {one.busy:.0f} | {one.megabytes:.0f} |" for one in steps]
-    seconds, busy = sum(one.seconds for one in steps), sum(one.busy for one in steps)
-    rows.append(f"| all of it | {seconds:.0f} | {busy:.0f} | {max(one.megabytes for one in steps):.0f} |")
-    return ["| command | seconds | of a processor | peak memory, MB |", "|---|---|---|---|", *rows]
+def step_table(steps: list[Step]) -> list[str]:
+    """What each command took."""
+    parts = [(f"`{one.command}`", one.seconds, one.busy, one.megabytes) for one in steps]
+    _, seconds, busy, megabytes = zip(*parts, strict=True)
+    parts.append(("all of it", sum(seconds), sum(busy), max(megabytes)))
+    rows = [[name, *(f"{value:.0f}" for value in values)] for name, *values in parts]
+    return table(("command", "seconds", "of a processor", "peak memory, MB"), rows)
 
 
 def words(judged: Judged) -> list[str]:
@@ -191,51 +197,11 @@ def words(judged: Judged) -> list[str]:
     ]
 
 
-def page(site: SimulatedSite, steps: list[Step], judged: Judged) -> str:
-    """docs/whole_road.md."""
+def heard(steps: list[Step]) -> list[str]:
+    """What `match` and `dem` said."""
     said = {one.command.split()[1]: one.said.splitlines() for one in steps}
-    heard = [f"* *{verb}*: {line[2:]}" for verb in ("match", "dem") for line in said[verb] if line.startswith("- ")]
-    return _PAGE.format(
-        commands="\n".join(commands(site)), title=site.settings.title, table="\n".join(table(steps)),
-        judged="\n".join(words(judged)), said="\n".join(heard),
-    )  # fmt: skip
-
-
-_PAGE = """# The whole road: from image ids to a terrain model
-
-What a newcomer types, from the ids of two overlapping images to a terrain model with sigmas:
-
-```sh
-{commands}
-```
-
-* `fetch` brings images, kernels, laser profiles and a coarse terrain model, and writes a case: [fetch.md](fetch.md).
-* `init` makes a project of that case. Its tie points are still to be found, so its images wait.
-* `match` finds them in the images, and puts them into the project with the laser shots: [matching.md](matching.md).
-* `solve` adjusts everything by batch; results are in `PROJECT/solutions/0001`: [incremental.md](incremental.md).
-* `report`, `export` ([export.md](export.md)) and `dem` ([dem.md](dem.md)) take the project's last solution; the case
-  and the tie points are those that the project knows.
-
-Without a project, the same: `mgsgraph match DATA/case.toml --out MATCHES`, then `mgsgraph adjust DATA/case.toml --ties
-MATCHES/network.pvl --out RESULT`, and `--case DATA/case.toml` for `report` and `dem`.
-
-## On a simulated archive ({title})
-
-`python scripts/whole_road.py --page` has made this: the simulated site laid out as the public archives are
-(`tests/simulated_archive.py`) and served from localhost, where `fetch` finds it by `--mirror`. Two cores, which may
-have had other work; the terrain model among the files is MOLA's coarse one, 16 posts per degree.
-
-{table}
-
-The truth of the site is known:
-
-{judged}
-
-What `match` and `dem` said:
-
-{said}
-"""
+    return [f"* *{verb}*: {line[2:]}" for verb in ("match", "dem") for line in said[verb] if line.startswith("- ")]
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

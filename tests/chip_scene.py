@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.simulation.observations import free_points

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import read_network
 from mgsgraph.geometry.records import Array
 
 FIRST_CENTER = 0.5

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import TerrainGrid

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from hypothesis import strategies as st
 
-from mgsgraph.files.networks.pvl_writing import network_text
+from mgsgraph.files.networks.pvl import network_text
 from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
@@ -15,7 +15,7 @@ from mgsgraph.files.networks.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 
 NUMBERS = st.floats(-1e299, 1e299)
 TEXTS = st.text("abcXYZ019_.:/ #=(){},<>+-*'é漢\t", max_size=12).filter(lambda text: text.lower() != "null")

@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges

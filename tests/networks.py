@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from joint_prior import JointNodePrior
 
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, polynomial
 from mgsgraph.geometry.terrain import TerrainGrid

@@ -9,7 +9,7 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import Line, SolverSettings
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.kernel.rows import Rows
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
 from mgsgraph.files.altimetry.lidar import read_lidar
-from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.altimetry.shots import read_altimetry_cloud, read_shots
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.geometry.body import Ellipsoid
 

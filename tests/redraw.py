@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.variables import footprint_shifts
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
@@ -18,8 +18,10 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKind, Surface
 from mgsgraph.network.corrections import adjusted_image
+from mgsgraph.network.passes import Pass, PolynomialPrior
 from mgsgraph.network.shared import image_effect
 from mgsgraph.simulation.hrsc_flight import drawn_nodes, strip_correction
+from mgsgraph.simulation.rig import powers
 
 _HEIGHT_STEPS = 20
 
@@ -111,14 +113,35 @@ def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:
 
 
 def _drawn_corrections(network: Network, rng: np.random.Generator, angles: Angles) -> tuple[OrientationCorrection, ...]:
-    """One for each image; the images of a strip have one in common."""
+    """One for each image; the images of a pass have one in common, turned into the axes of each."""
     owner, adjusted = network.pass_of, network.with_polynomial
     own = {
         j: _drawn_correction(network.priors[j].sigmas * adjusted[j], rng, angles)
         for j in np.flatnonzero(owner < 0).tolist()
     }
-    common = [strip_correction(one.nodes, drawn_nodes(one.prior, one.nodes, rng), angles) for one in network.passes]
-    return tuple(own[j] if k < 0 else common[k] for j, k in enumerate(owner.tolist()))
+    for one in network.passes:
+        nodes = _drawn_pass(one, rng)
+        common = strip_correction(one.nodes, nodes, angles)
+        for j in one.images.tolist():
+            axes = one.axes_of(j)
+            turned = common if axes is None else np.hstack([nodes[:, :3], nodes[:, 3:] @ axes.T])
+            own[j] = common if axes is None else strip_correction(one.nodes, turned, angles)
+    return tuple(own[j] for j in range(len(network.images)))
+
+
+def _drawn_pass(one: Pass, rng: np.random.Generator) -> Array:
+    """(k, 6) nodes of a pass, m and rad, from their prior."""
+    if not isinstance(one.prior, PolynomialPrior):
+        return drawn_nodes(one.prior, one.nodes, rng)
+    return powers(one.nodes) @ (polynomial_sigmas(one) * rng.standard_normal((len(one.nodes), 6)))
+
+
+def polynomial_sigmas(one: Pass) -> Array:
+    """(k, 6) m and rad, of the coefficients of a pass whose corrections are polynomials; 0 for those that are held."""
+    sigmas = np.zeros((len(one.nodes), 6))
+    for part, columns in ((one.prior.position_sigmas, slice(0, 3)), (one.prior.attitude_sigmas, slice(3, 6))):
+        sigmas[: len(part), columns] = part
+    return sigmas
 
 
 def _drawn_correction(sigmas: Array, rng: np.random.Generator, angles: Angles) -> OrientationCorrection:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from rigs import rig
 
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.simulation.case_files import json_text, support_data, tie_network_text
 

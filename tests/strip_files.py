@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.simulation.case_files import json_text, support_data, tie_network_text
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Readout

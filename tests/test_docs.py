@@ -120,7 +120,7 @@ def pixels(folder: Path) -> dict[str, object]:
 def a_result(folder: Path) -> dict[str, object]:
     import matched
 
-    from mgsgraph.files.networks.pvl_writing import write_pvl_network
+    from mgsgraph.files.networks.pvl import write_pvl_network
     from mgsgraph.files.networks.tie_points import control_network
 
     pixels(folder)

@@ -41,7 +41,7 @@ ONLY_IN = {
     "numba": ("mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.adjustment.graph.rows"),
     "llvmlite": ("mgsgraph.kernel.lanes",),
     "cv2": ("mgsgraph.matching",),
-    "jinja2": ("mgsgraph.files.output.page",),
+    "jinja2": ("mgsgraph.files.writing",),
     "google": ("mgsgraph.files.networks",),
     "click": ("mgsgraph.cli",),
     "starlette": ("mgsgraph.studio",),
@@ -143,10 +143,10 @@ def reached(found: dict[str, Path], start: Iterable[str]) -> set[str]:
 DOOR = {
     "mgsgraph.files.opening": {"os.fdopen", "json.loads", "open"},  # os.open
     "mgsgraph.files.decoding": {"tomllib.loads"},
-    "mgsgraph.files.rasters.raster_file": {"DatasetReader"},
-    "mgsgraph.files.spice.kernels": {"spiceypy.furnsh"},
+    "mgsgraph.files.rasters.raster_file": {"DatasetReader", "rasterio.open"},
+    "mgsgraph.files.labels.kernels": {"spiceypy.furnsh"},
     "mgsgraph.files.rasters.megdr": {"np.memmap"},  # of an open file whose size fits its label
-    "mgsgraph.files.cameras.hrsc": {"np.memmap"},  # the same
+    "mgsgraph.files.cameras.label": {"np.memmap"},  # the same
     "mgsgraph.files.rasters.pictures": {"np.fromfile"},  # the same
     "mgsgraph.results.archive": {"zipfile.ZipFile"},
     "mgsgraph.project.store": {"json.loads"},  # cells of rows whose checksum is right
@@ -154,7 +154,6 @@ DOOR = {
     "mgsgraph.project.settings": {"json.loads"},
     # our own files, not a user's
     "mgsgraph.adjustment.graph.rows": {"read_text"},  # the system's: how much memory a container may take
-    "mgsgraph.files.output.geotiff": {"rasterio.open"},
     "mgsgraph.adjustment.cluster.workers": {"open", "read_bytes"},
     "mgsgraph.compiled": {"read_bytes"},
     "mgsgraph.files.writing": {"open"}, "mgsgraph.fetch.download": {"open"},

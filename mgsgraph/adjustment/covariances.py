@@ -30,7 +30,7 @@ from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot, begins, i
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.rows import OUT, Rows, of_points

@@ -37,10 +37,13 @@ def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweepe
     """Residuals with the shared unknowns (columns,) and points (n, 3), layout order."""
     places = layout.observation_rows
     values = sweeper.residuals(layout, layout.rows, orientation, points)
-    heights = np.full(points.shape[0], np.nan)
-    heights[places.on_terrain] = values[places.heights, 0]
-    stereo = np.full(points.shape[0], np.nan)
+    nothing = np.broadcast_to(np.nan, points.shape[0])  # it takes no memory
+    heights, stereo = nothing, nothing
+    if places.on_terrain.size:
+        heights = nothing.copy()
+        heights[places.on_terrain] = values[places.heights, 0]
     if layout.stereo is not None:
+        stereo = nothing.copy()
         stereo[layout.stereo.points] = values[places.stereo, 0]
     return Residuals(values[places.rays], values[places.ranges, 0], heights, stereo)
 

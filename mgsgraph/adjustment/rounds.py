@@ -25,7 +25,7 @@ from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, PREDICTED, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction

@@ -15,7 +15,7 @@ import numpy as np
 from mgsgraph.adjustment.fit import ABSURD, Strained
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import ray_statistics, rejected_points
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass, SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift

@@ -18,7 +18,7 @@ import numpy as np
 from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution, orientation_profiles
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation import SUPPORT, Angles, Moments, OrientationCorrection

@@ -17,7 +17,7 @@ import numpy as np
 from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.analysis.statistics import flight_axes_at, mean_and_rms, pose_sigmas, sigmas_along
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
 from mgsgraph.errors import InputError
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import MATCH
-from mgsgraph.files.records import read_record
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import (
     AltimeterShots,
     AltimetryCloud,

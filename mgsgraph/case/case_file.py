@@ -20,11 +20,10 @@ from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
-from mgsgraph.files.kinds import Kind, kind_of, listed_names
+from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names
 from mgsgraph.files.labels.aberration import Aberration
-from mgsgraph.files.labels.image_kinds import ImageKind, image_kind, image_name
-from mgsgraph.files.labels.image_label import instrument_of
 from mgsgraph.files.opening import read_text
+from mgsgraph.files.pvl import instrument_of
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage, require_distinct
 from mgsgraph.geometry.plausibility import require_plausible

@@ -12,8 +12,7 @@ from mgsgraph.case.case_file import plain_image, read_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.kinds import IMAGES, Kind
-from mgsgraph.files.labels.image_kinds import image_kind, image_name
+from mgsgraph.files.kinds import IMAGES, Kind, image_kind, image_name
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage, twins
 from mgsgraph.units import KM

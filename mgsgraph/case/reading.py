@@ -21,10 +21,10 @@ from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.files.labels.image_label import instrument_of
 from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.networks.table import read_tie_points
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
+from mgsgraph.files.pvl import instrument_of
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
@@ -327,7 +327,7 @@ def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
 
 def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
     """Ground returns of all profiles of a file as a case states it, in the images or not."""
-    from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
+    from mgsgraph.files.altimetry.shots import read_altimetry_cloud
 
     path = folder / entry.file
     cloud = read_altimetry_cloud(path, body, entry.version)

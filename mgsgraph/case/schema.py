@@ -177,7 +177,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     position_bias_s: float = 0.0
     """Position of time t is the SPK's of t + this."""
     line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
-    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (files.cameras.hrsc)."""
+    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (files.cameras.label)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None

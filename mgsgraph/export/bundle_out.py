@@ -21,8 +21,8 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import PLACES, local_sigmas, prior_sigmas, rejected_points, used_ray_counts
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import picked, quoted
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.files.output.table import picked, quoted
 from mgsgraph.files.writing import write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn, planetocentric

@@ -22,14 +22,15 @@ from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.files.support_data.isd_layout import (
     J2000,
     MODEL,
+    NUMBERS,
     RotationTable,
     StateTable,
     SunTable,
     rotation_table,
+    state_optics,
     state_table,
     support_fields,
 )
-from mgsgraph.files.support_data.optics import NUMBERS, state_optics
 from mgsgraph.files.writing import file_stem, write_files
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic

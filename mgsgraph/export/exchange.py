@@ -36,10 +36,9 @@ from mgsgraph.files.networks.asp_text import (
     read_nvm,
     read_offsets,
 )
-from mgsgraph.files.networks.binary import binary_network
+from mgsgraph.files.networks.binary import binary_network, read_network
 from mgsgraph.files.networks.editing import images_of, in_images, thinned, united, used_images
-from mgsgraph.files.networks.network_file import read_network
-from mgsgraph.files.networks.pvl_writing import network_text
+from mgsgraph.files.networks.pvl import network_text
 from mgsgraph.files.networks.record import (
     ControlNetwork,
     ControlPoint,

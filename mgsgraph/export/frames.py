@@ -11,7 +11,7 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.errors import InputError, library
 from mgsgraph.export.gis import Layer, ellipse_layers, footprint_layers
 from mgsgraph.files.output.table import Column, Table
-from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
+from mgsgraph.files.rasters.raster_file import geographic_crs, wkt2
 from mgsgraph.record import meanings
 from mgsgraph.results.passes import nodes_table, shared_table
 from mgsgraph.results.tables import (

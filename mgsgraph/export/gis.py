@@ -22,9 +22,9 @@ from mgsgraph.analysis.places import SigmaGrid
 from mgsgraph.analysis.statistics import adjusted_points, local_sigmas, ray_statistics, rejected_points
 from mgsgraph.atomic_write import made_beside
 from mgsgraph.errors import InputError, library
-from mgsgraph.files.output.csv_json import columns, picked
 from mgsgraph.files.output.folders import PROGRAM
-from mgsgraph.files.rasters.coordinate_systems import authority_code, geographic_crs, wkt2
+from mgsgraph.files.output.table import columns, picked
+from mgsgraph.files.rasters.raster_file import authority_code, geographic_crs, wkt2
 from mgsgraph.files.writing import fresh_file
 from mgsgraph.geometry.body import PROBABILITY, east_north_up, error_ellipses, geodetic
 from mgsgraph.geometry.footprint import Footprint, Shapes, areas, map_lines, map_points, map_polygon, map_polygons

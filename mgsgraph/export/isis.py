@@ -20,7 +20,7 @@ from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
 from mgsgraph.export.network_content import ADJUSTED_BY, Kept, with_content
 from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
 from mgsgraph.files.networks.binary import write_binary_network
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
@@ -29,8 +29,8 @@ from mgsgraph.files.networks.record import (
     MeasureType,
     PointType,
 )
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.folders import PROGRAM
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.files.writing import write_file
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask

@@ -20,7 +20,7 @@ from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, Contr
 from mgsgraph.files.networks.table import read_whole
 from mgsgraph.files.opening import sha256_of, understood
 from mgsgraph.files.output.folders import PROGRAM, RECORD
-from mgsgraph.files.records import read_record
+from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.text import listed, many, some
 

@@ -11,9 +11,9 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target
-from mgsgraph.files.output.csv_json import write_json
 from mgsgraph.files.output.folders import EXPORT, PROGRAM, fresh_folder
-from mgsgraph.files.records import read_record
+from mgsgraph.files.output.table import write_json
+from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
 from mgsgraph.results.archive import read_solution
 

@@ -44,8 +44,8 @@ from mgsgraph.export.spice_texts import (
     instruments_text,
     list_text,
 )
+from mgsgraph.files.labels.kernels import loaded, spice_words
 from mgsgraph.files.output.folders import PROGRAM
-from mgsgraph.files.spice.kernels import loaded, spice_words
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array

@@ -13,7 +13,7 @@ from spiceypy.utils.exceptions import NotFoundError
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.spice_nodes import Reprojection, images_of
-from mgsgraph.files.spice.kernels import loaded, spice_words
+from mgsgraph.files.labels.kernels import loaded, spice_words
 
 Numbers = np.ndarray[Any, np.dtype[np.float64]]
 

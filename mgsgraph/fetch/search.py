@@ -23,7 +23,7 @@ from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels
 from mgsgraph.fetch.needs import Archives, CameraProduct, ImageNeeds, Product, ProductId, WantedFile, kernel_path
 from mgsgraph.fetch.store import DownloadFolder
-from mgsgraph.files.altimetry.pedr import FRAME, HEADER_RECORDS
+from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS
 from mgsgraph.files.opening import read_bytes, read_text
 from mgsgraph.files.pvl import Block, Document, flat_label, whole_label
 from mgsgraph.text import some

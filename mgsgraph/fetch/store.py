@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.download import Remote
 from mgsgraph.fetch.needs import ImageNeeds, WantedFile, require_address
-from mgsgraph.files.altimetry.pedr import FRAME
-from mgsgraph.files.labels.image_label import read_label
+from mgsgraph.files.altimetry.binary import FRAME
 from mgsgraph.files.opening import head_of, read_bytes, sha256_of
-from mgsgraph.files.records import read_record, record_text
-from mgsgraph.files.writing import write_file
+from mgsgraph.files.pvl import read_label
+from mgsgraph.files.writing import read_record, record_text, write_file
 
 LOCK = "fetch.lock"
 """Its name in the folder."""

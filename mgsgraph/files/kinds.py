@@ -9,18 +9,19 @@ import zlib
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.lola import RECORD, is_lola_rdr
-from mgsgraph.files.altimetry.pedr import FRAME
-from mgsgraph.files.altimetry.tables import is_archive_table, table_of
-from mgsgraph.files.labels.image_label import label_text
-from mgsgraph.files.labels.isis_cube import is_cube_json
+from mgsgraph.files.altimetry.binary import FRAME, RECORD, is_lola_rdr
+from mgsgraph.files.altimetry.tables import LOLA_ROW, is_archive
+from mgsgraph.files.cameras.label import label_of
+from mgsgraph.files.csv_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
+from mgsgraph.files.labels.isis_cube import has_tables, is_cube_json, serial_number
 from mgsgraph.files.networks.table import MAGIC, parquet_names
-from mgsgraph.files.networks.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
 from mgsgraph.files.opening import head_of, json_object, read_bytes, read_text
+from mgsgraph.files.pvl import label_text, read_label
 from mgsgraph.files.support_data.isd_layout import MODEL
-from mgsgraph.files.support_data.model_state import is_model_state
+from mgsgraph.files.support_data.model_state import is_model_state, read_state_json
 
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
@@ -204,8 +205,62 @@ def _rows(text: str, path: Path) -> Iterator[Kind | None]:
         return
     if {"id"} <= set(names) and {"image", "product", "serial_number"} & set(names):
         yield Kind.TIE_TABLE
-    if first and is_archive_table(table_of("\n".join(lines).encode(), path)):
+    if LOLA_ROW.match(first) or is_archive(first.split("," if "," in first else None)):
         yield Kind.SHOTS
     placed = set(CARTESIAN) <= set(names) or {*PLANETOCENTRIC[:2]} <= set(names)
     yield Kind.ALTIMETRY if placed and GEODETIC[1] not in names else None
     yield Kind.GROUND_CONTROL if _GCP.fullmatch(first) else None
+
+
+ImageKind = Literal["isd", "state", "label", "cube"]
+
+_TEXT_HEAD = 512
+_KEYS: dict[Kind | None, ImageKind] = {
+    Kind.SUPPORT_DATA: "isd", Kind.MODEL_STATE: "state", Kind.CUBE_TABLES: "cube",
+}  # fmt: skip
+_OF_LABELS = (Kind.PDS3, Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL, Kind.RASTER)
+"""A raster may be a map-projected cube, which its reader refuses."""
+
+
+def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = False) -> ImageKind:
+    """The kind of an image's file.
+
+    Parameters
+    ----------
+    path : Path
+        Image support data (JSON), model state, ISIS cube or its label, tables of a cube as JSON, or PDS3 label.
+    kernels_of_its_own : bool
+        Whether kernels are named for this very image, which go before the tables of its cube.
+    kernels : bool
+        Whether there are any kernels that a label could be read with.
+
+    Raises
+    ------
+    InputError
+        Missing file, or none of these.
+    """
+    kind = kind_of(path)
+    if kind in _KEYS:
+        return _KEYS[kind]
+    if kind is None and head_of(path, _TEXT_HEAD).lstrip().startswith(b"{"):  # what is wrong in it, its reader says
+        return "isd"
+    if kind not in _OF_LABELS:
+        raise InputError(
+            str(path), str(kind) if kind else "no image, label or support data",
+            "an ISIS cube, a PDS3 label, JSON of ALE or ISIS, or a model state of usgscsm",
+        )  # fmt: skip
+    root = read_label(path)
+    if "PDS_VERSION_ID" in root:
+        return "label"
+    with_tables = has_tables(path, root)
+    return "label" if kernels_of_its_own or (kernels and not with_tables) else "cube"
+
+
+def image_name(path: Path, kind: ImageKind) -> str:
+    """By which control networks call the image: ISIS's serial number, or what support data call it, or the file."""
+    if kind == "cube":
+        return serial_number(path)
+    if kind == "label":
+        return label_of(path, read_label(path)).serial
+    stated = read_state_json(path).get("m_imageIdentifier" if kind == "state" else "image_identifier")
+    return stated if isinstance(stated, str) and stated else path.stem

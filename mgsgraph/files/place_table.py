@@ -15,8 +15,17 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.csv_columns import csv_columns, measured
-from mgsgraph.files.networks.table_columns import GEODETIC, ISIS, OURS, PLACES, PLANETOCENTRIC, on_body, require_degrees
+from mgsgraph.files.csv_columns import (
+    GEODETIC,
+    ISIS,
+    OURS,
+    PLACES,
+    PLANETOCENTRIC,
+    csv_columns,
+    measured,
+    on_body,
+    require_degrees,
+)
 from mgsgraph.geometry.body import Ellipsoid, require_near
 from mgsgraph.geometry.records import Array, frozen
 from mgsgraph.units import DEG, ISIS_OFFSET

@@ -3,15 +3,23 @@
 Understood: nested Object and Group, keywords in any case, quoted strings, lists in parentheses or braces, units in
 angle brackets, values carried over lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments
 ``/* */`` anywhere and ``#`` up to the end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
+
+Labels of images, PDS3 (attached or detached) or of ISIS cubes: found, told apart, and where they say data lie.
+
+Written: equals signs of a block stand in one column, texts in quotes where they need them, lists are wrapped at 80
+columns: DOI-USGS/ISIS3, isis/src/base/objs/PvlFormat/PvlFormat.cpp (FormatValue, AddQuotes), and
+ControlNetVersioner.truth. Long texts are not wrapped: a wrapped one comes back with its blanks changed. All texts that
+a reader might take apart are in quotes.
 """
 
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.opening import finite_number
+from mgsgraph.files.opening import finite_number, head_of
 from mgsgraph.units import KM
 
 LENGTHS = dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0) | dict.fromkeys(
@@ -343,3 +351,166 @@ def _skipped(text: str, position: int) -> int:
     """The position behind blanks and comments."""
     blank = _BLANK.match(text, position)
     return blank.end() if blank else position
+
+
+_HEAD = 1 << 20
+"""bytes; no label of a planetary image comes near."""
+_DIGITS = 15
+"""Of the longest place in a file."""
+_LABEL_BEGIN = re.compile(
+    rb"(?:\s*(?:CCSD|#)[^\r\n]*[\r\n])*\s*(PDS_VERSION_ID|Object\s*=\s*IsisCube\b)", re.IGNORECASE
+)
+"""Behind the label of a standard formatted data unit (CCSD...) and comments."""
+
+
+def read_label(path: Path) -> Block:
+    """The label of an image, as one block: at its head, or beside it with the ending ``.lbl``.
+
+    Raises
+    ------
+    InputError
+        Missing or unreadable file, no label, or a label that is no PVL.
+    """
+    text = _head(path)
+    if text is None:
+        beside = [path.with_suffix(suffix) for suffix in (".lbl", ".LBL") if path.with_suffix(suffix).is_file()]
+        text = _head(beside[0]) if beside else None
+        path = beside[0] if beside else path
+    if text is None:
+        raise InputError(
+            str(path), "no label", "PDS_VERSION_ID = PDS3 or Object = IsisCube at its head, or a .lbl beside it"
+        )
+    return whole_label(Document(str(path), text))
+
+
+def _head(path: Path) -> str | None:
+    """The text at the head of a file; None where there is none."""
+    return label_text(head_of(path, _HEAD))
+
+
+def label_text(head: bytes) -> str | None:
+    """The label of an image at the head of a file, from its first key on; None where there is none."""
+    begin = _LABEL_BEGIN.match(head)
+    # pixels that follow are never parsed: PVL ends at its END; a cube fills up with NUL
+    return head[begin.start(1) :].split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n") if begin else None
+
+
+def cube_of(root: Block) -> Block | None:
+    """The cube that an ISIS label describes, which is in camera geometry; None for a PDS3 label."""
+    if "PDS_VERSION_ID" in root:
+        return None
+    cube = root.inner("IsisCube")
+    for block in cube.blocks:
+        if block.name == "mapping":
+            raise InputError(block.where(), "a map-projected cube", "an image in camera geometry (before cam2map)")
+    return cube
+
+
+def cube_size(cube: Block) -> tuple[int, int]:
+    """Lines and samples of a whole cube: a cropped or reduced one no longer begins when its label says."""
+    core = cube.inner("Core").inner("Dimensions")
+    size = core.count("Lines"), core.count("Samples")
+    for block in cube.blocks:
+        if block.name == "alphacube" and (block.count("AlphaLines"), block.count("AlphaSamples")) != size:
+            whole = f"{block.count('AlphaLines')} x {block.count('AlphaSamples')}"
+            raise InputError(block.where(), f"{size[0]} x {size[1]} pixels cut out of {whole}", "the whole image")
+    return size
+
+
+def instrument_of(path: Path) -> str:
+    """What the label of an image calls its instrument, in capitals: MOC-NA, MOC-WA, HRSC."""
+    root = read_label(path)
+    if "PDS_VERSION_ID" in root:
+        return root.text("INSTRUMENT_ID").upper()
+    return root.inner("IsisCube").inner("Instrument").text("InstrumentId").upper()
+
+
+def data_location(path: Path, root: Block) -> tuple[Path, int]:
+    """File and offset in bytes of ``^IMAGE``: a record or <BYTES>, in this file or in the one it names."""
+    record = root.count("RECORD_BYTES")
+    if "^IMAGE" not in root:
+        raise InputError(root.where(), "no ^IMAGE", "^IMAGE = record, or (file, record)")
+    entry = root.entries["^image"]
+    items = [entry.value] if isinstance(entry.value, str) else list(entry.value)
+    place = items.pop() if items and items[-1].isdecimal() else "1"
+    if len(items) > 1 or len(place) > _DIGITS or int(place) < 1:
+        raise InputError(root.where("^IMAGE"), f"{entry.value}", "a record, a file, or (file, record)")
+    offset = int(place) - 1 if entry.unit == "bytes" else (int(place) - 1) * record
+    return (_beside(path, items[0], root) if items else path), offset
+
+
+def _beside(path: Path, name: str, root: Block) -> Path:
+    """The file of this name, in any case, in the label's folder."""
+    if found := files_called(path, name):
+        return found[0]
+    raise InputError(root.where("^IMAGE"), f"the file {name}, which is not there", "it in the label's folder")
+
+
+def files_called(path: Path, name: str) -> list[Path]:
+    """Those of this name, in any case, in a file's folder; the one in just this case is the first."""
+    beside = path.parent.iterdir() if path.parent.is_dir() else ()
+    found = [file for file in beside if file.name.lower() == name.lower()]
+    return sorted(found, key=lambda file: file.name != name)
+
+
+def bytes_around(image: Block) -> tuple[int, int]:
+    """Bytes before and after each line's pixels, none where the label has neither."""
+    keys = ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES")
+    prefix, suffix = (int(image.number(key, {"": 1.0})) if key in image else 0 for key in keys)
+    if min(prefix, suffix) < 0:
+        raise InputError(image.where(), f"{min(prefix, suffix)} bytes before or after a line", "none, or some")
+    return prefix, suffix
+
+
+# --- writing
+
+
+_COLUMNS = 80
+_UNQUOTED = re.compile(r"[\w.:/$+-]*[\w.:/$+]")
+_LINE_BREAK = re.compile(r"[\r\n]")
+Value = str | tuple[str, ...]
+"""As it stands behind the equals sign; items of a list."""
+
+
+def text_value(text: str, where: str) -> str:
+    """A text, in quotes if it needs them; ISIS's Null for an empty one.
+
+    Raises
+    ------
+    InputError
+        If it has a line break or both kinds of quotes, which PVL can't hold, or characters that UTF-8 can't.
+    """
+    if _UNQUOTED.fullmatch(text):
+        return text
+    if not text:
+        return "Null"
+    quote = "'" if '"' in text else '"'
+    found = "a line break" if _LINE_BREAK.search(text) else "both kinds of quotes" if quote in text else ""
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        found = "half a character"
+    if found:
+        raise InputError(where, f"{found} in {text[:60]!r}", "what PVL can hold", "change it, or write another format")
+    return f"{quote}{text}{quote}"
+
+
+def keyword_lines(keywords: list[tuple[str, Value]], indent: int) -> list[str]:
+    """Lines of a block's keywords."""
+    width = max(len(key) for key, _ in keywords)
+    blanks = " " * indent
+    return [
+        f"{blanks}{key:{width}} = {value}" if isinstance(value, str) else _list(f"{blanks}{key:{width}} = ", value)
+        for key, value in keywords
+    ]
+
+
+def _list(head: str, items: tuple[str, ...]) -> str:
+    """A list, its items below one another's first column where a line would be longer than 80."""
+    lines, line = list[str](), head + "("
+    for index, item in enumerate(items):
+        piece = item + (")" if index == len(items) - 1 else ",")
+        gap = " " if index else ""
+        if index and len(line) + len(gap + piece) > _COLUMNS:
+            lines.append(line)
+            line, gap = " " * (len(head) + 1), ""
+        line += gap + piece
+    return "\n".join([*lines, line])

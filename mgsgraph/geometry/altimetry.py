@@ -432,7 +432,7 @@ class AltimetryCloud(Record):
 
     Examples
     --------
-    >>> from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
+    >>> from mgsgraph.files.altimetry.shots import read_altimetry_cloud
     >>> _ = Path("cloud.csv").write_text("x_m,y_m,z_m,id,profile\n171000.0,3382000.0,248000.0,1,9000\n")
     >>> cloud = read_altimetry_cloud(Path("cloud.csv"), network.images[0].body)
     >>> cloud.profiles, cloud.points.shape

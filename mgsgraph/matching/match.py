@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.matching.checks import cell_numbers, checked_measures, pair_signs, spread
 from mgsgraph.matching.coarse import Agreement, Together, brought_together, window

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.camera import CorrectedDistortion, InteriorOrientation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import (

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage

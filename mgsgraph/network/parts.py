@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import SUPPORT, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north, east_north_up
 from mgsgraph.geometry.intersection import crossing, gradient
 from mgsgraph.geometry.records import (

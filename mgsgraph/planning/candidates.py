@@ -13,7 +13,7 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.trajectories import extended, with_expected
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface

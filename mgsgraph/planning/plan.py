@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.state import ground_motion
 from mgsgraph.errors import InputError, WeakNetwork
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass

@@ -15,9 +15,9 @@ from mgsgraph.case.schema import ImageInput, ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.files.labels.image_kinds import image_kind, image_name
+from mgsgraph.files.kinds import image_kind, image_name
 from mgsgraph.files.networks.table import read_tie_points
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask

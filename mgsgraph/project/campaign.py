@@ -310,7 +310,7 @@ def _described(path: Path) -> list[Path]:
 
 def _listed(kernel: Path) -> list[Path]:
     """Kernels that a meta-kernel lists."""
-    from mgsgraph.files.spice.kernels import members  # SPICE takes its time to load
+    from mgsgraph.files.labels.kernels import members  # SPICE takes its time to load
 
     here, path = Path.cwd(), kernel.absolute()
     try:

@@ -17,7 +17,7 @@ import numpy as np
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.adjustment.incremental.state import with_points
 from mgsgraph.errors import InputError, errors_from, one_line
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.names import Names

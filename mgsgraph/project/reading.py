@@ -21,7 +21,7 @@ from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.opening import understood
-from mgsgraph.files.records import read_record
+from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Mask

@@ -12,7 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array

@@ -19,9 +19,8 @@ from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import ANALYSIS
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
 from mgsgraph.results.section import Section, drawn, write_sections

@@ -22,9 +22,8 @@ from mgsgraph.analysis.places import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import PROGRAM
-from mgsgraph.files.output.geotiff import geotiff
 from mgsgraph.files.output.table import Column, Table
-from mgsgraph.files.rasters.coordinate_systems import geographic_crs, wkt2
+from mgsgraph.files.rasters.raster_file import geographic_crs, geotiff, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array

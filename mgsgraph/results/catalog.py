@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mgsgraph.files.output.folders import DEM
-from mgsgraph.files.output.geotiff import MEDIA_TYPE
+from mgsgraph.files.rasters.raster_file import MEDIA_TYPE
 from mgsgraph.geometry.body import Ellipsoid, naif_id, target_name
 from mgsgraph.geometry.footprint import geojson, map_bounds, map_polygon
 from mgsgraph.geometry.image import PushbroomImage

@@ -12,8 +12,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import picked
-from mgsgraph.files.output.table import Column, Table, cut
+from mgsgraph.files.output.table import Column, Table, cut, picked
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names

@@ -9,8 +9,8 @@ import numpy as np
 from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, used_ray_counts
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Column, Table, numbers
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.observations import Coverage, coverage

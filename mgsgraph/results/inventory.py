@@ -12,8 +12,8 @@ from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import Unmeasured, WeakNetwork
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Column, Table
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.footprint import footprint, overlaps

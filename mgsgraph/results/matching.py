@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.files.networks.binary import write_binary_network
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.files.opening import sha256_of
-from mgsgraph.files.output.csv_json import picked, plain, write_json
 from mgsgraph.files.output.folders import MATCH, PROGRAM, fresh_folder
-from mgsgraph.files.output.table import Column, Table
-from mgsgraph.files.records import FILES
+from mgsgraph.files.output.table import Column, Table, picked, plain, write_json
+from mgsgraph.files.writing import FILES
 from mgsgraph.geometry.body import target_name
 from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene

@@ -13,10 +13,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import picked
-from mgsgraph.files.output.page import page_of, write_page
-from mgsgraph.files.output.table import NONE, Column, Table, cut
-from mgsgraph.files.writing import require_free
+from mgsgraph.files.output.table import NONE, Column, Table, cut, picked
+from mgsgraph.files.writing import page_of, require_free, write_page
 from mgsgraph.network import PointClass
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.results.comparison import compare

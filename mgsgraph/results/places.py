@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.analysis.places import Places, State, View, on_surface
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.errors import require
-from mgsgraph.files.networks.table_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
+from mgsgraph.files.csv_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
 from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.files.place_table import PlaceTable
 from mgsgraph.files.writing import begins

@@ -10,9 +10,8 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.variables import crossover_differences
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration

@@ -26,10 +26,9 @@ from mgsgraph.analysis.statistics import (
 )
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import sha256_of
-from mgsgraph.files.output.csv_json import plain, write_json
 from mgsgraph.files.output.folders import PROGRAM, RECORD, fresh_folder
-from mgsgraph.files.output.table import Column, Table
-from mgsgraph.files.records import read_record
+from mgsgraph.files.output.table import Column, Table, plain, write_json
+from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity_json, connectivity_statements
 from mgsgraph.results.archive import ARCHIVE, write_archive

@@ -8,9 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mgsgraph.files.output.csv_json import write_json
 from mgsgraph.files.output.folders import PROGRAM, fresh_folder
-from mgsgraph.files.output.table import Table
+from mgsgraph.files.output.table import Table, write_json
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet

@@ -20,10 +20,9 @@ from mgsgraph.analysis.statistics import (
     rejected_points,
     used_ray_counts,
 )
-from mgsgraph.files.output.csv_json import padded, picked
-from mgsgraph.files.output.table import Column, Table, write_parquet
-from mgsgraph.files.rasters.coordinate_systems import geographic_crs
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.files.output.table import Column, Table, padded, picked, write_parquet
+from mgsgraph.files.rasters.raster_file import geographic_crs
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import RepeatedNames

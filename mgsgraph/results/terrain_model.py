@@ -11,10 +11,9 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.scene import read_scene
-from mgsgraph.files.output.csv_json import picked, write_json
 from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder, require_replaceable
-from mgsgraph.files.output.geotiff import geotiff
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Column, Table, numbers, picked, write_json
+from mgsgraph.files.rasters.raster_file import geotiff
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.scene import Ground, Picture, Scene

@@ -15,9 +15,8 @@ from mgsgraph.analysis.two_step_statistics import (
     TwoStepStatistics,
     height_cells,
 )
-from mgsgraph.files.output.csv_json import picked
 from mgsgraph.files.output.folders import fresh_folder
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Column, Table, picked
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into

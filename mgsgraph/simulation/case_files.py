@@ -9,8 +9,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
-from mgsgraph.files.networks import pvl_writing
-from mgsgraph.files.networks.tie_points import control_network
+from mgsgraph.files.networks.pvl import network_text
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints, control_network
 from mgsgraph.files.support_data.isd_layout import (
     J2000,
     RotationTable,
@@ -19,7 +19,6 @@ from mgsgraph.files.support_data.isd_layout import (
     state_table,
     support_fields,
 )
-from mgsgraph.files.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -93,7 +92,7 @@ def tie_network_text(ties: TiePoints, name: str = "simulated_pair", description:
     free = replace(
         ties, kinds=np.full(n, PointKind.FREE), places=np.full((n, 3), np.nan), covariances=np.zeros((n, 3, 3))
     )
-    return pvl_writing.network_text(control_network(free, name, "MARS", description, created=_WRITTEN))
+    return network_text(control_network(free, name, "MARS", description, created=_WRITTEN))
 
 
 def laser_text(lasers: Iterable[LaserProfile]) -> str:

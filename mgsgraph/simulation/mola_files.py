@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.pedr import FRAME, HEADER_RECORDS, SHOTS, read_pedr
+from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS, SHOTS, read_pedr
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen

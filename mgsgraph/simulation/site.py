@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import MOLA, SPOT_WIDTHS
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection

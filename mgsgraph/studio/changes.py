@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import vector
+from mgsgraph.files.output.table import vector
 from mgsgraph.geometry.body import east_north_up, from_geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.project import edits

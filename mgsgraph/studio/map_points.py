@@ -13,7 +13,7 @@ from mgsgraph.analysis.places import SigmaGrid, sigma_grid
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.statistics import counts, medians, span
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import digits, plain
+from mgsgraph.files.output.table import digits, plain
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, places_at, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.network import PointClass

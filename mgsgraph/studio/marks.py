@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.files.output.csv_json import plain
+from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.geometry.terrain import areoid_heights

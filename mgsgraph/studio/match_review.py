@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.page import page_of, write_page
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.files.rasters.pictures import read_picture
-from mgsgraph.files.tie_points import PointKind, TiePoints
-from mgsgraph.files.writing import require_free
+from mgsgraph.files.writing import page_of, require_free, write_page
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.chips import (

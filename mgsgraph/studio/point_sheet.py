@@ -12,9 +12,9 @@ from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Posterior, cross_covariances
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import plain, vector
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.files.output.table import plain, vector
 from mgsgraph.files.rasters.pictures import picture_size, read_picture_part
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.chips import stretched

@@ -13,7 +13,7 @@ from starlette.routing import Route
 from mgsgraph.analysis.posterior import Pixel
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import json_object
-from mgsgraph.files.output.csv_json import plain
+from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.changes import EditLock, change

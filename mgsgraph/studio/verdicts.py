@@ -25,12 +25,11 @@ from mgsgraph.export import Format
 from mgsgraph.export.exchange import earlier_network
 from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
 from mgsgraph.files.networks.binary import write_binary_network
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.files.networks.table import is_table, read_whole, table_text
-from mgsgraph.files.networks.tie_points import tie_points
+from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 from mgsgraph.files.opening import read_text
-from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.files.writing import require_free, write_file
 from mgsgraph.text import some
 

@@ -15,7 +15,7 @@ from mgsgraph.adjustment.graph.forms import explicit_graph, variable_key
 from mgsgraph.adjustment.rounds import everything, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts

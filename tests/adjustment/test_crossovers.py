@@ -19,7 +19,7 @@ from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.analysis.measures import MeasureKind, names_of
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.altimetry import footprint_covariances
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array

@@ -16,7 +16,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
 from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array

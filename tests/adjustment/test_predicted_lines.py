@@ -14,7 +14,7 @@ from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.rounds import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory

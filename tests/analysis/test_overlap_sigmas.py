@@ -12,7 +12,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.places import sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.simulation.camera import narrow_image

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.weak import WeakDirection, spectrum, weak_directions, weakest
 from mgsgraph.errors import WeakNetwork
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.network import GroundPoints, Network
 

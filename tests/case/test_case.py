@@ -14,10 +14,10 @@ import mgsgraph
 from mgsgraph.case.assembly import merged
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
-from mgsgraph.files.networks.network_file import read_network
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.binary import read_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlPoint
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import known_images

@@ -10,7 +10,7 @@ import pytest
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import read_network
 
 
 def call(*arguments: str | Path) -> int:

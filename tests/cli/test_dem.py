@@ -16,7 +16,7 @@ from rasterio.warp import transform
 import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.results import terrain_model
 

@@ -12,7 +12,7 @@ from increments import strip
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.matching import match as matching
 from mgsgraph.simulation.files import write_strip
 

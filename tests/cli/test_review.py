@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from commands import refused, run
 
-from mgsgraph.files.networks.network_file import read_control_network, read_network
+from mgsgraph.files.networks.binary import read_control_network, read_network
 from mgsgraph.files.networks.table import table_text
 
 

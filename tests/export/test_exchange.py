@@ -15,8 +15,7 @@ from mgsgraph.export.exchange import ExchangeSetting, Lossy, convert, format_of,
 from mgsgraph.export.exchange_setting import setting_of
 from mgsgraph.files.networks.asp_match import read_match, read_match_text
 from mgsgraph.files.networks.asp_text import read_offsets
-from mgsgraph.files.networks.binary import write_binary_network
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import read_network, write_binary_network
 from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,

@@ -15,7 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.asp import write_asp
 from mgsgraph.export.csm import write_csm
 from mgsgraph.files.networks.asp_text import read_ground_control
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.network import PointClass
 
 

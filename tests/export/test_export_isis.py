@@ -24,9 +24,9 @@ from mgsgraph.export.bundle_out import (
 )
 from mgsgraph.export.isis import adjusted_network, write_isis
 from mgsgraph.files.altimetry.lidar import read_lidar
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import read_network
 from mgsgraph.files.networks.record import ControlNetwork, PointType
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up, in_turn, planetocentric
 from mgsgraph.geometry.trajectory import Trajectory

@@ -342,8 +342,9 @@ def test_the_reader_shares_nothing_with_the_writer() -> None:
     ours = {f"{one.module}.{name.name}" for one in nodes for name in one.names if "mgsgraph" in str(one.module)}
     # what is wanted, as a record, beside errors and the loading of kernels
     assert ours == {
-        "mgsgraph.errors.InputError", "mgsgraph.files.spice.kernels.loaded", "mgsgraph.files.spice.kernels.spice_words",
-        "mgsgraph.export.spice_nodes.Reprojection", "mgsgraph.export.spice_nodes.images_of",
+        "mgsgraph.errors.InputError", "mgsgraph.files.labels.kernels.loaded",
+        "mgsgraph.files.labels.kernels.spice_words", "mgsgraph.export.spice_nodes.Reprojection",
+        "mgsgraph.export.spice_nodes.images_of",
     }  # fmt: skip
 
 

@@ -16,8 +16,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.isis import adjusted_network
 from mgsgraph.export.network_content import with_content
 from mgsgraph.export.solution_export import ExportSettings, export_solution
-from mgsgraph.files.networks.network_file import read_network
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.binary import read_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import AprioriSource, ControlMeasure, ControlNetwork, ControlPoint, MeasureType
 from mgsgraph.project.changes import begin, solve
 from mgsgraph.project.project import open_project

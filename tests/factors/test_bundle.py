@@ -11,7 +11,7 @@ from odd_networks import NETWORKS, case, made, one_seen_twice_by_one_image, rand
 from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.settings import Line, SolverSettings
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.kernel.lanes import LANES
 from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GOOD, GROUND, IMAGE, OUT, RANGE, SURFACE, WEAK
 from mgsgraph.kernel.sweep import COSTS, dense, reduce

@@ -16,7 +16,7 @@ from mgsgraph.fetch.download import RetryPolicy
 from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots
 from mgsgraph.fetch.needs import CTX, HRSC, LROC_NAC, Archives, CameraProduct
 from mgsgraph.fetch.store import Lock
-from mgsgraph.files.spice.kernels import members
+from mgsgraph.files.labels.kernels import members
 
 QUICK = RetryPolicy(tries=2, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 B10, NAC, H5270 = "B10_013341_1010_XN_79S172W", "M103595705LE", "h5270_0000_ir2"

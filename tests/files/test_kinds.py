@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsgraph.files.kinds import Kind, kind_of
-from mgsgraph.files.labels.image_kinds import image_kind
+from mgsgraph.files.kinds import Kind, image_kind, kind_of
 
 REAL = {
     "lro_nac_lola/lidarObservationImage1.isd": Kind.SUPPORT_DATA,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.records import FILES, MATCH, read_record, record_text, require_as_recorded
+from mgsgraph.files.writing import FILES, MATCH, read_record, record_text, require_as_recorded
 
 RECORD = {"program": "mgsgraph", "settings": {"half_window": 12}, "statements": ["grün", "1.5 px"], "none": None}
 

@@ -6,7 +6,7 @@ import matched
 import numpy as np
 import pytest
 
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.matching.match import Matches, match_scene, matches_of
 from mgsgraph.matching.measuring import Measured
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network.footprints import crossings, discrepancy, footprints_in_images, misregistration

@@ -13,7 +13,7 @@ from odd_networks import random_network
 from stereo_pair import stereo_network
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.network import GroundPoints, Network, PointClass, Ranges, Surface
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import Gaps, TerrainGrid

@@ -13,7 +13,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.network import TERRAIN, Network
 from mgsgraph.network.parts import KnownImage, Unknown
 from mgsgraph.planning.candidates import (

@@ -9,7 +9,7 @@ import pytest
 from projects import StopHere, four_images, images
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import ImageTimes
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import TERRAIN, Network, PointClass

@@ -20,8 +20,8 @@ import mgsgraph
 from mgsgraph.atomic_write import beside
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.network_file import read_network
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.binary import read_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.project.project import open_project
 from mgsgraph.results import tables as large_tables

@@ -28,7 +28,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.schema import OrientationInput
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import observed

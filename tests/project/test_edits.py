@@ -18,7 +18,7 @@ from mgsgraph.adjustment.incremental.impact import EXACT
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import PointClass
 from mgsgraph.project import edits

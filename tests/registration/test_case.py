@@ -13,7 +13,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.case.reading import adjust as adjust_case
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.csv_json import plain
+from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network.footprints import discrepancy, misregistration

@@ -113,12 +113,12 @@ def test_a_wrong_row_is_found(tmp_path: Path) -> None:
 
 def test_the_page_is_the_one_that_the_records_make() -> None:
     sys.path.append(str(ROOT / "scripts"))
-    from archive_layout import rows, table
+    from pages import array_rows, array_tables
 
     text = PAGE.read_text(encoding="utf-8")
-    assert text.endswith("\n".join(table()) + "\n"), "write it anew: python scripts/archive_layout.py --page"
+    assert text.endswith("\n".join(array_tables()) + "\n"), "write it anew: python scripts/pages.py"
     assert f"This page is of {FORMAT};" in text
-    assert all(row.meaning and row.shape for row in rows())
+    assert all(row.meaning and row.shape for row in array_rows())
     units = {row.path: row.unit for row in page_rows()}
     assert (units["places"], units["residuals"], units["covariances"]) == ("m", "pixels", "m^2")
     assert (units["network.ranges.times"], units["coefficients.*"]) == ("s", "m and rad")

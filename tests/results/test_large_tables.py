@@ -11,7 +11,7 @@ from pyarrow import csv, parquet
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.files.rasters.coordinate_systems import geographic_crs
+from mgsgraph.files.rasters.raster_file import geographic_crs
 from mgsgraph.results import tables as large_tables
 from mgsgraph.results.results import write_results
 from mgsgraph.results.tables import form_of, points_table, residuals_table, write_large_tables

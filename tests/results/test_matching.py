@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.results import matching as module
 from mgsgraph.results.figures.matches import matches_sheet

@@ -16,7 +16,6 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import benchmark  # noqa: E402
-import benchmark_gate as gate  # noqa: E402
 import benchmark_speed as speed  # noqa: E402
 import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
@@ -59,36 +58,36 @@ def called(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
 
 def test_ratios_are_of_medians_and_spread_over_neighbours() -> None:
     runs = {
-        gate.OURS: [figures(seconds_solve=one) for one in (1.0, 2.0, 3.0)],
+        speed.OURS: [figures(seconds_solve=one) for one in (1.0, 2.0, 3.0)],
         "plain": [{"seconds_solve": one} for one in (10.0, 10.0, 90.0)],
     }
-    found = gate.ratio(runs, "plain", "seconds_solve")
-    assert found == gate.Ratio(5.0, 5.0, 30.0)
-    assert gate.ratio(runs, "plain", "seconds_covariance") is None
-    assert gate.ratio(runs, "custom", "seconds_solve") is None
+    found = speed.ratio(runs, "plain", "seconds_solve")
+    assert found == speed.Ratio(5.0, 5.0, 30.0)
+    assert speed.ratio(runs, "plain", "seconds_covariance") is None
+    assert speed.ratio(runs, "custom", "seconds_solve") is None
 
 
 def test_a_run_that_is_not_repeated_is_compared_with_its_neighbour() -> None:
     runs = {
-        gate.OURS: [figures(seconds_solve=one) for one in (1.0, 2.0, 2.0)],
+        speed.OURS: [figures(seconds_solve=one) for one in (1.0, 2.0, 2.0)],
         "custom": [{"seconds_solve": 8.0}],
     }
-    assert gate.ratio(runs, "custom", "seconds_solve") == gate.Ratio(4.0, 8.0, 8.0)
+    assert speed.ratio(runs, "custom", "seconds_solve") == speed.Ratio(4.0, 8.0, 8.0)
 
 
 def test_metrics_of_a_size() -> None:
     runs = {
-        gate.OURS: [figures(), figures(converged=False)],
+        speed.OURS: [figures(), figures(converged=False)],
         "plain": [{"seconds_solve": 5.0, "cost_final": 100.0}] * 2,
         "custom": [{"seconds_solve": 1.0, "cost_final": 200.0, "seconds_covariance": 1.5}] * 2,
     }
-    found = gate.metrics("L", runs)
+    found = speed.metrics("L", runs)
     assert found["L: solve, plain / mgsgraph"] == 10.0
     assert found["L: solve, best / mgsgraph"] == 2.0
     assert found["L: covariance, custom / mgsgraph"] == 2.0
     assert found["L: share that converged"] == 0.5
     assert found["L: cost, relative difference"] == pytest.approx(0.5)  # the worst of the peers
-    assert set(gate.metrics("L", {gate.OURS: [figures()]})) == {
+    assert set(speed.metrics("L", {speed.OURS: [figures()]})) == {
         "L: iterations", "L: bytes per observation", "L: share that converged",
     }  # fmt: skip
 
@@ -96,15 +95,15 @@ def test_metrics_of_a_size() -> None:
 @pytest.mark.parametrize(
     ("limit", "good", "bad"),
     [
-        (gate.Limit("higher", required=12.0), 12.0, 11.9),
-        (gate.Limit("higher", value=20.0, tolerance=0.25), 15.0, 14.9),
-        (gate.Limit("higher", required=12.0, value=20.0), 15.0, 14.9),  # both bind, the stricter decides
-        (gate.Limit("higher", required=12.0, value=13.0), 12.0, 11.9),
-        (gate.Limit("lower", required=1e-8), 1e-8, 1.1e-8),
-        (gate.Limit("lower", required=300.0, value=100.0), 125.0, 126.0),
+        (speed.Limit("higher", required=12.0), 12.0, 11.9),
+        (speed.Limit("higher", value=20.0, tolerance=0.25), 15.0, 14.9),
+        (speed.Limit("higher", required=12.0, value=20.0), 15.0, 14.9),  # both bind, the stricter decides
+        (speed.Limit("higher", required=12.0, value=13.0), 12.0, 11.9),
+        (speed.Limit("lower", required=1e-8), 1e-8, 1.1e-8),
+        (speed.Limit("lower", required=300.0, value=100.0), 125.0, 126.0),
     ],
 )
-def test_limits_judge(limit: gate.Limit, good: float, bad: float) -> None:
+def test_limits_judge(limit: speed.Limit, good: float, bad: float) -> None:
     assert limit.holds(good)
     assert not limit.holds(bad)
     assert not limit.holds(math.nan)
@@ -112,21 +111,21 @@ def test_limits_judge(limit: gate.Limit, good: float, bad: float) -> None:
 
 def test_the_gate_names_what_fails() -> None:
     limits = {
-        "S: a": gate.Limit("higher", required=2.0),
-        "S: b": gate.Limit("lower", required=2.0),
-        "L: a": gate.Limit("higher", required=99.0),
+        "S: a": speed.Limit("higher", required=2.0),
+        "S: b": speed.Limit("lower", required=2.0),
+        "L: a": speed.Limit("higher", required=99.0),
     }
-    assert gate.judged(limits, {"S: a": 2.5, "S: b": 1.0}, ["S"]) == []
-    failed = gate.judged(limits, {"S: a": 1.5, "S: b": 3.0}, ["S"])
+    assert speed.judged(limits, {"S: a": 2.5, "S: b": 1.0}, ["S"]) == []
+    failed = speed.judged(limits, {"S: a": 1.5, "S: b": 3.0}, ["S"])
     assert failed == ["FAILED S: a: 1.5, at least 2", "FAILED S: b: 3, at most 2"]
     with pytest.raises(InputError, match="S: b: not measured"):
-        gate.judged(limits, {"S: a": 2.5}, ["S"])
+        speed.judged(limits, {"S: a": 2.5}, ["S"])
     with pytest.raises(InputError, match="no line of the baseline for M"):
-        gate.judged(limits, {}, ["M"])
+        speed.judged(limits, {}, ["M"])
 
 
 def test_the_committed_baseline_holds_what_the_issue_demands() -> None:
-    limits = gate.read_baseline(gate.BASELINE)
+    limits = speed.read_baseline(speed.BASELINE)
     for size in ("L", "XL"):
         for variant, least in (("plain", 12.0), ("analytic", 4.0), ("custom", 1.0)):
             assert limits[f"{size}: solve, {variant} / mgsgraph"].required == least
@@ -137,22 +136,22 @@ def test_the_committed_baseline_holds_what_the_issue_demands() -> None:
     for size in blocks.SIZES:
         assert limits[f"{size}: cost, relative difference"].required == 1e-8
     variants = {name: [{"seconds_solve": 1.0, "cost_final": 1.0, "seconds_covariance": 1.0}]
-                for name in gate.VARIANTS}  # fmt: skip
-    known = {name for size in blocks.SIZES for name in gate.metrics(size, {gate.OURS: [figures()], **variants})}
+                for name in speed.VARIANTS}  # fmt: skip
+    known = {name for size in blocks.SIZES for name in speed.metrics(size, {speed.OURS: [figures()], **variants})}
     assert set(limits) <= known
 
 
 def test_updating_the_baseline_keeps_its_lines(tmp_path: Path) -> None:
     path = tmp_path / "baseline.json"
-    path.write_text(gate.BASELINE.read_text(encoding="utf-8"), encoding="utf-8")
-    before = gate.read_baseline(path)
-    gate.update_baseline(path, {"L: solve, plain / mgsgraph": 33.0, "something else": 1.0})
-    after = gate.read_baseline(path)
+    path.write_text(speed.BASELINE.read_text(encoding="utf-8"), encoding="utf-8")
+    before = speed.read_baseline(path)
+    speed.update_baseline(path, {"L: solve, plain / mgsgraph": 33.0, "something else": 1.0})
+    after = speed.read_baseline(path)
     assert list(after) == list(before)
-    assert after["L: solve, plain / mgsgraph"] == gate.Limit("higher", 12.0, 33.0, 0.25)
+    assert after["L: solve, plain / mgsgraph"] == speed.Limit("higher", 12.0, 33.0, 0.25)
     assert after["XL: solve, plain / mgsgraph"] == before["XL: solve, plain / mgsgraph"]
-    gate.update_baseline(path, {})  # a run of other sizes
-    assert gate.read_baseline(path) == after
+    speed.update_baseline(path, {})  # a run of other sizes
+    assert speed.read_baseline(path) == after
 
 
 @pytest.mark.parametrize(
@@ -168,7 +167,7 @@ def test_a_file_that_is_no_baseline_is_one_clear_line(tmp_path: Path, text: str)
     path = tmp_path / "baseline.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        gate.read_baseline(path)
+        speed.read_baseline(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
 
@@ -236,9 +235,9 @@ def test_one_file_of_the_peers_format(tmp_path: Path) -> None:
         (["speed", "S", "--peer", "none"], "none: no such file"),
         (["speed", "S", "--repeat", "0"], "at least 1"),
         (["speed", "S", "--repeat", "many"], "at least 1"),
-        (["scaling", "--most-points", "10"], "at least 1000"),
         (["speed", "S", "--shared", "none"], "gen.py: no such file"),
         (["speed", "--unheard-of"], "unrecognized"),
+        (["scaling"], "invalid choice: 'scaling'"),
         (["unheard-of"], "invalid choice: 'unheard-of'"),
         ([], "invalid choice: ''"),
     ],
@@ -277,7 +276,7 @@ def test_sizes_with_the_peer_in_one_run(
     true_peer = speed.run_peer
     monkeypatch.setattr(speed, "run_peer", lambda *given: order.append(given[2]) or true_peer(*given))
     out, page, demands = tmp_path / "out.json", tmp_path / "page.md", tmp_path / "demands.json"
-    limits = json.loads((gate.BASELINE).read_text(encoding="utf-8"))
+    limits = json.loads((speed.BASELINE).read_text(encoding="utf-8"))
     for limit in limits["metrics"].values():
         limit.pop("value", None)  # the issue's demands alone
     demands.write_text(json.dumps(limits), encoding="utf-8")

@@ -23,7 +23,7 @@ import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
 from mgsgraph.errors import EphemerisGap, InputError  # noqa: E402
-from mgsgraph.files.tie_points import PointKind  # noqa: E402
+from mgsgraph.files.networks.tie_points import PointKind  # noqa: E402
 from mgsgraph.geometry.orientation import OrientationCorrection  # noqa: E402
 from mgsgraph.network import PointClass  # noqa: E402
 

@@ -10,7 +10,7 @@ from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.export.bundle_out import orientation_polynomials
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.image import PushbroomImage
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
@@ -20,7 +20,7 @@ sys.path.append(str(SCRIPTS))
 
 import jigsaw_cameras  # noqa: E402
 import real_networks  # noqa: E402
-from jigsaw_published import PUBLISHED  # noqa: E402
+from jigsaw_cameras import PUBLISHED  # noqa: E402
 
 Rig = tuple[list[PushbroomImage], TiePoints]
 

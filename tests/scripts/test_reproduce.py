@@ -1,4 +1,4 @@
-"""The campaigns in scripts/: the papers' case and its tables, and the NEES of drawn networks; fast smoke tests only."""
+"""The campaigns in scripts/: the papers' case and its tables; fast smoke tests only."""
 
 import sys
 from pathlib import Path
@@ -11,11 +11,8 @@ if not SCRIPTS.is_dir():
     pytest.skip("the scripts are not beside the tests", allow_module_level=True)
 sys.path.append(str(SCRIPTS))
 
-import nees  # noqa: E402
 import papers_balance as balance  # noqa: E402
-import papers_tables as tables  # noqa: E402
-import published  # noqa: E402
-import reproduce_papers  # noqa: E402
+import reproduce_papers as tables  # noqa: E402
 import study  # noqa: E402
 
 from mgsgraph.case.reading import read_case  # noqa: E402
@@ -25,17 +22,17 @@ from mgsgraph.network import PointClass  # noqa: E402
 from mgsgraph.simulation.files import write_site  # noqa: E402
 from mgsgraph.simulation.site import simulate_site  # noqa: E402
 
-PLAIN = reproduce_papers.PUBLISHED
+PLAIN = tables.AS_PUBLISHED
 
 
 @pytest.fixture(scope="module")
 def isidis(tmp_path_factory: pytest.TempPathFactory) -> tables.Result:
-    return reproduce_papers.reproduced("isidis", 1, tmp_path_factory.mktemp("isidis"), PLAIN)
+    return tables.reproduced("isidis", 1, tmp_path_factory.mktemp("isidis"), PLAIN)
 
 
 @pytest.fixture(scope="module")
 def gusev(tmp_path_factory: pytest.TempPathFactory) -> tables.Result:
-    return reproduce_papers.reproduced("gusev", 1, tmp_path_factory.mktemp("gusev"), PLAIN)
+    return tables.reproduced("gusev", 1, tmp_path_factory.mktemp("gusev"), PLAIN)
 
 
 def test_the_papers_case_has_the_papers_rows(gusev: tables.Result) -> None:
@@ -76,14 +73,14 @@ def test_footprints_and_ties_pull_each_image_with_equal_force(gusev: tables.Resu
             for kind, sign in ((PointClass.TIE, 1.0), (PointClass.LASER, -1.0))
         )
         for j in (0, 2):
-            pull = abs(published.TIES[one.site] * ties[j] / footprints[j])
+            pull = abs(balance.PUBLISHED[one.site].ties * ties[j] / footprints[j])
             assert abs(pull / balance.information(one.site)[j // 2, 0] - 1.0) < 0.01
 
 
 def test_published_residuals_give_the_published_sigma0_as_pe_and_rs_counts() -> None:
-    for site in published.TABLE_1:
+    for site in balance.PUBLISHED:
         seen = (balance.shots(site),) * 2
-        sigmas, wanted = balance.implied_sigmas(site, seen), published.TABLE_4["PE&RS"][site].sigma0
+        sigmas, wanted = balance.implied_sigmas(site, seen), balance.PUBLISHED[site].sigmas["PE&RS"].sigma0
         assert abs(balance.implied_sigma0(site, sigmas, seen) / wanted - 1.0) < 0.05
         assert balance.implied_sigma0(site, sigmas, seen, measurements=False) / wanted < 0.7
     np.testing.assert_allclose(balance.implied_sigmas("gusev", (266, 266)), 22.0, atol=0.8)
@@ -98,7 +95,7 @@ def test_sigma0_of_measurements_leaves_out_weighted_parameters(isidis: tables.Re
 
 def test_table_4_is_met(gusev: tables.Result, isidis: tables.Result) -> None:
     for one in (gusev, isidis):
-        found, wanted = tables.scaled(tables.sigmas_of(one.solution)), published.TABLE_4["PE&RS"][one.site]
+        found, wanted = tables.scaled(tables.sigmas_of(one.solution)), balance.PUBLISHED[one.site].sigmas["PE&RS"]
         assert abs(found.sigma0 / wanted.sigma0 - 1.0) < 0.15
         assert max(tables.factors(found.mola, wanted.mola)) < 1.1
         assert max(tables.factors(found.tie, wanted.tie)) < 1.5
@@ -132,26 +129,20 @@ def test_truth_minus_spice_is_what_was_injected(gusev: tables.Result) -> None:
 
 def test_table_5_implies_the_shift_of_the_plan() -> None:
     for site, shift in (("gusev", 229.0), ("isidis", 225.0)):
-        assert abs(tables.opposite_shift(published.TABLE_5[site], site) - shift) < 1.0
+        assert abs(tables.opposite_shift(balance.PUBLISHED[site].mola_pixels, site) - shift) < 1.0
 
 
-def test_footprints_published_for_eos_have_no_heights() -> None:
-    from mgsgraph.geometry.body import geodetic
-
-    heights = geodetic(1e3 * np.array(published.EOS_FOOTPRINTS), tables.OLD_ELLIPSOID)[:, 2]
-    assert np.abs(heights + 1.1).max() < 0.5
-
-
-def test_the_page_holds_every_table(isidis: tables.Result, tmp_path: Path) -> None:
-    text = "\n".join(reproduce_papers.page([isidis], 1, tmp_path, figures=False))
-    for part in ("Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Range", "shift", "halved", "required"):
-        assert part in text
-    assert "nan" not in text
+def test_the_page_has_a_place_for_every_table(isidis: tables.Result, tmp_path: Path) -> None:
+    blocks = tables.page([isidis], 1, tmp_path)
+    text = study.filled("papers.md", blocks)
+    assert "| isidis | papers' case | predicted |" in text
+    assert "| eos | papers' case |" not in text
+    assert "nan" not in "".join(line for lines in blocks.values() for line in lines)
 
 
 def test_scatter_is_about_the_mean() -> None:
     found = tables.scatter(np.array([[1.0, 5.0], [3.0, 5.0]]))
-    assert found == published.Scatter((2.0, 5.0), (1.0, 0.0))
+    assert found == balance.Scatter((2.0, 5.0), (1.0, 0.0))
 
 
 def test_reweighting_changes_its_own_rows_alone(isidis: tables.Result) -> None:
@@ -169,24 +160,3 @@ def test_reweighting_changes_its_own_rows_alone(isidis: tables.Result) -> None:
         }
         assert [name for name, is_so in changed.items() if is_so] == [group]
     np.testing.assert_allclose(tables.reweighted(network, "ranges", 4.0).ranges.sigmas, 5.0)
-
-
-def test_normalised_errors_without_terrain_lie_in_their_band(isidis: tables.Result) -> None:
-    from dataclasses import replace
-
-    case = read_case(isidis.case.path.with_name("case.toml"))
-    found = nees.campaign("isidis", "no-terrain", replace(case.network, surface=None), case.settings, range(10))
-    assert found.failures == 0
-    means = found.values.mean(axis=0)
-    for mean, (low, high) in zip(means, nees.bands(found), strict=True):
-        assert low < mean < high
-    assert means.min() > 0.5  # bands of points scale with what they judge
-    assert means.max() < 1.8
-
-
-def test_bands_are_those_of_tables() -> None:
-    low, high = study.chi_square_band(100)
-    assert abs(100.0 * low - 67.328) < 0.001  # chi-square, 100 degrees: 0.005 and 0.995 quantiles
-    assert abs(100.0 * high - 140.169) < 0.001
-    assert abs(study.student(0.01, 9) - 3.250) < 0.001
-    assert abs(study.student(0.01, 99) - 2.626) < 0.001

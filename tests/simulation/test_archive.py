@@ -13,7 +13,7 @@ from simulated_archive import ROOTS, write_archive
 from sites import plain_site
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.pedr import FRAME, HEADER_RECORDS, read_pedr
+from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS, read_pedr
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.pvl import Document, flat_label, whole_label
 from mgsgraph.files.rasters.megdr import read_megdr

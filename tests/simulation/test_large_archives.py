@@ -8,8 +8,7 @@ import pytest
 
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import binary_network, parse_binary_network
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_control_network
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.pedr import read_pedr
+from mgsgraph.files.altimetry.binary import read_pedr
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry.body import from_planetocentric, planetocentric

@@ -10,7 +10,7 @@ import spiceypy
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import polynomial

@@ -10,10 +10,10 @@ import pytest
 from sites import PLAIN, plain_site
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.pedr import read_pedr
+from mgsgraph.files.altimetry.binary import read_pedr
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.labelled_image import read_labelled_image
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry import rotation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import spiceypy
 
-from mgsgraph.files.spice.kernels import loaded
+from mgsgraph.files.labels.kernels import loaded
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.trajectory import Trajectory

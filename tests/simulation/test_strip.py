@@ -9,9 +9,9 @@ import pytest
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import read_control_network
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage

@@ -19,8 +19,7 @@ from hypothesis.extra import numpy as hnp
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.files.networks.tie_points import tie_points
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 from mgsgraph.studio.match_review import MatchReview, png, review_matches, write_review
 from mgsgraph.studio.verdicts import (
     Verdict,
@@ -264,8 +263,8 @@ def test_a_network_is_kept_but_for_the_marks_of_rejected_points() -> None:
 
 @pytest.mark.parametrize("suffix", [".pvl", ".net", ".csv"])
 def test_kept_networks_are_written(tmp_path: Path, suffix: str) -> None:
-    from mgsgraph.files.networks.network_file import read_network
-    from mgsgraph.files.networks.pvl_writing import write_pvl_network
+    from mgsgraph.files.networks.binary import read_network
+    from mgsgraph.files.networks.pvl import write_pvl_network
     from mgsgraph.files.networks.table import read_table, table_text
 
     given = tmp_path / f"given{'.csv' if suffix == '.csv' else '.pvl'}"
@@ -295,7 +294,7 @@ def test_kept_networks_are_written(tmp_path: Path, suffix: str) -> None:
 def test_a_table_is_kept_with_what_only_the_case_says(tmp_path: Path, suffix: str) -> None:
     """Without a body's name ISIS takes no network, and heights mean nothing without an ellipsoid."""
     from mgsgraph.export.exchange import ExchangeSetting
-    from mgsgraph.files.networks.network_file import read_network
+    from mgsgraph.files.networks.binary import read_network
     from mgsgraph.files.networks.table import read_table
     from mgsgraph.geometry.body import Ellipsoid
 
@@ -313,7 +312,7 @@ def test_a_table_is_kept_with_what_only_the_case_says(tmp_path: Path, suffix: st
 
 def test_verdicts_of_a_case_that_holds_some_of_the_images(tmp_path: Path) -> None:
     from mgsgraph.case.assembly import in_images
-    from mgsgraph.files.networks.pvl_writing import write_pvl_network
+    from mgsgraph.files.networks.pvl import write_pvl_network
 
     seen = tuple(ControlMeasure(f"SIM/{name}", MeasureType.MANUAL, 1.0, 1.0) for name in "XY")
     more = ControlPoint("E", PointType.FREE, seen)

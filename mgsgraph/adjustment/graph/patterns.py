@@ -13,7 +13,7 @@ from mgsgraph.adjustment.graph.stereo import StereoRows, columns, combinations
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.compiled import cached_kernel, compiled
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.orientation import SUPPORT
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes

@@ -21,7 +21,7 @@ from mgsgraph.adjustment.graph.rays import Crossing, RayConstants
 from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.variables import SharedEffects, Variables, footprint_motion
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index, Mask

@@ -28,7 +28,7 @@ from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.incremental.trajectories import expected, prior_rows
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.joining import Definitions, definitions

@@ -31,7 +31,7 @@ from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior

@@ -5,21 +5,25 @@ write; adjusted values since ISIS 4); matrices are SurfacePoint's spherical ones
 latitude, longitude (rad) and radius (m).
 """
 
+import gc
 import json
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.decoding import Name, Number, validated
-from mgsgraph.files.opening import LARGEST_TEXT, decoded_text, head_of, json_object, name_of, read_bytes
+from mgsgraph.files.networks.record import require_shown
+from mgsgraph.files.opening import LARGEST_TEXT, decoded_text, head_of, json_object, read_bytes
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetocentric_jacobian
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import YEARS, require_years
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
@@ -33,11 +37,9 @@ _LONGEST = 1e9
 """Of whatever unit: nothing that is measured is longer, and squares of more would be no numbers."""
 TRIANGLE, LARGEST_ELEMENT = 6, 1e18
 """Elements of a covariance's upper triangle, and bound of each."""
-_ONCE = tuple(key.encode() for key in (
-    "id", "range", "sigmaRange", "time", "latitude", "longitude", "radius", "aprioriMatrix", "simultaneousImages",
-    "measures",
-))  # fmt: skip
-"""Keys of each shot."""
+_REQUIRED, _OF_MEASURE = 10, 3
+"""Keys of each shot, and of each of its measures."""
+_ADJUSTED = ("adjusted_latitude", "adjusted_longitude", "adjusted_radius", "adjusted_matrix")
 _Length = Annotated[float, msgspec.Meta(gt=0.0, le=_LONGEST)]
 _Element = Annotated[float, msgspec.Meta(ge=-LARGEST_ELEMENT, le=LARGEST_ELEMENT)]
 _Triangle = Annotated[list[_Element], msgspec.Meta(min_length=TRIANGLE, max_length=TRIANGLE)]
@@ -100,62 +102,98 @@ def read_lidar(path: Path) -> LaserProfile:
     """
     if not head_of(path, _HEAD).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
         raise InputError(str(path), "no JSON", "ISIS lidar data", "an altimeter's own file goes into [[shots]]")
-    shots = _shots(read_bytes(path, LARGEST_TEXT).removeprefix(b"\xef\xbb\xbf"), path)
-    _require_sound(shots, str(path))
-    return _profile(shots, str(path))
+    content = read_bytes(path, LARGEST_TEXT).removeprefix(b"\xef\xbb\xbf")
+    with _uncollected():
+        return _profile(_shots(content, path), str(path))
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Lists by the million are made, none of which is garbage: to look for some would take most of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _shots(content: bytes, path: Path) -> list[LidarShot]:
     """Shots of a JSON text, whose keys and values are checked by their type while it is parsed."""
     with suppress(msgspec.DecodeError, UnicodeDecodeError):
         shots = msgspec.json.decode(content, type=_LidarData).points
-        if all(content.count(b'"%b"' % key) == len(shots) for key in _ONCE):  # else a key may be there twice
+        lists, measures = (sum(map(len, _all(shots, name))) for name in ("simultaneous_images", "measures"))
+        # "points"; keys and ids; names, and keys of measures
+        texts = 1 + (_REQUIRED + 1) * len(shots) + lists + (_OF_MEASURE + 1) * measures
+        more = content.count(b'"') - 2 * texts  # keys of adjusted values, or one that is there twice
+        if not more or more == 2 * sum(len(shots) - _all(shots, name).count(None) for name in _ADJUSTED):
             return shots
     return validated(json_object(decoded_text(content, path), str(path)), _LidarData, path).points
 
 
+def _all(records: Sequence[msgspec.Struct], name: str) -> list[Any]:
+    """(n) what records have of a name."""
+    return list(map(attrgetter(name), records))
+
+
+def _numbers(records: Sequence[msgspec.Struct], name: str) -> Array:
+    """(n,) numbers that records have of a name."""
+    return np.fromiter(map(attrgetter(name), records), np.float64, len(records))
+
+
+def _held(shots: Sequence[LidarShot], name: str) -> tuple[list[Any], Index]:
+    """What lists of shots hold (k), and the number (k,) of each one's shot."""
+    lists = _all(shots, name)
+    return list(chain.from_iterable(lists)), np.repeat(np.arange(len(lists)), list(map(len, lists)))
+
+
 def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
-    """Columns of a file in SI units, and pixels counted from its corner."""
-    places = np.array([(shot.longitude * DEG, shot.latitude * DEG, shot.radius * KM) for shot in shots])
-    triangles = np.array([shot.apriori_matrix for shot in shots])
+    """Columns of a file in SI units, and pixels counted from its corner; InputError for what shots can't be."""
+    longitudes, times = _numbers(shots, "longitude"), _numbers(shots, "time")
+    ids, triangles = Names.of(_all(shots, "id")), _all(shots, "apriori_matrix")
+    names, shot_along = _held(shots, "simultaneous_images")
+    measures, shot_measured = _held(shots, "measures")
+    along, measured = RepeatedNames.of(names), RepeatedNames.of(_all(measures, "serial_number"))
+
+    def where(k: int) -> str:
+        return f"{source}, points[{k}] ({shots[k].id[:60]})"
+
+    require_shown(ids, where, "an id")
+    for images, owners in ((along, shot_along), (measured, shot_measured)):
+        firsts = owners[np.unique(images.numbers, return_index=True)[1]]
+        require_shown(Names.of(images.distinct), [where(k) for k in firsts.tolist()].__getitem__)
+    for k in np.flatnonzero((times < YEARS[0]) | (times > YEARS[1]))[:1]:
+        require_years(times[[k]], where(k))
+    for k in np.flatnonzero(np.abs(longitudes) > _TURN)[:1]:
+        raise InputError(where(k), f"longitude {longitudes[k]:g} degrees", f"-{_TURN:g} .. {_TURN:g}")
+    if (again := ids.first_repeated) is not None:
+        first = ids.tolist().index(ids[again])
+        raise InputError(where(again), f"the id {ids[again]!r} twice, first in points[{first}]", "each id once")
+    if None in triangles:
+        raise InputError(where(triangles.index(None)), "no key 'aprioriMatrix'", "the covariance of the footprint")
+    pairs = np.sort(shot_measured * len(measured.distinct) + measured.numbers)
+    for pair in pairs[1:][np.diff(pairs) == 0][:1]:
+        k, image = divmod(int(pair), len(measured.distinct))
+        found = f"two measures in image {measured.distinct[image]}"
+        raise InputError(where(k), found, "one per shot", "remove the worse one")
+    places = np.column_stack([longitudes * DEG, _numbers(shots, "latitude") * DEG, _numbers(shots, "radius") * KM])
+    elements = np.fromiter(chain.from_iterable(triangles), np.float64, TRIANGLE * len(shots)).reshape(-1, TRIANGLE)
     jacobian = planetocentric_jacobian(places)
-    along = [(k, name) for k, shot in enumerate(shots) for name in shot.simultaneous_images]
-    measures = [(k, one) for k, shot in enumerate(shots) for one in shot.measures]
-    pixels = np.array([(one.line, one.sample) for _, one in measures], dtype=np.float64).reshape(-1, 2)
     return LaserProfile(
         source=source,
-        ids=Names.of([shot.id for shot in shots]),
-        times=np.array([shot.time for shot in shots]),
-        ranges=np.array([shot.range for shot in shots]) * KM,
-        range_sigmas=np.array([shot.sigma_range for shot in shots]),
+        ids=ids,
+        times=times,
+        ranges=_numbers(shots, "range") * KM,
+        range_sigmas=_numbers(shots, "sigma_range"),
         footprints=from_planetocentric(places),
-        covariances=jacobian @ triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
-        simultaneous_shot=np.array([k for k, _ in along], dtype=np.int64),
-        simultaneous_image=RepeatedNames.of([name for _, name in along]),
-        measure_shot=np.array([k for k, _ in measures], dtype=np.int64),
-        measure_image=RepeatedNames.of([one.serial_number for _, one in measures]),
-        measures=pixels - ISIS_OFFSET,
+        covariances=jacobian @ elements[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
+        simultaneous_shot=shot_along,
+        simultaneous_image=along,
+        measure_shot=shot_measured,
+        measure_image=measured,
+        measures=np.column_stack([_numbers(measures, "line"), _numbers(measures, "sample")]) - ISIS_OFFSET,
     )
-
-
-def _require_sound(shots: list[LidarShot], source: str) -> None:
-    """Raise InputError for an id twice, an image twice in a shot, or a shot without covariance."""
-    first, known = dict[str, int](), set[str]()
-    for k, shot in enumerate(shots):
-        where, images = f"{source}, points[{k}] ({shot.id[:60]})", [measure.serial_number for measure in shot.measures]
-        name_of(shot.id, where, "an id")
-        known |= {name_of(name, where, "an image's name") for name in {*shot.simultaneous_images, *images} - known}
-        if not YEARS[0] <= shot.time <= YEARS[1]:
-            require_years(np.array([shot.time]), where)
-        if abs(shot.longitude) > _TURN:
-            raise InputError(where, f"longitude {shot.longitude:g} degrees", f"-{_TURN:g} .. {_TURN:g}")
-        if first.setdefault(shot.id, k) != k:
-            raise InputError(where, f"the id {shot.id!r} twice, first in points[{first[shot.id]}]", "each id once")
-        if shot.apriori_matrix is None:
-            raise InputError(where, "no key 'aprioriMatrix'", "the covariance of the footprint")
-        if len(set(images)) < len(images):
-            image = next(name for name in images if images.count(name) > 1)
-            raise InputError(where, f"two measures in image {image}", "one per shot", "remove the worse one")
 
 
 def lidar_coordinates(positions: Array, covariances: Array) -> tuple[Array, list[list[float] | None]]:

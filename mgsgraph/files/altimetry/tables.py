@@ -10,25 +10,19 @@
 
 Columns are found by the names in the header, whatever their order, case, padding or spelling ("Ephermis Time").
 
-Text tables with a header: CSV, or columns of PEDR2TAB; numbers and texts by column, errors with line and column.
-
-Rows are brought into one form, fields between commas and no blank lines, and Arrow reads whole columns of it. Where
-Arrow finds something odd, the fields of that column are looked at one by one: the first bad one is named, or all are
-numbers that only Arrow does not know (such as "+1.5").
+Columns of PEDR2TAB are brought into CSV first.
 """
 
-import csv
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.lola import INVALID
-from mgsgraph.files.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
+from mgsgraph.files.altimetry.binary import IAU2000_VERSION, INVALID, in_iau2000, pedr_version
 from mgsgraph.files.altimetry.shot_values import (
     crossings,
     known_ranges,
@@ -37,20 +31,19 @@ from mgsgraph.files.altimetry.shot_values import (
     unit_of_radii,
     whole_numbers,
 )
-from mgsgraph.files.csv_columns import PlainRows, numbers_of, short_names
-from mgsgraph.files.opening import finite_number, name_of
+from mgsgraph.files.csv_columns import CsvText, csv_text
 from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, LOLA, MLA, MOLA, Altimeter, AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import require_years, tdb_of_tt, tdb_of_utc
-from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.names import RepeatedNames
 from mgsgraph.units import DEG, KM, SPEED_OF_LIGHT
 
 LARGEST = 1e50
 """m, s, degrees or whatever: squares of larger numbers of an altimeter would be none."""
-_BLANK = re.compile(rb"\n[^\S\n]*\n")
-_AROUND, _BETWEEN = re.compile(rb"^ +| +$", re.MULTILINE), re.compile(rb" +")
-_RULE = set(b"-. ")
+_HEAD = 1 << 16
+"""Characters in which a header stands."""
+_RULE = set("-. ")
 """Characters of the line between PEDR2TAB's header and its rows."""
 _WIDTHS = {
     "longeast": 9, "latnorth": 10, "topography": 11, "molarange": 10, "planetrad": 12, "c": 2, "a": 2,
@@ -67,144 +60,6 @@ def plain_name(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-class TextTable:
-    """Rows of a text below a header; columns are called by the letters and digits of their names, in lower case.
-
-    Parameters
-    ----------
-    content : bytes
-        UTF-8; lines end as they may, fields may be in quotation marks (RFC 4180), blank lines count for nothing.
-    path : Path
-        For errors.
-    header : str, optional
-        That of a file which has none.
-
-    Raises
-    ------
-    InputError
-        For what is no text, a header alone, a row of another number of fields or characters than the others.
-    """
-
-    def __init__(self, content: bytes, path: Path, header: str | None = None) -> None:
-        self.path, self._headed = path, header is None
-        lines, self._numbers = _filled_lines(content, path)
-        if header is None:
-            first, _, lines = lines.partition(b"\n")
-            header = first.decode()
-            if not header:
-                raise InputError(str(path), "an empty file", "a header and rows")
-        self.with_commas = "," in header
-        """Whether it is CSV."""
-        self.written = [name.strip() for name in (header.split(",") if self.with_commas else header.split())]
-        """Names as the header has them."""
-        self.names = [plain_name(name) for name in self.written]
-        second = lines.partition(b"\n")[0]
-        self._skipped = self._headed + (not self.with_commas and bool(second) and set(second) <= _RULE)
-        if self._skipped > self._headed:
-            lines = lines[len(second) + 1 :]
-        self._content, self._texts = lines, dict[tuple[str, bool], Names]()
-
-    @cached_property
-    def _rows(self) -> PlainRows:
-        """Fields between commas."""
-        if not self._content:
-            raise InputError(str(self.path), "a header alone", "rows below it")
-        content = self._content if self.with_commas else self._cut()
-        return PlainRows(content, 0, len(content))
-
-    def _cut(self) -> bytes:
-        """Rows without commas: cut at the program's widths where lines have their length, at blanks otherwise."""
-        rows = self._content.split(b"\n")
-        edges = edges_of(self.names, len(rows[0]))
-        for k, row in enumerate(rows):
-            if edges and len(row) != edges[-1]:
-                found, expected = f"{len(row)} characters", f"{edges[-1]}, as in the lines before"
-                raise InputError(self.where(k), found, expected, "the file is cut short")
-            if b"," in row:
-                raise InputError(self.where(k), "a comma", "columns between blanks, as the header has them")
-        if not edges:
-            return _BETWEEN.sub(b",", _AROUND.sub(b"", self._content))
-        block = np.frombuffer(self._content + b"\n", np.uint8).reshape(len(rows), -1)
-        return np.insert(block, edges[1:-1], ord(","), axis=1).tobytes().removesuffix(b"\n")
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def line_numbers(self) -> Index:
-        """Numbers (n,) of the rows' lines in the file, from 1."""
-        if self._numbers is None:
-            return np.arange(1 + self._skipped, len(self) + 1 + self._skipped)
-        return self._numbers[self._skipped :]
-
-    def where(self, row: int) -> str:
-        """File and line of a row, for errors."""
-        row += self._skipped
-        return f"{self.path}, line {row + 1 if self._numbers is None else self._numbers[row]}"
-
-    def called(self, name: str) -> str:
-        """File and a column as the header writes it, for errors."""
-        return f"{self.path}, {self.written[self.names.index(name)]}"
-
-    def read(self, *wanted: str) -> dict[str, Array]:
-        """Finite numbers (n,) of those of the wanted columns that there are.
-
-        InputError for a name twice, or a value that is no number.
-        """
-        there = [name for name in wanted if name in self.names]
-        for name in [name for k, name in enumerate(self.names) if name and name in self.names[:k]][:1]:
-            raise InputError(f"{self.path}, header", f"the column {name!r} twice", "each column once")
-        columns = [self.names.index(name) for name in there]
-        found = self._rows.numbers(len(self.names), columns, LARGEST) if columns else {}
-        if found is None:
-            found = {k: self._measured(self._fields(k), k) for k in columns}
-        return {name: found[k] for name, k in zip(there, columns, strict=True)}
-
-    def texts(self, name: str, gaps: bool = False) -> Names:
-        """Texts (n) of a column, none of which is empty unless there may be `gaps`."""
-        if (name, gaps) not in self._texts:
-            self._texts[name, gaps] = self._read_texts(self.names.index(name), gaps)
-        return self._texts[name, gaps]
-
-    def with_gaps(self, name: str) -> Array:
-        """Numbers (n,) of a column, NaN where it is empty; NaN throughout where there is no such column."""
-        if name not in self.names:
-            return np.full(len(self), np.nan)
-        texts = self.texts(name, gaps=True)
-        values = numbers_of(texts.arrow, LARGEST)
-        return self._measured(texts, self.names.index(name), gaps=True) if values is None else values
-
-    def _read_texts(self, column: int, gaps: bool) -> Names:
-        found = self._rows.columns(len(self.names), (), (column,))
-        names = short_names(found[column], gaps) if found else None
-        if names is not None and names.text.isprintable():
-            return names
-        where, texts = f"{self.path}, {self.written[column]}", self._fields(column)
-        for k in [k for k, text in enumerate(texts) if not (text or gaps)][:1]:
-            raise InputError(f"{self.where(k)}, {self.written[column]}", "nothing", "a text")
-        return Names.of([name_of(text, where, "a text") if text else "" for text in texts])
-
-    def _fields(self, column: int) -> list[str]:
-        """Texts (n) of a column, row by row: where Arrow refused a row or a field of it."""
-        rows = [row.split(",") for row in self._rows.content.decode().split("\n")]
-        for k, row in enumerate(rows):
-            if len(row) != len(self.names):
-                found, expected = f"{len(row)} values", f"{len(self.names)}, as the header has names"
-                raise InputError(self.where(k), found, expected, "the file may be cut short")
-        return [row[column].strip() for row in rows]
-
-    def _measured(self, texts: Sequence[str], column: int, gaps: bool = False) -> Array:
-        """Numbers (n,) that texts spell in decimal; InputError names the first that is none, or too large."""
-        values = np.full(len(texts), np.nan)
-        for k, text in enumerate(texts):
-            try:
-                values[k] = finite_number(text) if text or not gaps else np.nan
-            except ValueError:
-                values[k] = np.inf
-            if abs(values[k]) >= LARGEST:
-                raise InputError(f"{self.where(k)}, {self.written[column]}", f"{text[:60]!r}", "a finite number")
-        return values
-
-
 def edges_of(names: Sequence[str], length: int) -> list[int]:
     """Where the columns of PEDR2TAB's lines begin, and the last one ends, by the program's formats that make a line of
     this length; empty where none do.
@@ -215,37 +70,6 @@ def edges_of(names: Sequence[str], length: int) -> list[int]:
             if length == edges[-1]:
                 return [int(edge) for edge in edges]
     return []
-
-
-def _filled_lines(content: bytes, path: Path) -> tuple[bytes, Index | None]:
-    """Lines that are not blank, ended by line feeds, without quotation marks; and their numbers in the file, from 1,
-    None where no line was left out.
-    """
-    content = content.removeprefix(b"\xef\xbb\xbf")
-    content = (content.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in content else content).rstrip()
-    try:
-        _ = content.isascii() or content.decode()
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is not UTF-8 text", "a table") from None
-    if b'"' not in content and not _BLANK.search(content) and content[:1].strip():
-        return content, None
-    lines = [(k, line) for k, line in enumerate(content.decode().split("\n"), start=1) if line.strip()]
-    plain = [_unquoted(line, f"{path}, line {k}") for k, line in lines]
-    return "\n".join(plain).encode(), np.array([k for k, _ in lines], dtype=np.int64)
-
-
-def _unquoted(line: str, where: str) -> str:
-    """A line whose fields may be in quotation marks (RFC 4180), without these."""
-    if '"' not in line:
-        return line
-    try:
-        fields = next(csv.reader((line,), strict=True, skipinitialspace=True))
-    except (csv.Error, StopIteration) as error:
-        raise InputError(where, f"no row of a CSV file ({error})", "RFC 4180") from None
-    for one in fields:
-        if "," in one or '"' in one:
-            raise InputError(where, f"the field {one[:60]!r}", "fields without commas or quotation marks in them")
-    return ",".join(fields)
 
 
 # --- layouts
@@ -308,7 +132,7 @@ _LOLA_HEADER = (
     "Offnadir,Emission,Sol_INC,Sol_Phs,Earth_Centr.,Earth_PW,Earth_E."
 )
 """ODE's, of files that users have cut it from."""
-_LOLA_ROW = re.compile(rb"\s*\d{4}-\d\d-\d\dT[\d:.]+\s*(,[^,\n]*){28}(\n|$)")
+LOLA_ROW = re.compile(r"\s*\d{4}-\d\d-\d\dT[\d:.]+\s*(,[^,\n]*){28}(\n|$)")
 _NONE = -1.0
 """What LOLA writes for a radius or range that there is none of; less is a sign that was damaged."""
 _NOISE_CHANNEL = 5
@@ -320,24 +144,48 @@ _LARGEST = 2.0**53
 """Of whole numbers."""
 
 
-def table_of(content: bytes, path: Path) -> TextTable:
-    """A text as a table; LOLA's columns without a header are known by their number."""
-    return TextTable(content, path, _LOLA_HEADER if _LOLA_ROW.match(content) else None)
+def table_of(text: str, path: Path) -> CsvText:
+    """A text as a table: CSV, columns of PEDR2TAB, or LOLA's columns without a header, known by their number."""
+    text = text.rstrip()
+    if LOLA_ROW.match(text):
+        return csv_text(f"{_LOLA_HEADER}\n{text}", path, np.arange(text.count("\n") + 2))
+    head = next((line for line in text[:_HEAD].split("\n") if line.strip()), "")
+    return csv_text(text, path) if "," in head or not head else _with_commas(text, path)
 
 
-def is_archive_table(table: TextTable) -> bool:
-    """Whether a text is one of an altimeter's archive, or a selection of it, not just a cloud of points."""
-    names = set(table.names)
+def _with_commas(text: str, path: Path) -> CsvText:
+    """Rows without commas: cut at the program's widths where lines have their length, at blanks otherwise."""
+    lines = [(k, line) for k, line in enumerate(text.split("\n"), 1) if line.strip() and set(line) - _RULE]
+    (_, head), *rows = lines
+    edges = edges_of([plain_name(name) for name in head.split()], len(rows[0][1]) if rows else 0)
+    for k, row in rows:
+        if edges and len(row) != edges[-1]:
+            found, expected = f"{len(row)} characters", f"{edges[-1]}, as in the lines before"
+            raise InputError(f"{path}, line {k}", found, expected, "the file is cut short")
+        if "," in row:
+            raise InputError(f"{path}, line {k}", "a comma", "columns between blanks, as the header has them")
+    if edges:
+        block = np.frombuffer("".join(f"{row}\n" for _, row in rows).encode("ascii", "replace"), np.uint8)
+        body = np.insert(block.reshape(len(rows), -1), edges[1:-1], ord(","), axis=1).tobytes().decode()
+    else:
+        body = "\n".join(",".join(row.split()) for _, row in rows)
+    table = csv_text(",".join(head.split()) + f"\n{body}", path, np.array([k for k, _ in lines]))
+    return replace(table, with_commas=False)
+
+
+def is_archive(header: Iterable[str]) -> bool:
+    """Whether names of columns are those of an altimeter's archive, or of a selection, not of a cloud of points."""
+    names = set(map(plain_name, header))
     archives = any(layout.known_by <= names for layout in (_LOLA, _MLA))
     return archives or bool(_PEDR.known_by & names) or "altimeter" in names
 
 
-def shots_of_table(table: TextTable, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+def shots_of_table(table: CsvText, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
     """Shots of a table, in its order.
 
     Parameters
     ----------
-    table : TextTable
+    table : CsvText
         Without a column that says otherwise all are ground returns, which alone most programs write.
     clock_bias : float
         s, added to the times of the shots.
@@ -350,7 +198,10 @@ def shots_of_table(table: TextTable, clock_bias: float = 0.0, version: str | Non
         A column that is missing or there twice, a value that can't be, radii in no unit in which they are the body's,
         a PEDR2TAB table whose version is not known.
     """
-    layout = next((one for one in (_LOLA, _MLA, _OWN) if one.known_by <= set(table.names)), _PEDR)
+    if not len(table):
+        raise InputError(str(table.path), "a header alone", "rows below it")
+    plain = set(map(plain_name, table.names))
+    layout = next((one for one in (_LOLA, _MLA, _OWN) if one.known_by <= plain), _PEDR)
     if layout is not _PEDR:
         return _shots(table, layout, clock_bias)
     letter = IAU2000_VERSION if table.with_commas and version is None else pedr_version(table.path, None, version)
@@ -358,7 +209,7 @@ def shots_of_table(table: TextTable, clock_bias: float = 0.0, version: str | Non
     return in_iau2000(shots) if letter < IAU2000_VERSION else shots
 
 
-def _shots(table: TextTable, layout: Layout, clock_bias: float) -> AltimeterShots:
+def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
     names = _meant(table, layout)
     values, there = _values(table, layout, names), None
     if layout.bare:
@@ -370,7 +221,7 @@ def _shots(table: TextTable, layout: Layout, clock_bias: float) -> AltimeterShot
     if "tdb" in values or "tt" in values:
         times = values["tdb"] if "tdb" in values else tdb_of_tt(values["tt"])
     else:
-        times = tdb_of_utc(table.texts(names["utc"]), table.called(names["utc"]))
+        times = tdb_of_utc(table.shown(names["utc"]), f"{table.path}, {names['utc']}")
     require_years(times, str(table.path))
     n = times.size
 
@@ -378,7 +229,7 @@ def _shots(table: TextTable, layout: Layout, clock_bias: float) -> AltimeterShot
         return values.get(meaning, np.full(n, np.nan))
 
     def whole(meaning: str, largest: float = _LARGEST) -> Index:
-        return whole_numbers(value(meaning), lambda k: f"{table.where(k)}, {meaning}", largest)
+        return whole_numbers(value(meaning), partial(table.where, name=meaning), largest)
 
     ground = np.ones(n, dtype=bool)
     if "flg" in values:
@@ -386,7 +237,7 @@ def _shots(table: TextTable, layout: Layout, clock_bias: float) -> AltimeterShot
     if "ground" in values:
         ground &= whole("ground", 1.0) == 1
     ground &= ~(value("channel") >= _NOISE_CHANNEL) & ~(value("attitude") >= _NOT_GROUND)
-    known: dict[str, Array | Index | Mask] = {"frames": table.line_numbers(), "ground": ground}
+    known: dict[str, Array | Index | Mask] = {"frames": table.numbers, "ground": ground}
     if layout.name and set(layout.name) <= set(values):
         *seconds, frames, shots = (whole(one) for one in layout.name)
         known |= {"frames": seconds[0] * 100 + frames if seconds else frames, "shots": shots}
@@ -406,11 +257,11 @@ def _shots(table: TextTable, layout: Layout, clock_bias: float) -> AltimeterShot
     return found if there is None or np.all(there) else found.chosen(there)
 
 
-def _meant(table: TextTable, layout: Layout) -> dict[str, str]:
-    """Plain names of columns by what they mean; InputError where one is missing that can't be done without."""
+def _meant(table: CsvText, layout: Layout) -> dict[str, str]:
+    """Names of columns by what they mean; InputError where one is missing that can't be done without."""
     found, where = dict[str, str](), f"{table.path}, header"
     for meaning, names in layout.columns.items():
-        there = [name for name in table.names if name in names.split()]
+        there = [name for name in table.names if plain_name(name) in names.split()]
         if len(there) > 1:
             raise InputError(where, f"two columns for the {meaning}", "one")
         if there:
@@ -424,18 +275,16 @@ def _meant(table: TextTable, layout: Layout) -> dict[str, str]:
     return found
 
 
-def _values(table: TextTable, layout: Layout, names: Mapping[str, str]) -> dict[str, Array]:
+def _values(table: CsvText, layout: Layout, names: Mapping[str, str]) -> dict[str, Array]:
     """Columns (n,) of numbers by what they mean, in the file's units."""
-    gaps = _GAPS if layout is _OWN else frozenset()
-    full = table.read(*(name for meaning, name in names.items() if meaning not in {"utc", *gaps}))
-    return {
-        meaning: table.with_gaps(name) if meaning in gaps else full[name]
-        for meaning, name in names.items() if meaning != "utc"
-    }  # fmt: skip
+    gaps = [names[meaning] for meaning in _GAPS & set(names)] if layout is _OWN else []
+    numbers = {meaning: name for meaning, name in names.items() if meaning != "utc"}
+    found = table.measured(*numbers.values(), gaps=gaps, largest=LARGEST)
+    return {meaning: found[name] for meaning, name in numbers.items()}
 
 
 def _with_radius(
-    table: TextTable, layout: Layout, names: Mapping[str, str], values: Mapping[str, Array]
+    table: CsvText, layout: Layout, names: Mapping[str, str], values: Mapping[str, Array]
 ) -> tuple[Mask, float]:
     """Which shots (n,) have a radius, and the unit of lengths in m."""
     radii = values["radius"]
@@ -443,7 +292,7 @@ def _with_radius(
     if not np.any(there):
         raise InputError(str(table.path), f"{there.size} shots without a radius", "shots that reached the ground")
     assert layout.altimeter is not None
-    return there, unit_of_radii(radii[there], layout.altimeter.body, table.called(names["radius"]))
+    return there, unit_of_radii(radii[there], layout.altimeter.body, f"{table.path}, {names['radius']}")
 
 
 def _spacecraft(value: Callable[[str], Array]) -> Array:
@@ -454,10 +303,11 @@ def _spacecraft(value: Callable[[str], Array]) -> Array:
     return np.where(np.isnan(axes), places, axes)
 
 
-def _altimeter(table: TextTable) -> Altimeter:
-    if "altimeter" not in table.names:
-        return ANY
-    stated = set(RepeatedNames.of(table.texts("altimeter").arrow).distinct)
-    if len(stated) > 1 or not stated <= {*ALTIMETERS, ANY.name}:
-        raise InputError(table.called("altimeter"), ", ".join(sorted(stated))[:60], f"one of {', '.join(ALTIMETERS)}")
-    return ALTIMETERS.get(stated.pop(), ANY)
+def _altimeter(table: CsvText) -> Altimeter:
+    for name in [name for name in table.names if plain_name(name) == "altimeter"]:
+        stated = set(RepeatedNames.of(table.shown(name).arrow).distinct)
+        if len(stated) > 1 or not stated <= {*ALTIMETERS, ANY.name}:
+            found, expected = ", ".join(sorted(stated))[:60], f"one of {', '.join(ALTIMETERS)}"
+            raise InputError(f"{table.path}, {name}", found, expected)
+        return ALTIMETERS.get(stated.pop(), ANY)
+    return ANY

@@ -1,7 +1,7 @@
 """What there is to know of a line-scan camera, what the label of one of its images says, and camera constants by their
 SPICE names (``INS-74021_FOCAL_LENGTH``), wherever they come from: kernels, cubes, JSON.
 
-A new camera is one more `Camera` in `mars`, `moon` or a file of its own, and in `label.CAMERAS`: both roads have it
+A new camera is one more `Camera` in `line_scanners` or a file of its own, and in `label.CAMERAS`: both roads have it
 there, that of cubes with their own SPICE tables (`labels.isis_cube`) and that of kernels (`labels.labelled_image`).
 Formulas: ISIS CameraDetectorMap, LineScanCameraDetectorMap, CameraFocalPlaneMap.
 

@@ -24,9 +24,8 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import LineScanLabel, LineTimes, NaifKeywords, number
 from mgsgraph.files.cameras.label import is_map_projected, label_of
 from mgsgraph.files.labels.aberration import Aberration, aberration_of, geometric, remarks_on, spacecraft_of
-from mgsgraph.files.labels.image_label import read_label
 from mgsgraph.files.opening import ANY_SIZE, opened, read_json
-from mgsgraph.files.pvl import Block
+from mgsgraph.files.pvl import Block, read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.image import PushbroomImage

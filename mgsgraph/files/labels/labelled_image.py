@@ -15,8 +15,7 @@ import spiceypy
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel, LineTimes, LineTimesSource
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.opening import understood
-from mgsgraph.files.spice.kernels import (
+from mgsgraph.files.labels.kernels import (
     INTERVAL,
     Constants,
     Correction,
@@ -31,6 +30,7 @@ from mgsgraph.files.spice.kernels import (
     sample_trajectory,
     utc_time,
 )
+from mgsgraph.files.opening import understood
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import InteriorOrientation, MocWideAngleDistortion
 from mgsgraph.geometry.image import PushbroomImage
@@ -83,7 +83,7 @@ def read_strip(
     names : sequence of str or None
         By which networks call the images; product ids when absent.
     line_times : sequence of Path, "mean" or None
-        of HRSC (`cameras.hrsc.read_line_times`), one for each label; other labels have their line rate in them.
+        of HRSC (`cameras.label.read_line_times`), one for each label; other labels have their line rate in them.
     focal_length : float, optional
         m; that of the kernels when absent.
     constants : "iak" or "ik"

@@ -40,9 +40,8 @@ from mgsgraph.files.networks.record import (
     PointType,
     with_names,
 )
-from mgsgraph.files.networks.tie_points import arrays_of, tie_points
+from mgsgraph.files.networks.tie_points import TiePoints, arrays_of, tie_points
 from mgsgraph.files.opening import number_of, read_text
-from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, geodetic
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.units import ASP_OFFSET, DEG, ISIS_OFFSET

@@ -8,6 +8,8 @@ version 1 (that of a label without one) there are two messages, at StartByte, By
 Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVersioner.cpp (write, writeFirstPoint,
 readProtobufV0005, readProtobufV0002, readProtobufV0001); 2 and 5 in DOI-USGS/plio, plio/io/io_controlnetwork.py, too
 (IsisStore.read). Messages: `networks.messages`.
+
+A network is read from either of its forms, told apart by what is in the file.
 """
 
 import re
@@ -31,14 +33,20 @@ from mgsgraph.files.networks.messages import (
     read_point,
     second_versions,
 )
-from mgsgraph.files.networks.pvl import HEAD_TEXTS
-from mgsgraph.files.networks.pvl_writing import Value, keyword_lines, text_value
-from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, MeasureType, PointType, of_mars, with_names
-from mgsgraph.files.networks.tie_points import PointArrays
-from mgsgraph.files.opening import name_of
-from mgsgraph.files.pvl import Block, Document, whole_label
-from mgsgraph.files.tie_points import TiePoints
-from mgsgraph.files.writing import write_file
+from mgsgraph.files.networks.pvl import HEAD_TEXTS, parse_pvl_network, where_in
+from mgsgraph.files.networks.record import (
+    ControlNetwork,
+    ControlPoint,
+    MeasureType,
+    PointType,
+    Where,
+    of_mars,
+    with_names,
+)
+from mgsgraph.files.networks.tie_points import PointArrays, TiePoints, tie_points
+from mgsgraph.files.opening import name_of, read_bytes
+from mgsgraph.files.pvl import Block, Document, Value, keyword_lines, text_value, whole_label
+from mgsgraph.files.writing import require_as_recorded, write_file
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import LONGEST_NAME, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
@@ -440,3 +448,73 @@ def _label_text(network: ControlNetwork, counts: tuple[int, int], start: int, he
 def _for_eyes(text: str) -> str:
     """A text for the label, where nothing reads it: without what PVL or the label can't hold."""
     return text_value(re.sub(r"[\0\r\n]+", " ", text).replace('"', "'"), "label")
+
+
+def read_network(path: Path) -> ControlNetwork:
+    """Read an ISIS control network with all that is in it.
+
+    Parameters
+    ----------
+    path : Path
+        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, whatever its name.
+
+    Returns
+    -------
+    ControlNetwork
+        Points in the file's order, ignored ones too.
+
+    Raises
+    ------
+    InputError
+        With the file, and line and point (text) or byte, number and id (binary): see `parse_pvl_network` and
+        `parse_binary_network`.
+    """
+    return _with_places(path, _content(path))[0]
+
+
+def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints:
+    """Read what an adjustment takes from an ISIS control network; see `tie_points` for what that is.
+
+    Parameters
+    ----------
+    path : Path
+        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, told apart by what is in the file.
+    body : Ellipsoid, optional
+        That of the images.
+
+    Returns
+    -------
+    TiePoints
+        In the file's order; images are called by their serial numbers; measure sigmas are NaN where the file has none.
+
+    Raises
+    ------
+    InputError
+        With the file, and line and point (text) or byte, number and id of the point (binary): what `read_network` and
+        `tie_points` refuse; a network of another body.
+    """
+    data = _content(path)
+    if is_binary(data):
+        return binary_tie_points(data, str(path), body)
+    network, where = _with_places(path, data)
+    return tie_points(network, where, body)
+
+
+def _content(path: Path) -> bytes:
+    data = read_bytes(path)
+    require_as_recorded(path, data)
+    return data
+
+
+def _with_places(path: Path, data: bytes) -> tuple[ControlNetwork, Where]:
+    """The network, and words for where its points and measures stand in the file."""
+    if is_binary(data):
+        network = with_names(parse_binary_network(data, str(path)))
+        return network, network.where
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        expected = "a control network, in PVL text or ISIS's binary form"
+        raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
+    document = Document(str(path), text.replace("\r\n", "\n").replace("\r", "\n"))
+    return with_names(parse_pvl_network(document)), where_in(document)

@@ -1,6 +1,6 @@
 """Tables of tie points and control points (CSV or Parquet, one measure a row), as they are measured by hand.
 
-The first line names the columns (`networks.table_columns`): id, image, and isis_line, isis_sample (the first pixel's
+The first line names the columns (`files.csv_columns`): id, image, and isis_line, isis_sample (the first pixel's
 centre is (1, 1)) or line, sample (it is (0.5, 0.5)); all others may be left out. Blank lines and lines that begin with
 # count for nothing. A point without measures has one row without image. A Parquet file has the same columns: numbers as
 float64 or whole ones, flags as truth values or words, null for nothing.
@@ -21,11 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.csv_columns import Columns, csv_columns, measured
-from mgsgraph.files.networks.network_file import read_control_network, read_network
-from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
-from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
-from mgsgraph.files.networks.table_columns import (
+from mgsgraph.files.csv_columns import (
     CARTESIAN,
     FLAGS,
     ISIS,
@@ -41,14 +37,19 @@ from mgsgraph.files.networks.table_columns import (
     TEXTS,
     TRUTHS,
     UNCERTAINTIES,
+    Columns,
+    csv_columns,
     header_of,
+    measured,
     on_body,
     upper_triangles,
     whole,
 )
-from mgsgraph.files.networks.tie_points import PointArrays
+from mgsgraph.files.networks.binary import read_control_network, read_network
+from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
+from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
+from mgsgraph.files.networks.tie_points import PointArrays, TiePoints
 from mgsgraph.files.opening import ANY_SIZE, opened, read_bytes, understood
-from mgsgraph.files.tie_points import TiePoints
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
@@ -159,16 +160,17 @@ def _parquet_column(name: str, chunks: pa.ChunkedArray, source: str) -> pa.Array
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
     column.validate(full=True)  # texts that are none
-    kind, in_words = column.type, name in (*TEXTS, *TRUTHS)
-    if pa.types.is_null(kind) or pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        return pc.utf8_trim_whitespace(column.cast(pa.large_string()).fill_null(""))
-    if (pa.types.is_integer(kind) and in_words) or (pa.types.is_boolean(kind) and name in TRUTHS):
-        return column.cast(pa.large_string()).fill_null("")
-    if (pa.types.is_integer(kind) or pa.types.is_floating(kind)) and not in_words:
-        values = column.cast(pa.float64())
-        return pc.if_else(pc.is_nan(values), None, values)
-    expected = "texts" if name in TEXTS else "truth values" if name in TRUTHS else "numbers"
-    raise InputError(f"{source}, column {name}", f"values of the kind {kind}", expected)
+    of, kind = pa.types, column.type
+    sound = of.is_null(kind) or of.is_string(kind) or of.is_large_string(kind) or of.is_integer(kind)
+    if name not in TEXTS:
+        sound |= of.is_boolean(kind) if name in TRUTHS else of.is_floating(kind)
+    if not sound:
+        expected = "texts" if name in TEXTS else "truth values" if name in TRUTHS else "numbers"
+        raise InputError(f"{source}, column {name}", f"values of the kind {kind}", expected)
+    if of.is_floating(kind):
+        column = column.cast(pa.float64())
+        column = pc.if_else(pc.is_nan(column), None, column)
+    return pc.utf8_trim_whitespace(column.cast(pa.large_string()).fill_null(""))  # of numbers all digits
 
 
 # --- rows, measures and points
@@ -271,7 +273,6 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
     ids, image = Names.of(coded.dictionary), RepeatedNames.of(table.values["image"].take(pa.array(of_measures)))
     require_shown(ids, lambda k: rows.where(int(rows.first[k])), "an id")
     require_shown(Names.of(image.distinct), lambda k: rows.where(int(of_measures[np.argmax(image.numbers == k)])))
-    _require_once(rows, image, of_measures)
     kinds = rows.words(
         "measure_type", of_measures, MEASURE_TYPES, int(MeasureType.MANUAL), ", ".join(ISIS_MEASURE_TYPES.values())
     )
@@ -283,18 +284,9 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
     references = np.full(rows.first.size, -1)
     references[of_point] = reference - first[of_point]
     head = ControlNetwork("", "", (), source=str(path))
-    return PointArrays(head, ids, *_points(rows, body), first, image, measures, left_out), kinds, references
-
-
-def _require_once(rows: _Rows, image: RepeatedNames, of_measures: Index) -> None:
-    """Raise InputError for an image (k) twice in a point."""
-    code = rows.point[of_measures] * len(image.distinct) + image.numbers
-    order = np.argsort(code, kind="stable")
-    for k in np.flatnonzero(np.diff(code[order]) == 0)[:1].tolist():
-        earlier, late = of_measures[order[k]], of_measures[order[k + 1]]
-        there = f"{rows.table.row} {rows.table.numbers[earlier]}"
-        found = f"a second measure in image {image[order[k]]}, the first in {there}"
-        raise InputError(rows.where(int(late)), found, "one per point", "remove the worse one")
+    points = PointArrays(head, ids, *_points(rows, body), first, image, measures, left_out)
+    points.require_once(lambda i, k, _: rows.where(int(of_measures[first[i] + k]), f"image {image[first[i] + k]}"))
+    return points, kinds, references
 
 
 def _measures(rows: _Rows, of_measures: Index) -> Array:

@@ -12,7 +12,7 @@ from typing import Any
 from mgsgraph.atomic_write import is_aside, made_beside, put_in_place, resolved, sweep
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import read_json
-from mgsgraph.files.records import MATCH as MATCH  # makes a folder without any of the others matches by this program
+from mgsgraph.files.writing import MATCH as MATCH  # makes a folder without any of the others matches by this program
 from mgsgraph.files.writing import require_folder_above, require_writable
 
 PROGRAM = "mgsgraph"

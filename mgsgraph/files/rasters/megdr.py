@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import ANY_SIZE, opened, read_text, understood
-from mgsgraph.files.pvl import Block, flat_label
+from mgsgraph.files.pvl import Block, files_called, flat_label
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind, window
@@ -155,11 +155,10 @@ def _require_kind(layout: _Layout, counts: NDArray[Any], image: Path) -> None:
 
 def _files(path: Path) -> tuple[Path, Path | None]:
     """The image file and its label, if it has one; either may be given, in any case of letters."""
-    folder = path.parent
-    beside = {other.name.lower(): other for other in folder.iterdir()} if folder.is_dir() else {}
     if path.suffix.lower() == ".lbl":
-        return beside.get(path.with_suffix(".img").name.lower(), path.with_suffix(".img")), path
-    return path, beside.get(path.with_suffix(".lbl").name.lower())
+        image = path.with_suffix(".img")
+        return next(iter(files_called(path, image.name)), image), path
+    return path, next(iter(files_called(path, path.with_suffix(".lbl").name)), None)
 
 
 def _kind(name: str, where: str) -> TerrainKind:

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel
 from mgsgraph.files.cameras.label import label_of
-from mgsgraph.files.labels.image_label import bytes_around, cube_of, data_location, instrument_of, read_label
 from mgsgraph.files.opening import opened, understood
-from mgsgraph.files.pvl import Block
+from mgsgraph.files.pvl import Block, bytes_around, cube_of, data_location, instrument_of, read_label
 from mgsgraph.files.rasters.raster_file import open_raster, read_band
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ What programs are known to write wrongly into support data: put right where the 
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -18,21 +18,26 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import NaifKeywords, number
-from mgsgraph.files.cameras.mars import ATTITUDE_BIAS, PITCH
-from mgsgraph.files.cameras.moon import CORRECTIONS, corrected
+from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, PITCH, corrected
 from mgsgraph.files.decoding import validated
 from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, Spacecraft, aberration_of, geometric, remarks_on
 from mgsgraph.files.labels.isis_cube import is_cube_json
 from mgsgraph.files.opening import read_json
-from mgsgraph.files.support_data.isd_layout import J2000, MODEL, UNITS, RotationTable, StateTable, SupportData
-from mgsgraph.files.support_data.optics import distortion_of_support
+from mgsgraph.files.support_data.isd_layout import (
+    J2000,
+    MODEL,
+    UNITS,
+    RotationTable,
+    StateTable,
+    SupportData,
+    distortion_of_support,
+)
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.plausibility import require_flight
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.text import listed
 from mgsgraph.units import ISIS_OFFSET, KM, MM
 
 _SAME_RADII = 1e-3
@@ -41,13 +46,6 @@ _SAME_FOCAL_LENGTH = 0.01
 """Share by which a focal length may: a calibration changes it by less."""
 _ALIKE = 0.8
 """Likeness (difflib) from which on an unknown key is a slip in one that is known and missing."""
-_NAMED = 6
-_OF_ALE = frozenset({
-    "isis_camera_version", "name_sensor", "reference_height", "interpolation_method", "starting_ephemeris_time",
-    "t0_ephemeris", "dt_ephemeris", "t0_quaternion", "dt_quaternion", "projection", "geotransform", "ale_version",
-    "instrument_id", "spacecraft_name", "target_name", "sensor_model_version",
-})  # fmt: skip
-"""Keys that ALE and ISIS write, and that say nothing of a line scanner's geometry which isn't said elsewhere."""
 
 
 def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> PushbroomImage:
@@ -83,7 +81,7 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     if (model := content.get("name_model", MODEL)) != MODEL:
         raise InputError(f"{source}, name_model", repr(model)[:60], f"{MODEL} (a line scanner)")
     isd, remarks = repaired(validated(content, SupportData, source), source)
-    remarks += unread_keys(content, source)
+    _require_no_slips(content, SupportData, source)
     unit = UNITS[isd.radii.unit]
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
     require_own_constants(isd, body, source)
@@ -190,34 +188,15 @@ def _only(keywords: NaifKeywords, begin: str, end: str) -> str:
 # --- geometric positions
 
 
-def unread_keys(content: dict[str, Any], source: str) -> list[str]:
-    """What is to be said of keys that nothing here reads: a sentence, or none.
-
-    Raises
-    ------
-    InputError
-        For one that is a slip in a key that is missing, and whose place a default would take.
-    """
-    unread = list[str]()
-    for where, key, missing in _unknown(content, SupportData, ""):
-        if close := get_close_matches(key, missing, n=1, cutoff=_ALIKE):
-            place = f"{source}, {where}" if where else source
-            raise InputError(place, f"the unknown key {key!r}", remedy=f"did you mean {close[0]!r}?")
-        if not where and key not in _OF_ALE:
-            unread.append(key)
-    more = [f"{len(unread) - _NAMED} more"] if len(unread) > _NAMED else []
-    return [f"keys that nothing reads: {listed([*unread[:_NAMED], *more])}"] if unread else []
-
-
-def _unknown(table: dict[str, Any], kind: type[msgspec.Struct], where: str) -> Iterator[tuple[str, str, list[str]]]:
-    """Where it stands, and each key of a table that its record doesn't have, with those of the record that it lacks."""
+def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: str) -> None:
+    """Raise InputError for a key that is a slip in one that is missing, and whose place a default would take."""
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
     missing = [name for name in fields if name not in table]
     for key, value in table.items():
-        if key not in fields:
-            yield where, key, missing
-        elif isinstance(value, dict) and (inner := _record(fields[key])) is not None:
-            yield from _unknown(value, inner, f"{where}.{key}".lstrip("."))
+        if key not in fields and (close := get_close_matches(key, missing, n=1, cutoff=_ALIKE)):
+            raise InputError(where, f"the unknown key {key!r}", remedy=f"did you mean {close[0]!r}?")
+        if isinstance(value, dict) and (inner := _record(fields.get(key))) is not None:
+            _require_no_slips(value, inner, f"{where}, {key}")
 
 
 def _record(kind: Any) -> type[msgspec.Struct] | None:

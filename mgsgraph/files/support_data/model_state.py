@@ -18,8 +18,7 @@ import numpy as np
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import Count, Number, Positive, validated
 from mgsgraph.files.opening import read_json
-from mgsgraph.files.support_data.isd_layout import MODEL
-from mgsgraph.files.support_data.optics import distortion_of_state
+from mgsgraph.files.support_data.isd_layout import MODEL, distortion_of_state
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation

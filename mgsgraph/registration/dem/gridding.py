@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.files.rasters.coordinate_systems import equal_area_crs, wkt2
+from mgsgraph.files.rasters.raster_file import equal_area_crs, wkt2
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import between_nodes

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from mgsgraph.files.labels.image_label import cube_of, read_label
+from mgsgraph.files.pvl import cube_of, read_label
 from mgsgraph.files.rasters.pictures import Pixels, as_bytes, is_moc, read_picture
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage

@@ -11,9 +11,8 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
-from mgsgraph.files.output.csv_json import plain, write_json
 from mgsgraph.files.output.folders import PROGRAM
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Column, Table, plain, write_json
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose

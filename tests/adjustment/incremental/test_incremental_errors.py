@@ -25,7 +25,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.errors import InputError, PointBehindCamera
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import PointClass

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.cloud import read_altimetry_cloud
-from mgsgraph.files.altimetry.pedr import FRAME
+from mgsgraph.files.altimetry.binary import FRAME
+from mgsgraph.files.altimetry.shots import read_altimetry_cloud
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.altimetry import LOLA, MOLA, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, planetocentric
@@ -265,10 +265,10 @@ def test_times_in_utc(tmp_path: Path) -> None:
         ([HEAD], "a header alone"),
         (["lon,lat,h", SHOT], "header: the columns lon, lat, h"),
         (["longitude_deg,latitude_deg", "1,2"], "header"),
-        ([HEAD, SHOT, "12.5,-45.0"], "line 3: 2 values; expected 3"),
+        ([HEAD, SHOT, "12.5,-45.0"], "line 3: 2 fields; expected 3"),
         ([HEAD, SHOT, "", "12.5,south,3390000.0"], "line 4, latitude_deg: 'south'"),
         ([HEAD, SHOT, "12.5,nan,3390000.0"], "line 3, latitude_deg: 'nan'"),
-        ([HEAD, SHOT, "12.5,,3390000.0"], "line 3, latitude_deg: ''"),
+        ([HEAD, SHOT, "12.5,,3390000.0"], "line 3, latitude_deg: nothing"),
         ([HEAD, "361,-45.0,3390000.0"], "line 2, longitude: 361 degrees; expected -180 .. 360"),
         ([HEAD, "-181,-45.0,3390000.0"], "line 2, longitude: -181 degrees"),
         ([HEAD, SHOT, "0,90.5,3390000.0"], "line 3, latitude: 90.5 degrees; expected -90 .. 90"),
@@ -277,7 +277,7 @@ def test_times_in_utc(tmp_path: Path) -> None:
         ([HEAD, "12.5,-45.0,3390.0"], "3.4 km; expected that of the body"),
         ([HEAD.replace("_m", ""), "12.5,-45.0,2106.5"], "radius: a median of 2106.5; expected the body's radius"),
         ([f"{HEAD},id", f"{SHOT},a", f"{SHOT},b", f"{SHOT},a"], "'a' twice"),
-        ([f"{HEAD},id", f"{SHOT},"], "line 2, id: nothing"),
+        ([f"{HEAD},id", f"{SHOT},"], "line 2, id: a text of 0 characters"),
         ([f"{HEAD},radius_m", f"{SHOT},3390000.0"], "twice"),
         ([LOLA_HEADER, LOLA_ROW], "1735.5 km; expected that of the body"),
         ([LOLA_HEADER, LOLA_ROW.replace(" 0,1", "64,1")], "1 shots, none of which reached the ground"),

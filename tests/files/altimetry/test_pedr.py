@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.pedr import FRAME, read_pedr
+from mgsgraph.files.altimetry.binary import FRAME, read_pedr
 from mgsgraph.geometry.altimetry import AltimeterShots
 
 LABEL = (

@@ -7,7 +7,7 @@ import pytest
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.files.altimetry.tables import TextTable, shots_of_table
+from mgsgraph.files.altimetry.tables import shots_of_table, table_of
 
 HEADS = (
     "long_East lat_North topography MOLArange  planet_rad c A", "  SC_long   SC_lat     SC_radius",
@@ -64,7 +64,7 @@ def test_fields_that_abut_are_cut_at_the_formats_widths(tmp_path: Path) -> None:
     wide = shot(-75.47890, 9379000.12, groups="02")  # the range fills its ten characters
     assert "-1932.459379000.12" in wide
     path = table(tmp_path, wide, groups="02")
-    got = shots_of_table(TextTable(path.read_bytes(), path))  # no altimeter ranges as far: `read_shots` refuses it
+    got = shots_of_table(table_of(path.read_text(), path))  # no altimeter ranges as far: `read_shots` refuses it
 
     assert got.ranges[0] == 9379000.12
     np.testing.assert_allclose(np.degrees(np.arctan2(got.footprints[0, 1], got.footprints[0, 0])), -75.4789, atol=1e-9)
@@ -138,8 +138,8 @@ def test_utc_alone_is_enough(tmp_path: Path) -> None:
         ((ODE.replace("planet_rad", "areoid_x"), ODE_SHOT), "no column for the radius"),
         ((ODE.replace("long_East", "east"), ODE_SHOT), "no column for the longitude"),
         ((ODE.replace("Ephermis Time", "t").replace("UTC", "u"), ODE_SHOT), "no column for the time"),
-        ((ODE.replace("topography", "planet_rad"), ODE_SHOT), "two columns for the radius"),
-        ((ODE, ODE_SHOT, ODE_SHOT[:60]), "line 3: 8 values; expected 10"),
+        ((ODE.replace("topography", "planet_rad"), ODE_SHOT), "the column 'planet_rad' twice"),
+        ((ODE, ODE_SHOT, ODE_SHOT[:60]), "line 3: 8 fields; expected 10"),
         ((ODE, ODE_SHOT.replace("3393004.81", "339300*.81")), "line 2, planet_rad: '339300"),
         ((ODE, ODE_SHOT.replace("3393004.81", "nan")), "line 2, planet_rad: 'nan'"),
         ((ODE, ODE_SHOT.replace("3393004.81", "3393.00")), "shot 10372:2:1: a radius of 3.393 km"),

@@ -10,7 +10,7 @@ from camera_page import table
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LabelKind, LineScanLabel, NaifKeywords
 from mgsgraph.files.cameras.label import CAMERAS, read_line_scan_label
-from mgsgraph.files.spice.kernels import ck_frame, clock_time, fixed_rotation, loaded
+from mgsgraph.files.labels.kernels import ck_frame, clock_time, fixed_rotation, loaded
 from mgsgraph.geometry.camera import KaguyaMiDistortion, NoDistortion
 
 MM = 1e-3

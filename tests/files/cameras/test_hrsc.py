@@ -12,10 +12,10 @@ from mex import CHANGES, FOLDER, LINES, SAMPLES, kernels, times_file
 from mgsgraph.case.case_file import read_image
 from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.hrsc import DETECTORS, HRSC_HEAD
+from mgsgraph.files.cameras.label import DETECTORS, HRSC_HEAD
 from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.labels.kernels import loaded, pool_numbers
 from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
-from mgsgraph.files.spice.kernels import loaded, pool_numbers
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric

@@ -12,10 +12,10 @@ from mgs import LABEL, START, STOP, image_bytes, kernels
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords
 from mgsgraph.files.cameras.label import read_line_scan_label
-from mgsgraph.files.labels.image_label import read_label
+from mgsgraph.files.labels.kernels import clock_time, loaded
 from mgsgraph.files.labels.labelled_image import read_labelled_image
+from mgsgraph.files.pvl import read_label
 from mgsgraph.files.rasters.pictures import PixelArea, pixel_area, read_moc_pixels, read_picture, require_fragments
-from mgsgraph.files.spice.kernels import clock_time, loaded
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.results.figures.registration import pixels_of
 

@@ -10,10 +10,10 @@ import spiceypy
 from cubes import LINES, PERIOD, START, tables, written
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.kinds import image_kind, image_name
 from mgsgraph.files.labels.aberration import Aberration
-from mgsgraph.files.labels.image_kinds import image_kind, image_name
 from mgsgraph.files.labels.isis_cube import read_isis_cube
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.body import from_planetocentric

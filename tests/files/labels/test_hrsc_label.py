@@ -11,8 +11,7 @@ from mex import CHANGES, CUBE, FOLDER, LABEL, LINES, START, cube_bytes, image_by
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel, LineTimes, LineTimesLocation, LineTimesSource, NaifKeywords
-from mgsgraph.files.cameras.hrsc import HRSC
-from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.cameras.label import HRSC, read_line_scan_label
 
 STOP = START + 19 * 0.0128
 STOP_OF_H5270 = CHANGES[2][0] + (LINES - CHANGES[2][2]) * CHANGES[2][1]

@@ -11,8 +11,8 @@ from mgs import kernels
 from mgsgraph.errors import InputError
 from mgsgraph.files.labels.aberration import Aberration, geometric
 from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.labels.kernels import clock_time, loaded
 from mgsgraph.files.labels.labelled_image import read_labelled_image
-from mgsgraph.files.spice.kernels import clock_time, loaded
 from mgsgraph.geometry.rotation import exponential
 from mgsgraph.units import KM
 

@@ -13,10 +13,10 @@ import spiceypy
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels import labelled_image
-from mgsgraph.files.labels.image_label import read_label
 from mgsgraph.files.labels.isis_cube import attitude_table, position_table, read_isis_cube, tables_of_label
+from mgsgraph.files.labels.kernels import loaded
 from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
-from mgsgraph.files.spice.kernels import loaded
+from mgsgraph.files.pvl import read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory

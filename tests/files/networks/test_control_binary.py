@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from isis_networks import contents, grid, labelled, networks, wire
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import binary_network, parse_binary_network, write_binary_network
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_network, write_binary_network
 from mgsgraph.files.networks.record import (
     AprioriSource,
     ControlMeasure,
@@ -264,7 +263,7 @@ def test_any_prefix_is_refused(tmp_path: Path) -> None:
 
 
 def test_damaged_files_are_refused_or_networks(tmp_path: Path) -> None:
-    """Some hundreds here; scripts/fuzz.py does tens of thousands."""
+    """Some hundreds here; scripts/fuzz.py does thousands."""
     rng = random.Random(8)
     path = tmp_path / "damaged.net"
     refusals = 0

@@ -13,8 +13,8 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import connected_parts
+from mgsgraph.files.networks.binary import read_network
 from mgsgraph.files.networks.editing import in_images, thinned, united, used_images, with_measures
-from mgsgraph.files.networks.network_file import read_network
 from mgsgraph.files.networks.record import (
     ControlMeasure,
     ControlNetwork,

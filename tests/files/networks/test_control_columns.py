@@ -13,11 +13,9 @@ from isis_networks import assert_same, grid, labelled, networks, wire
 from msgspec.structs import replace
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import binary_network, binary_tie_points, parse_binary_network
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import binary_network, binary_tie_points, parse_binary_network, read_control_network
 from mgsgraph.files.networks.record import ControlNetwork, PointType, with_names
-from mgsgraph.files.networks.tie_points import tie_points
-from mgsgraph.files.tie_points import TiePoints
+from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 
 GRID = binary_network(grid(4, 3))
 LABEL = 65_536

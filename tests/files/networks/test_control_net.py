@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.network_file import read_control_network
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.binary import read_control_network
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.units import DEG
 
 SMALL = """\

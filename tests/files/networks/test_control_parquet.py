@@ -75,7 +75,7 @@ def test_kinds_of_columns(tmp_path: Path) -> None:
         ({"line": [1.5, float("inf"), 3.5]}, "row 2, point a, line: 'inf'; expected a finite number"),
         ({"line": [1.5, 2.5, None]}, "row 3, point b, line: nothing; expected a finite number"),
         ({"line": ["1", "x", "2"]}, "row 2, point a, line: 'x'; expected a finite number"),
-        ({"image": ["A", "A", "A"]}, "row 2, point a: a second measure in image A, the first in row 1"),
+        ({"image": ["A", "A", "A"]}, "row 2, point a, image A: a second measure in this image"),
         ({"id": ["a", None, "b"]}, "row 2: no id"),
         ({"id": ["a", "", "b"]}, "row 2: no id"),
         ({"id": [1.5, 2.5, 3.5]}, "column id: values of the kind double; expected texts"),

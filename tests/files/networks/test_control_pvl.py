@@ -8,10 +8,8 @@ from hypothesis import given, settings
 from isis_networks import contents, networks
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import binary_network, parse_binary_network, write_binary_network
-from mgsgraph.files.networks.network_file import read_network
-from mgsgraph.files.networks.pvl import parse_pvl_network
-from mgsgraph.files.networks.pvl_writing import network_text, write_pvl_network
+from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_network, write_binary_network
+from mgsgraph.files.networks.pvl import network_text, parse_pvl_network, write_pvl_network
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.files.pvl import Document
 

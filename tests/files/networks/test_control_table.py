@@ -165,7 +165,7 @@ ROWS = {
     "a word": ("a,two,1,x,,", "line 4, point a, sample: 'x'; expected a finite number"),
     "infinite": ("a,two,inf,1,,", "line 4, point a, line: 'inf'"),
     "sigma of zero": ("a,two,1,1,0,", "line 4, point a, sigma_line_px: 0; expected a positive number"),
-    "a measure twice": ("a,one,1,1,,", "line 4, point a: a second measure in image one, the first in line 3"),
+    "a measure twice": ("a,one,1,1,,", "line 4, point a, image one: a second measure in this image"),
     "no such type": ("b,one,1,1,,known", "line 4, point b, type: 'known'; expected free, constrained or fixed"),
     "fixed without place": ("b,one,1,1,,fixed", "line 4, point b: fixed without an a-priori place"),
     "a quote left open": ('"a,two,1,1,,', "line 4: no row of a CSV file"),

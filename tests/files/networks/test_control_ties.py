@@ -9,12 +9,10 @@ import pytest
 from isis_networks import labelled, wire
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import write_binary_network
-from mgsgraph.files.networks.network_file import read_control_network, read_network
-from mgsgraph.files.networks.pvl_writing import write_pvl_network
+from mgsgraph.files.networks.binary import read_control_network, read_network, write_binary_network
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.files.networks.tie_points import control_network, tie_points
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints, control_network, tie_points
 from mgsgraph.geometry.body import Ellipsoid
 
 FIELDS = ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas")

@@ -9,13 +9,11 @@ from hypothesis import given, settings
 from isis_networks import contents, first_binary, labelled, networks, older, pvl_text
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import binary_network, parse_binary_network
-from mgsgraph.files.networks.network_file import read_network
+from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_network
 from mgsgraph.files.networks.pvl import parse_pvl_network
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.files.networks.tie_points import tie_points
+from mgsgraph.files.networks.tie_points import PointKind, tie_points
 from mgsgraph.files.pvl import Document
-from mgsgraph.files.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, planetocentric_jacobian
 from mgsgraph.units import DEG
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.asp_text import read_ground_control
-from mgsgraph.files.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import Ellipsoid
 
 MARS = Ellipsoid(3396190.0, 3376200.0)

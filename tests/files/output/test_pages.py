@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.page import page_of, write_page
+from mgsgraph.files.writing import page_of, write_page
 from mgsgraph.results.page import require_page as require_report
 from mgsgraph.studio.match_review import require_page as require_review
 

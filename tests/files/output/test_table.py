@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsgraph.files.output.csv_json import quoted
-from mgsgraph.files.output.table import NONE, Column, Table, cut, fixed
+from mgsgraph.files.output.table import NONE, Column, Table, cut, fixed, quoted
 from mgsgraph.units import DEG, MGON
 
 TABLE = Table("things", "Things", (

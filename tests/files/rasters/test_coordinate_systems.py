@@ -8,8 +8,7 @@ import rasterio
 from gis_files import tool
 from rasterio.crs import CRS
 
-from mgsgraph.files.output.geotiff import geotiff
-from mgsgraph.files.rasters.coordinate_systems import authority_code, equal_area_crs, geographic_crs, wkt2
+from mgsgraph.files.rasters.raster_file import authority_code, equal_area_crs, geographic_crs, geotiff, wkt2
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.registration.dem.gridding import MapGrid
 

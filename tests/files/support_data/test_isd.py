@@ -10,7 +10,7 @@ import spiceypy
 
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.labels.aberration import Aberration
-from mgsgraph.files.networks.network_file import read_control_network
+from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage

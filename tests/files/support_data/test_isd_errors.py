@@ -214,7 +214,7 @@ def test_radii_of_no_body_are_refused(tmp_path: Path, radii: tuple[float, float]
     assert "radii" in assert_refused(tmp_path, isd)
 
 
-# --- keys that nothing reads
+# --- slips
 
 
 @pytest.mark.parametrize(
@@ -235,11 +235,3 @@ def _put(isd: dict[str, object], keys: Keys) -> dict[str, object]:
         inner = inner[key]
     inner[keys[-1]] = "km" if keys[-1] == "units" else 1.0
     return isd
-
-
-def test_keys_that_nothing_reads_are_said(tmp_path: Path) -> None:
-    """Those of ALE that say nothing new are not."""
-    known = read(tmp_path, ISD | {"reference_height": {"maxheight": 1000}, "isis_camera_version": 2}).remarks
-    remarks = read(tmp_path, ISD | {"colour": "red", "reference_height": {}}).remarks
-    assert len(remarks) == len(known) + 1
-    assert "colour" in remarks[0]

@@ -19,7 +19,7 @@ import usgscsm
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.files.support_data.optics import support_optics
+from mgsgraph.files.support_data.isd_layout import support_optics
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.simulation.case_files import support_data
 

@@ -9,7 +9,7 @@ import pytest
 import usgscsm
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.labels.image_kinds import image_kind, image_name
+from mgsgraph.files.kinds import image_kind, image_name
 from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.results.archive import pack, unpack

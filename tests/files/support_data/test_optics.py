@@ -5,7 +5,7 @@ import pytest
 import usgscsm
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.support_data.optics import (
+from mgsgraph.files.support_data.isd_layout import (
     NUMBERS,
     distortion_of_state,
     distortion_of_support,

@@ -13,7 +13,7 @@ import pytest
 import mgsgraph
 from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.files.tie_points import PointKind
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges

@@ -9,7 +9,7 @@ import spiceypy
 from mgs import START, STOP, kernels
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.spice.kernels import (
+from mgsgraph.files.labels.kernels import (
     clock_time,
     ellipsoid,
     fixed_rotation,

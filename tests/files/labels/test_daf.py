@@ -7,7 +7,7 @@ import mgs
 import pytest
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.spice.kernels import require_whole
+from mgsgraph.files.labels.kernels import require_whole
 
 
 def test_true_kernels_are_sound(shared_data: Path) -> None:

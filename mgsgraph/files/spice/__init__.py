@@ -1,1 +1,0 @@
-"""SPICE kernels: what they hold, and records read from them."""
