@@ -91,6 +91,7 @@ def nobody(*given: Any, **named: Any) -> Any:
     return _sweep_all(*given, **named)
 
 
+# above two seconds: two processes load the kernel
 @pytest.mark.parametrize(
     "how", [{}, {"reject": 4.0}, {"loss": "huber"}], ids=["terrain", "blunder passes", "robust"]
 )

@@ -14,8 +14,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import residual_tests as module
 from mgsgraph.analysis.residual_tests import group_fits
 from mgsgraph.network import ImageRays, Network, PointClass
-from mgsgraph.results.results import statements, summary_table
-from mgsgraph.results.soundness import fits_section, group_fits_table, weight_unit
+from mgsgraph.results.results import statements
+from mgsgraph.results.soundness import weight_unit
 
 PLAIN = SolverSettings(starts=0)
 TIES, CAUTIOUS = "tie image points, lines", "ground priors"
@@ -99,17 +99,6 @@ def test_rejection_and_losses_are_allowed_for(behind: Solution) -> None:
     robust = group_fits(adjust_network(net, replace(PLAIN, loss="huber")))
     assert robust is not None
     assert not any(one.judged for one in robust)
-
-
-def test_nothing_is_said_where_nobody_looked(monkeypatch: pytest.MonkeyPatch) -> None:
-    net = network(pair())
-    monkeypatch.setattr(module, "_MOST_POINTS", len(net.points) - 1)
-    solution = adjusted(net)
-    assert group_fits(solution) is None
-    assert len(group_fits_table(None)) == 0
-    assert fits_section(solution).numbers is None
-    assert group_fits(replace(solution, converged=False)) is None
-    assert summary_table(solution)
 
 
 def test_back_projected_places_are_no_measures() -> None:

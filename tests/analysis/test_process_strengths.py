@@ -72,6 +72,7 @@ def test_it_is_the_maximum_of_the_likelihood() -> None:
         assert abs(slope / np.sqrt(curvature)) < 0.01
 
 
+# above two seconds: each of two searches adjusts a dozen times
 def test_planted_strengths_are_found() -> None:
     """From three times too much and from a third: the same, and within 3.5 of its sigmas of the truth."""
     ends = [estimated_strengths(network(5, off), SolverSettings()) for off in (3.0, 0.33)]

@@ -144,6 +144,7 @@ def test_pixels_of_the_wrong_shape() -> None:
         Picture(image, np.zeros((1024, 640), dtype=np.uint8), matched.prior(100.0))
 
 
+# above two seconds: three pairs are matched, one of them to nothing
 def test_a_picture_of_other_ground_is_left_out_and_named() -> None:
     scene = matched.scene(3)
     strange = render(

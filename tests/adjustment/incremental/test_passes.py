@@ -83,6 +83,7 @@ def by_batch(adjustment: IncrementalAdjustment) -> Solution:
     return adjust_network(adjustment.network, adjustment.settings)
 
 
+# above two seconds: ten images one by one, of nodes that are continued
 def test_a_strip_grows_image_by_image() -> None:
     """From its first image, whose nodes are continued over the others' lines; what is there keeps its times."""
     adjustment, nodes, times = IncrementalAdjustment(), list[int](), np.zeros(0)
@@ -101,11 +102,12 @@ def test_a_strip_grows_image_by_image() -> None:
     assert found[1] < 1e-3, found
 
 
+# above two seconds: fourteen changes of a block of strips
 def test_any_order_of_additions_and_removals_ends_at_batch() -> None:
     rng = np.random.default_rng(8)
     every, adjustment, there = parts(strips()), IncrementalAdjustment(), set[str]()
-    names = list(every)
-    for name in [*rng.permutation(names), *rng.permutation(names)[:6]]:
+    names = [name for k, name in enumerate(every) if k % 4 in (0, 3)]  # now the first half of a line, now the second
+    for name in [*rng.permutation(names), *rng.permutation(names)[:4]]:
         if name in there:
             adjustment.remove(name)
         else:
