@@ -213,19 +213,6 @@ def test_held_variables_have_zero_blocks() -> None:
     np.testing.assert_array_equal(of_all[:6, :6], joint.block(2, 2))
 
 
-def test_nothing_at_all() -> None:
-    held = System(gtsam.GaussianFactorGraph(), [None, None], [18, 2], [], *np.zeros((2, 0, 0))).joint
-    assert held.columns == 0
-    assert held.sigmas.shape == (0,)
-    assert held.dense().shape == (0, 0)
-    assert held.block(0, 1).shape == (18, 2)
-    some = system("chain", [6, 6]).joint
-    assert some.of(()).shape == (0, 0)
-    assert some.of_each([]).shape == some.of_each([[], []]).shape == (0,)
-    none = np.zeros(0, dtype=np.int64)
-    assert some.pairs(none, none, none).shape == (0,)
-
-
 def test_any_two_of_many_at_a_fraction_of_the_memory() -> None:
     """No array of all columns by all columns on the way, nor in store."""
     made = system("second neighbours", [18] * 90)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from joint_prior import JointNodePrior
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -88,16 +87,6 @@ def test_rays_that_place_nothing_do_not_count() -> None:
     taken = np.zeros(net.rays.point.size, dtype=bool)
     taken[first] = True
     assert support(net, 0, taken=taken).rays.max() == 0
-
-
-def test_priors_of_just_these_nodes_are_refused() -> None:
-    net = block().network
-    joint = JointNodePrior(np.eye(6 * len(net.passes[0].nodes)))
-    net = replace(net, passes=(replace(net.passes[0], prior=joint),))
-    with pytest.raises(InputError, match="joint prior"):
-        respaced(net, 4.0)
-    with pytest.raises(InputError, match="no strips"):
-        respaced(replace(net, passes=()), 4.0)
 
 
 # --- rays held out

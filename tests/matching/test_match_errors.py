@@ -103,11 +103,6 @@ def test_unknown_orientation_needs_a_search() -> None:
     assert np.linalg.norm(matched.errors(found), axis=1).max() < 1.5
 
 
-def test_one_image() -> None:
-    scene = matched.scene()
-    refused(replace(scene, pictures=scene.pictures[:1]), "E02-00665", "overlap")
-
-
 def test_nothing_that_stands_the_checks() -> None:
     refused(
         matched.scene(), "matching: no match is left of ", "images that look alike",
