@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from zlib import crc32
 
@@ -210,22 +211,28 @@ def command(*arguments: object) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def case_file(case: str, folder: Path) -> Path:
+_simulated = dict[str, TemporaryDirectory[str]]()
+"""Folders of what was simulated, of each once."""
+
+
+def case_file(case: str) -> Path:
     """One in scripts/cases, or that of what `simulate` is told."""
     if case.endswith(".toml"):
         return ROOT / "scripts" / "cases" / case
-    command("simulate", *case.split(), "--out", folder / "site")
-    return folder / "site" / "case.toml"
+    if case not in _simulated:
+        _simulated[case] = TemporaryDirectory()
+        command("simulate", *case.split(), "--out", Path(_simulated[case].name, "site"))
+    return Path(_simulated[case].name, "site", "case.toml")
 
 
-def adjusted(case: str, folder: Path) -> Result:
+def adjusted(case: str, _: Path) -> Result:
     """The solution of a case."""
-    return of_solution(mgsgraph.adjust(mgsgraph.read_case(case_file(case, folder))))
+    return of_solution(mgsgraph.adjust(mgsgraph.read_case(case_file(case))))
 
 
 def files(case: str, targets: Iterable[str], folder: Path) -> Result:
     """The numbers of `analyze`, and those in files for other programs."""
-    path, result = case_file(case, folder), folder / "result"
+    path, result = case_file(case), folder / "result"
     command("adjust", path, "--out", result, "--no-figures")
     command("analyze", result, "--out", folder / "analyze", "--no-figures")
     columns = of_json(folder / "analyze" / "analysis.json")
@@ -248,7 +255,7 @@ def files(case: str, targets: Iterable[str], folder: Path) -> Result:
 
 def grown(folder: Path) -> Result:
     """A project of five images that come one by one; `solve` after the third, so that iSAM2 adds the others."""
-    site, project, found = case_file("strip --images 5 --ties 80 --steps", folder).parent, folder / "project", Result()
+    site, project, found = case_file("strip --images 5 --ties 80 --steps").parent, folder / "project", Result()
     command("init", project, "--name", "grown")
     for k, image in enumerate(sorted(site.glob("image_*.isd"))):
         step, impact = site / f"step_{k:03d}", folder / f"impact_{k}.csv"
@@ -262,9 +269,9 @@ def grown(folder: Path) -> Result:
     return found
 
 
-def incremental(folder: Path) -> Result:
+def incremental(_: Path) -> Result:
     """A strip without an image that iSAM2 has taken out."""
-    solution = mgsgraph.adjust(mgsgraph.read_case(case_file("strip --images 6 --ties 80", folder)))
+    solution = mgsgraph.adjust(mgsgraph.read_case(case_file("strip --images 6 --ties 80")))
     adjustment, found = mgsgraph.IncrementalAdjustment.of(solution), Result()
     adjustment.remove("STRIP/002N")
     for name in adjustment.images:

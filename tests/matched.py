@@ -111,7 +111,7 @@ def matches(count: int = 2) -> Matches:
 
 @once
 def _matches(count: int) -> Matches:
-    return match_scene(scene(count), SETTINGS)
+    return match_scene(scene(count), SETTINGS if count == 2 else replace(SETTINGS, features=1200))
 
 
 def true_places(name: str, places: Array, other: str) -> Array:

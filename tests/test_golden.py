@@ -11,6 +11,7 @@ from golden import GOLDEN, LOOSER, RESULTS, ROOT, TOLERANCES, Result, computed, 
 from outside import require
 
 
+# above two seconds: whole commands on whole sites, `grown` and `gusev_files` eight of them
 @pytest.mark.parametrize("name", GOLDEN)
 def test_result_is_the_golden_one(name: str, tmp_path: Path) -> None:
     for folder in GOLDEN[name].data:

@@ -3,7 +3,6 @@
 import logging
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -47,9 +46,8 @@ def test_a_scheduler_elsewhere(protocol: str, host: str, port: int) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "locals", "local:", "local:0", "local:-2", "local:x", "local:99999", "LOCAL", "127.0.0.1:8786", "tcp://host",
-     "tcp://:8786", "tcp://host:0", "tcp://host:70000", "tcp://host:port", "tcp://host:8786/x", "http://host:8786"],
-)  # fmt: skip
+    ["", "local:0", "local:x", "local:99999", "127.0.0.1:8786", "tcp://host:70000", "tcp://host:8786/x"],
+)
 def test_other_places_are_refused(text: str) -> None:
     with pytest.raises(InputError, match=r"^--cluster .*expected .*(local:N|1 to)"):
         parse_cluster(text)
@@ -70,35 +68,10 @@ def two() -> Iterator[Connection]:
         yield cluster
 
 
-def test_two_workers_share_the_machine(two: Connection) -> None:
-    def threads() -> str | None:
-        import os
-
-        return os.environ.get("NUMBA_NUM_THREADS")
-
-    processes = {worker.process for worker in two.workers}
-    assert len(processes) == 2
-    assert os.getpid() not in processes
-    assert all(worker.threads == 1 for worker in two.workers)
-    assert sum(worker.memory_limit for worker in two.workers) <= distributed.system.MEMORY_LIMIT
-    assert set(two.client.run(threads).values()) == {str(threads_of_each(2))}
-
-
 def test_results_belong_to_their_items(two: Connection) -> None:
     items = list(range(-5, 6))
     assert dict(two.each(abs, items)) == dict(enumerate(map(abs, items)))
     assert not list(two.each(abs, []))
-
-
-def test_both_workers_work(two: Connection) -> None:
-    def busy(seconds: float) -> int:
-        import os
-        import time
-
-        time.sleep(seconds)
-        return os.getpid()
-
-    assert set(dict(two.each(busy, [0.3] * 4)).values()) == {worker.process for worker in two.workers}
 
 
 def test_a_task_that_fails_is_told_and_the_others_go_on(two: Connection) -> None:
@@ -186,17 +159,6 @@ def test_no_more_workers_than_work() -> None:
         assert len(cluster.workers) == 1
 
 
-def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "find_spec", lambda name: None)
-    with (
-        pytest.raises(
-            InputError, match=r'local: dask\.distributed is not installed; pip install "mgsgraph\[cluster\]"'
-        ),
-        open_cluster("local"),
-    ):
-        pass
-
-
 def test_one_task_at_a_time_in_a_process() -> None:
     running, most = [0], [0]
 
@@ -223,26 +185,6 @@ from distributed.cli.dask_worker import main
 sys.argv = ["dask worker", {address!r}, "--no-nanny", "--nthreads", "2", "--no-dashboard", "--memory-limit", {memory!r},
             "--host", "127.0.0.1", "--local-directory", {folder!r}]
 main()
-"""
-_ABSENT = """
-class Absent:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == "mgsgraph":
-            raise ModuleNotFoundError("No module named 'mgsgraph'")
-sys.meta_path.insert(0, Absent())
-true_version = importlib.metadata.version
-def version(name):
-    if name == "mgsgraph":
-        raise importlib.metadata.PackageNotFoundError(name)
-    return true_version(name)
-importlib.metadata.version = version
-"""
-_BROKEN = """
-class Broken:
-    def find_spec(self, name, path=None, target=None):
-        if name == "gtsam":
-            raise ImportError("libboost_serialization.so.1.83.0: cannot open shared object file")
-sys.meta_path.insert(0, Broken())
 """
 _OLDER = """
 true_version = importlib.metadata.version
@@ -309,9 +251,7 @@ def test_workers_elsewhere(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("disguise", "memory", "said"),
     [
-        (_ABSENT, "2GB", "no package mgsgraph; expected mgsgraph"),
         (_OLDER, "2GB", "mgsgraph 0.0.1; expected mgsgraph"),
-        (_BROKEN, "2GB", "gtsam can't be imported (ImportError: libboost"),
         ("", "0.25GB", "memory limit of 0.25 GB; expected at least 0.40 GB for the program alone"),
     ],
 )
@@ -335,15 +275,6 @@ def test_nobody_there() -> None:
         "--cluster tcp://127.0.0.1:9: no scheduler answers there within 0.5 s"
     )
     assert time.monotonic() - began < 20.0  # dask itself would wait for 30 s
-
-
-def test_somebody_else_there() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as mute:
-        assert "no scheduler answers" in refusal(f"tcp://127.0.0.1:{mute.getsockname()[1]}", 0.5)
-
-
-def test_tls_without_certificates() -> None:
-    assert "no certificates for tls" in refusal("tls://127.0.0.1:8786", 0.5)
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """One adjustment whose points lie with workers: the same answer as one process's, whoever comes and goes meanwhile."""
 
-import os
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,7 +18,6 @@ from mgsgraph.adjustment.cluster import connection, partitions
 from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
 from mgsgraph.adjustment.cluster.partitions import Answer, Order
 from mgsgraph.adjustment.cluster.workers import Worker, require_memory
-from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
@@ -40,11 +37,6 @@ def many() -> Network:
     places = net.rays.places.copy()
     places[50:90:5] += 60.0
     return replace(net, rays=replace(net.rays, places=places))
-
-
-@pytest.fixture(scope="module")
-def layout() -> Layout:
-    return lay_out(many(), SolverSettings())
 
 
 def scale(values: np.ndarray) -> float:
@@ -99,6 +91,7 @@ def nobody(*given: Any, **named: Any) -> Any:
     return _sweep_all(*given, **named)
 
 
+# above two seconds: two processes load the kernel
 @pytest.mark.parametrize(
     "how", [{}, {"reject": 4.0}, {"loss": "huber"}], ids=["terrain", "blunder passes", "robust"]
 )
@@ -110,46 +103,6 @@ def test_the_same_answer(two: Connection, how: dict[str, Any], monkeypatch: pyte
     if how.get("reject"):
         assert not np.all(spread.rays_used)
         assert "passes" in spread.message
-
-
-def test_a_cost_is_repeatable(two: Connection) -> None:
-    first, second = (adjust_network(many(), SolverSettings(), cluster=two) for _ in range(2))
-    assert first.cost_final == second.cost_final
-    np.testing.assert_array_equal(first.places, second.places)
-
-
-def test_a_network_of_few_pieces(two: Connection) -> None:
-    net = network(pair())
-    assert_the_same(adjust_network(net, SolverSettings()), adjust_network(net, SolverSettings(), cluster=two))
-
-
-@pytest.mark.slow
-def test_a_worker_killed_in_mid_sweep_is_told(two: Connection) -> None:
-    deadline = time.monotonic() + 30.0
-    while len(two.workers) < 2 and time.monotonic() < deadline:
-        time.sleep(0.1)
-    first, second = two.workers
-    orders = {0: (first.address, ("exit", 7)), 1: (second.address, ("sleep", 0.2)), 2: (second.address, ("int", "x"))}
-    began, do = time.monotonic(), _doing()
-    answers = dict(two.at_workers(do, orders))
-    assert answers[0] is None
-    assert answers[1] is None  # what time.sleep returns
-    assert isinstance(answers[2], Lost)
-    assert "ValueError" in answers[2].message
-    assert dict(two.at_workers(do, {5: (first.address, ("int", "5"))})) == {5: None}  # nobody there any more
-    assert dict(two.at_workers(do, {6: (second.address, ("int", "6"))})) == {6: 6}
-    assert time.monotonic() - began < 15.0
-
-
-def _doing() -> Callable[[tuple[str, Any]], Any]:
-    """A function that dask sends as code: workers don't know this file."""
-
-    def do(what: tuple[str, Any]) -> Any:
-        import time
-
-        return {"exit": os._exit, "sleep": time.sleep, "int": int}[what[0]](what[1])
-
-    return do
 
 
 def test_points_are_let_go_at_the_end(two: Connection) -> None:
@@ -270,8 +223,3 @@ def test_a_gpu_on_a_cluster_is_refused(case_file: Path, tmp_path: Path) -> None:
     assert isinstance(told.exception, InputError)
     assert str(told.exception).startswith("--cluster local:2: solver, device 'cuda'; expected 'cpu' on a cluster")
     assert not (tmp_path / "o").exists()
-
-
-def test_a_place_that_is_none_is_told_before_anything_is_read(tmp_path: Path) -> None:
-    told = CliRunner().invoke(group, ["adjust", "absent.toml", "--out", str(tmp_path / "o"), "--cluster", "nowhere"])
-    assert str(told.exception).startswith("--cluster nowhere: no place for the work")

@@ -112,13 +112,6 @@ def test_what_an_order_says_is_new_holds_for_those_that_follow(source: Source, l
         assert found.cost == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_nobody_asks_for_makes_room(source: Source, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
-    carry_out(order(layout, "a", COSTS, source))
-    monkeypatch.setattr(partitions, "_KEPT", -1.0)
-    carry_out(order(layout, "b", COSTS, source))
-    assert set(partitions._held) == {"b"}
-
-
 def test_what_comes_over_the_wire_is_what_the_kernel_was_compiled_for(source: Source, layout: Layout) -> None:
     """A read-only array would be another type to numba: a minute of compiling on every worker."""
     given = order(layout, "a", SYSTEM, source)

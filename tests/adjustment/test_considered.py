@@ -15,8 +15,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import without_terrain
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_out import orientation_polynomials
-from mgsgraph.export.isis import adjusted_network
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind
@@ -76,29 +74,6 @@ def test_the_covariance_is_that_of_estimates_that_a_shift_displaces() -> None:
     assert found.shift_covariance(0) == pytest.approx(SHIFT**2 * np.eye(2), rel=1e-6, abs=1e-3)
 
 
-def test_what_is_exported_has_it_carried() -> None:
-    """Covariances and sigmas in ISIS's terms: those without the unknown, and S C S' with S of exported values."""
-    net, step = with_profile(), 20.0
-    found = adjust_network(replace(net, considered=("profile",)), EXACT)
-    plain = adjust_network(displaced(net, np.zeros(2)), EXACT)
-    points, images, count = [], [], len(net.images)
-    for way in np.eye(2):
-        both = [adjust_network(displaced(net, sign * step * way), EXACT) for sign in (1.0, -1.0)]
-        ends = [np.array([one.adjusted for one in adjusted_network(each).points]) for each in both]
-        points.append((ends[0] - ends[1]) / (2.0 * step))
-        ends = [np.array([orientation_polynomials(each, j, 2).correction for j in range(count)]) for each in both]
-        images.append((ends[0] - ends[1]) / (2.0 * step))
-    spread = [np.array([one.adjusted_covariance for one in adjusted_network(each).points]) for each in (found, plain)]
-    rows, across = np.triu_indices(3)
-    added = SHIFT**2 * np.einsum("kni,knj->nij", np.array(points), np.array(points))[:, rows, across]
-    assert added.max() > 100.0
-    np.testing.assert_allclose(spread[0] - spread[1], added, atol=2e-3 * added.max())
-    sigmas = [np.array([orientation_polynomials(each, j, 2).sigma for j in range(count)]) for each in (found, plain)]
-    expected = sigmas[1] ** 2 + SHIFT**2 * np.sum(np.array(images) ** 2, axis=0)
-    np.testing.assert_allclose(sigmas[0] ** 2 / expected, 1.0, atol=2e-3)
-    assert np.max(sigmas[0] / sigmas[1]) > 1.2
-
-
 def test_redundancy_is_the_estimators() -> None:
     """What is carried of an unknown doesn't change which blunders show: as where the shift is known."""
     net = with_profile()
@@ -127,15 +102,6 @@ def test_both_forms_agree(considered: tuple[str, ...]) -> None:
     before = SHIFT if considered == ("profile",) else 150.0
     spread = bundle.shift_spread(0 if considered == ("profile",) else last)[:2, :2]
     assert spread == pytest.approx(before**2 * np.eye(2), rel=1e-6, abs=1e-2)
-
-
-def test_an_unknown_that_is_known_already_may_be_considered_or_estimated() -> None:
-    """With a sigma far below what the observations tell, the two are the same."""
-    net = with_profile()
-    assert net.shifts is not None
-    net = replace(net, shifts=replace(net.shifts, sigmas=np.array([0.01])))
-    estimated, considered = (adjust_network(one, EXACT) for one in (net, replace(net, considered=("profile",))))
-    np.testing.assert_allclose(considered.covariances, estimated.covariances, rtol=1e-5)
 
 
 def test_parts_of_a_network_keep_what_they_consider() -> None:

@@ -29,11 +29,6 @@ SMALL = Gpu("a picture card", 4e9, 32)
 NUMPY = np, scipy.linalg
 
 
-def test_the_cpu_unless_it_is_said() -> None:
-    assert sweeper_of(SolverSettings(), LAYOUT) is IN_PROCESS
-    assert IN_PROCESS.remark == ""
-
-
 def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.MonkeyPatch) -> None:
     auto, found = SolverSettings(device="auto"), Gpu("a device", math.inf, 2)
     monkeypatch.setattr(gpu, "find_gpu", lambda: found)
@@ -43,12 +38,6 @@ def test_auto_wants_enough_to_do_and_a_rate_worth_using(monkeypatch: pytest.Monk
     assert sweeper_of(auto, LAYOUT) is IN_PROCESS
     assert SMALL.remark
     assert not found.remark
-
-
-def test_auto_goes_without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu, "_WORTHWHILE", 10)
-    monkeypatch.setattr("mgsgraph.adjustment.gpu.found.find_spec", lambda name: None)
-    assert sweeper_of(SolverSettings(device="auto"), LAYOUT) is IN_PROCESS
 
 
 def test_auto_goes_without_a_gpu_of_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,14 +81,6 @@ def test_points_are_divided_so_that_memory_holds_each_part(memory: float) -> Non
         assert last > first
         own = 0 if together else held[first:last].sum()
         assert needed + own + work[first:last].sum() <= memory
-
-
-def test_the_bytes_of_pieces_are_those_of_a_partition() -> None:
-    from mgsgraph.kernel.cuda.partition import Partition, bytes_of_pieces
-
-    part = Partition(LAYOUT.rows, LAYOUT.groups, LAYOUT.blocks.target, LAYOUT.model)
-    work = bytes_of_pieces(LAYOUT.rows)[1].sum()
-    assert 8 * part.work <= work <= 8.2 * part.work
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.3])

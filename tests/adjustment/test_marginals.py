@@ -122,7 +122,7 @@ def in_sigmas(found: Array, authority: Array) -> float:
 # --- what it says
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(systems())
 def test_equals_gtsam_marginals_and_the_dense_inverse(made: System) -> None:
     values = gtsam.Values()
@@ -136,7 +136,7 @@ def test_equals_gtsam_marginals_and_the_dense_inverse(made: System) -> None:
         np.testing.assert_allclose(joint.sigmas, np.sqrt(np.diag(authority)), rtol=1e-10)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(systems(), st.integers(0, 99))
 def test_all_ways_to_ask_agree(made: System, seed: int) -> None:
     joint, rng = made.joint, np.random.default_rng(seed)
@@ -166,7 +166,7 @@ def test_all_ways_to_ask_agree(made: System, seed: int) -> None:
     assert not flat.any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(systems())
 def test_the_square_root_is_one_of_the_information(made: System) -> None:
     root = made.joint.square_root
@@ -177,29 +177,6 @@ def test_the_square_root_is_one_of_the_information(made: System) -> None:
         rows = np.vstack([rows, part])
     identity = rows @ made.authority @ rows.T
     np.testing.assert_allclose(identity, np.eye(root.columns), atol=1e-9)
-
-
-@settings(max_examples=40, deadline=None)
-@given(systems())
-def test_solving_gives_what_the_recursion_gave(made: System) -> None:
-    joint = made.joint
-    variables = joint.adjusted
-    cross = joint.square_root.cross(variables, variables[::-1])
-    turned = np.concatenate([np.arange(joint.columns)[made.slices[v]] for v in variables[::-1]])
-    back = np.empty_like(cross)
-    back[:, turned] = cross
-    assert in_sigmas(back, made.authority) < 1e-10
-
-
-@settings(max_examples=40, deadline=None)
-@given(systems())
-def test_triangular_solves_are_halves_of_the_covariance(made: System) -> None:
-    root, unit = made.joint.square_root, np.eye(made.joint.columns)
-    half = root.back(unit)
-    assert in_sigmas(half @ half.T, made.authority) < 1e-10
-    assert in_sigmas(half @ root.forward(unit), made.authority) < 1e-10
-    assert in_sigmas(root.covariance_times(unit), made.authority) < 1e-10
-    np.testing.assert_allclose(root.forward(unit[:, 0]), root.forward(unit)[:, 0], rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
@@ -234,19 +211,6 @@ def test_held_variables_have_zero_blocks() -> None:
     of_all = joint.of((2, 1, 0))
     assert not of_all[6:24].any()
     np.testing.assert_array_equal(of_all[:6, :6], joint.block(2, 2))
-
-
-def test_nothing_at_all() -> None:
-    held = System(gtsam.GaussianFactorGraph(), [None, None], [18, 2], [], *np.zeros((2, 0, 0))).joint
-    assert held.columns == 0
-    assert held.sigmas.shape == (0,)
-    assert held.dense().shape == (0, 0)
-    assert held.block(0, 1).shape == (18, 2)
-    some = system("chain", [6, 6]).joint
-    assert some.of(()).shape == (0, 0)
-    assert some.of_each([]).shape == some.of_each([[], []]).shape == (0,)
-    none = np.zeros(0, dtype=np.int64)
-    assert some.pairs(none, none, none).shape == (0,)
 
 
 def test_any_two_of_many_at_a_fraction_of_the_memory() -> None:
@@ -309,23 +273,15 @@ def test_arrays_that_contradict_each_other_are_refused(monkeypatch: pytest.Monke
     at = root.first_member.tolist()
     cliques = [root.members[a:b] for a, b in itertools.pairwise(at)]
     wrong = {
-        "first": [root.first[:3], spoilt(root.first, 1, 5), spoilt(root.first, 2, 3)],
-        "width": [spoilt(root.width, 0, 7), spoilt(root.width, 2, 0)],
-        "members": [
-            root.members[1:],
-            np.roll(root.members, 1),
-            spoilt(root.members, 0, 9),
-            spoilt(root.members, 0, 2),  # a held one
-            spoilt(root.members, at[1] + 1, 2),
-            np.concatenate([cliques[0], cliques[2], cliques[1]]),  # a child before its parent
-        ],
-        "sizes": [root.sizes[:-1], spoilt(root.sizes, 0, 3)],
-        "frontals": [spoilt(root.frontals, 0, 0), spoilt(root.frontals, -1, 9)],
-        "rows": [root.rows[1:], root.rows[None]],
+        "first": spoilt(root.first, 2, 3),
+        "width": spoilt(root.width, 0, 7),
+        "members": np.concatenate([cliques[0], cliques[2], cliques[1]]),  # a child before its parent
+        "sizes": root.sizes[:-1],
+        "frontals": spoilt(root.frontals, -1, 9),
+        "rows": root.rows[1:],
     }
-    for name, values in wrong.items():
-        for value in values:
-            with pytest.raises(InputError, match="contradict each other"):
-                replace(root, **{name: value})
+    for name, value in wrong.items():
+        with pytest.raises(InputError, match="contradict each other"):
+            replace(root, **{name: value})
     with pytest.raises(InputError, match="joint covariance: shape"):
         replace(joint, blocks=joint.blocks[1:])

@@ -111,10 +111,3 @@ def test_rays_of_a_detector_are_the_same_in_all_axes() -> None:
 def test_angles_that_are_added_have_no_mountings() -> None:
     with pytest.raises(InputError, match="solver, angles"):
         adjust_network(passes(network(pair(ties=10, shots=4)), LIKE_NAC), SolverSettings(angles="opk-paper"))
-
-
-def test_axes_that_are_no_rotations() -> None:
-    one = passes(network(pair(ties=10, shots=4)), LIKE_NAC).passes[1]
-    for wrong in (2.0 * LIKE_NAC, np.diag([1.0, 1.0, -1.0])):
-        with pytest.raises(InputError, match="no rotations"):
-            replace(one, axes=wrong[None])

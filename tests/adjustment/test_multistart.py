@@ -15,10 +15,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
-from mgsgraph.errors import InputError
 from mgsgraph.network import TERRAIN, Network
-from mgsgraph.results.ground import minima_section
-from mgsgraph.results.results import solution_json, statements
 
 TERRAIN_VARIABLE = 3
 """Two images, the profile, the terrain model."""
@@ -90,18 +87,6 @@ def test_redundancy_is_that_of_one_minimum() -> None:
     assert found.redundancy.sum() == pytest.approx(solved().fit.degrees_of_freedom, abs=1e-3)
 
 
-def test_they_are_said() -> None:
-    minima = solved().minima
-    assert minima is not None
-    assert minima.several
-    record = solution_json(solved())["minima"]
-    assert record["number"] == len(minima.each) == len(minima_section(minima).tables[0])
-    assert [one["weight"] for one in record["each"]] == [one.weight for one in minima.each]
-    assert minima_section(minima).sentences[0] in statements(solved())
-    assert minima_section(None).numbers is None
-    assert not minima_section(None).sentences
-
-
 def test_without_a_shift_to_be_estimated_there_are_none() -> None:
     for one in (network(pair()), replace(net(), considered=(TERRAIN,))):
         settings = SolverSettings(starts=4)
@@ -110,8 +95,3 @@ def test_without_a_shift_to_be_estimated_there_are_none() -> None:
     assert starts_wanted(net(), SolverSettings(), layout) == 16
     assert starts_wanted(net(), SolverSettings(starts=4), layout) == 4
     assert starts_wanted(net(), SolverSettings(loss="huber"), layout.with_loss("huber")) == 0
-
-
-def test_starts_are_counted_from_none() -> None:
-    with pytest.raises(InputError, match="starts"):
-        SolverSettings(starts=-1)

@@ -1,6 +1,6 @@
 """Orientation of all images at once: against the whole correction of each and the covariance of its coefficients."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from sharing import with_all_kinds
 from mgsgraph.adjustment import solution as of_solution
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Angles, SolverSettings
-from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile, orientation_profiles
+from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network, NodePrior, Pass
@@ -63,15 +63,3 @@ def test_images_together_are_each_by_itself(kind: str, angles: Angles, monkeypat
         turned = axes @ covariance[:, 3:, 3:] @ np.swapaxes(axes, 1, 2)
         sigmas = np.sqrt(np.diagonal(turned, axis1=1, axis2=2))
         np.testing.assert_allclose(found.rotation_sigma[at], sigmas, rtol=1e-9, atol=1e-15)
-
-
-def test_all_images_and_blocks_of_them_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    solution = solved("nodes", "camera")
-    whole = orientation_profiles(solution)
-    monkeypatch.setattr(of_solution, "_TOGETHER", 1)
-    blocks, single = orientation_profiles(solution), [orientation_profile(solution, j) for j in range(2)]
-    for name in (one.name for one in fields(OrientationProfile)):
-        want = np.concatenate([getattr(one, name) for one in single])
-        np.testing.assert_array_equal(getattr(blocks, name), want)
-        np.testing.assert_allclose(getattr(whole, name), want, rtol=1e-12, atol=1e-14)
-

@@ -14,14 +14,13 @@ from strategies import along
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
-from mgsgraph.adjustment.graph.patterns import Patterns, group_blocks
 from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
+from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE
 from mgsgraph.names import Names
 from mgsgraph.network import Network, Ranges
 from mgsgraph.network.observations import observed
@@ -29,68 +28,11 @@ from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 SEEDS = st.integers(0, 2**32 - 1)
-Name = tuple[int, int, int]
-"""Kind of an observation, its image, its variable."""
-
-
-def expected_observations(net: Network) -> list[Counter[Name]]:
-    """Observations of each point, straight from the network's tables."""
-    shifts = 0 if net.shifts is None else len(net.shifts.names)
-    found = [Counter[Name]() for _ in range(len(net.points))]
-    for kind, table in ((IMAGE, net.rays), (RANGE, net.ranges)):
-        for p, j in zip(table.point.tolist(), table.image.tolist(), strict=True):
-            found[p][kind, j, -1 if net.held[j] else j] += 1
-    for i, mine in enumerate(found):
-        if net.points.kinds[i] == PointKind.CONSTRAINED:
-            profile = -1 if net.shifts is None else int(net.shifts.profile[i])
-            mine[GROUND, -1, len(net.images) + profile if profile >= 0 else -1] += 1
-        if net.surface is not None and np.isfinite(net.surface.sigmas[i]):
-            mine[SURFACE, -1, len(net.images) + shifts if net.terrain_moves else -1] += 1
-    return found
-
-
-def told(found: Patterns, pattern: int) -> Counter[Name]:
-    """Kind, image and the only variable of a pattern's observations; -1 for none."""
-    first, last = found.first[pattern : pattern + 2].tolist()
-    entries = (found.entry_variable[slice(*found.entry[s : s + 2])].tolist() for s in range(first, last))
-    variables = [next(iter(mine), -1) for mine in entries]
-    return Counter(zip(found.kind[first:last].tolist(), found.image[first:last].tolist(), variables, strict=True))
-
-
 @pytest.fixture(params=[1, 3, 2048], name="piece")
 def set_piece(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """Most points of a piece, for a whole test."""
     monkeypatch.setattr(patterns, "PIECE", request.param)
     return int(request.param)
-
-
-def test_pieces_are_all_points_once(piece: int) -> None:
-    for seed in range(12):
-        net = random_network(seed)
-        made = lay_out(net, SolverSettings())
-        n, found, expected = len(net.points), made.patterns, expected_observations(net)
-        assert sorted(found.point_order.tolist()) == list(range(n))
-        np.testing.assert_array_equal(found.point_order[found.point_index], np.arange(n))
-        np.testing.assert_array_equal(made.network_order(found.point_order.astype(float)), np.arange(n))
-        rows = made.rows
-        np.testing.assert_array_equal(rows.piece[:, 1], np.cumsum(rows.piece[:, 2]) - rows.piece[:, 2])
-        assert rows.piece[:, 2].sum() == n
-        assert rows.piece[:, 2].min() >= 1
-        assert rows.piece[:, 2].max() <= piece
-        for pattern, first, count in rows.piece[:, :3].tolist():
-            for i in found.point_order[first : first + count]:
-                assert told(found, pattern) == expected[i]
-                assert found.fixed[pattern] == (net.points.kinds[i] == PointKind.FIXED)
-                felt = {variable for _, _, variable in expected[i] if variable >= 0}
-                assert found.group_variables[found.group[pattern]] == tuple(sorted(felt))
-        fixed = (net.points.kinds == PointKind.FIXED).tolist()
-        unlike = {(frozenset(mine.items()), known) for mine, known in zip(expected, fixed, strict=True)}
-        assert found.fixed.size == len(unlike)
-        assert rows.piece[:, 0].tolist() == sorted(rows.piece[:, 0].tolist())
-        assert rows.pattern_shape.tolist() == sorted(rows.pattern_shape.tolist())
-        for shape in set(rows.pattern_shape.tolist()):  # within a shape neighbours share unknowns
-            of_shape = rows.pattern_group[rows.pattern_shape == shape].tolist()
-            assert of_shape == sorted(of_shape)
 
 
 def outermost_angles(net: Network) -> Array:
@@ -303,42 +245,3 @@ def test_frozen_scale_is_the_nominal_image_motion() -> None:
             _, slope = image.interior.focal_plane(np.array([sample]))
             motion, scale = along(in_focal_plane, 5.0), observation.own[-4:].reshape(2, 2)
             np.testing.assert_allclose(scale @ np.stack([motion, slope[0]], axis=1), np.diag([1.0, -1.0]), atol=1e-6)
-
-
-@settings(max_examples=25)
-@given(seed=SEEDS)
-def test_blocks_of_variable_pairs(seed: int) -> None:
-    """One block per pair that some group holds, side by side without gaps, and every group's table names them."""
-    made = lay_out(random_network(seed), SolverSettings())
-    blocks, groups, variables = made.blocks, made.groups, made.variables
-    pairs = list(zip(blocks.first.tolist(), blocks.second.tolist(), strict=True))
-    held = {(v, w) for group in made.group_variables for v in group for w in group if v <= w}
-    assert sorted(pairs) == sorted(held | {(v, v) for v in variables.adjusted()})
-    sizes = variables.width[blocks.first] * variables.width[blocks.second]
-    np.testing.assert_array_equal(blocks.offset, np.cumsum(sizes) - sizes)
-    assert (blocks.target.size, blocks.target.columns) == (sizes.sum(), made.columns)
-    at = dict(zip(pairs, blocks.offset.tolist(), strict=True))
-    for g, members in enumerate(made.group_variables):
-        begin, end = groups.pair_first[g : g + 2]
-        table = blocks.target.pair[begin:end].tolist()
-        assert table == [at[min(v, w), max(v, w)] for v in members for w in members]
-        begin, end = groups.member_first[g : g + 2]
-        assert groups.member_variable[begin:end].tolist() == list(members)
-        assert blocks.target.right[begin:end].tolist() == [variables.first[v] for v in members]
-
-
-@settings(max_examples=25)
-@given(seed=SEEDS)
-def test_blocks_of_groups(seed: int) -> None:
-    """Each group's own blocks don't overlap another's, and are as large as those of the pairs."""
-    made = lay_out(random_network(seed), SolverSettings())
-    groups, target = made.groups, group_blocks(made.groups)
-    taken = np.zeros(target.size, dtype=int)
-    for g in range(len(made.group_variables)):
-        width = groups.member_width[groups.member_first[g] : groups.member_first[g + 1]]
-        sizes = np.multiply.outer(width, width).ravel()
-        for start, size in zip(target.pair[groups.pair_first[g] :], sizes, strict=False):
-            taken[start : start + size] += 1
-    assert np.all(taken == 1)
-    np.testing.assert_array_equal(target.right, np.cumsum(groups.member_width) - groups.member_width)
-    assert target.columns == groups.member_width.sum()

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, sweep
+from mgsgraph.kernel.sweep import GRADIENT, sweep
 
 
 class Parabola:
@@ -47,15 +47,6 @@ def test_a_near_miss_is_looked_at_again_exactly() -> None:
     confirmed = Parabola(iter([0.0, 0.0, 0.0]))
     assert minimise(confirmed, 1.0)[0].accepted
     assert confirmed.exactly == 0
-
-
-def test_after_a_rejected_step_the_cost_alone_is_asked_for() -> None:
-    problem = Parabola(iter([0.0, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    history = minimise(problem, 1.0)
-    assert [now.accepted for now in history[:3]] == [False, False, True]
-    assert problem.asked[:4] == [SYSTEM, SYSTEM, COSTS, COSTS]
-    assert problem.asked[4] != COSTS
-    assert problem.exactly == 0
 
 
 class Bent:

@@ -11,12 +11,10 @@ from networks import network, pair, with_shift_and_surface
 from sharing import block, camera_clock, drawn, shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.cluster.connection import open_cluster
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PolynomialTrajectory, fit_polynomials
 from mgsgraph.network import Network, PointClass, SharedKind
@@ -63,16 +61,6 @@ def test_bundle_is_explicit(angles: Angles, line: Line, held: tuple[bool, bool])
         np.testing.assert_allclose(value, again, atol=1e-5 * prior.sigmas.min())
     assert one.fit.unknowns == one.joint_covariance.columns + 3 * 18
     assert one.fit.squares == pytest.approx(2.0 * one.cost_final, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_on_a_cluster() -> None:
-    pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
-    one = everything()
-    with open_cluster("local:1") as opened:
-        other = adjust_network(one.network, one.settings, cluster=opened)
-    assert other.cost_final == pytest.approx(one.cost_final, rel=1e-9)
-    np.testing.assert_allclose(other.joint_covariance.dense(), one.joint_covariance.dense(), rtol=1e-6, atol=1e-12)
 
 
 # --- what they do
@@ -134,22 +122,6 @@ def test_rows_are_exactly_those_of_the_adjusted_interior_orientation(angles: Ang
         assert np.all(off[:, 1] < 1e-7 + 3e-4 * own[:, 1] ** 2)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in INTERIOR if kind is not SharedKind.FOCAL_LENGTH])
-def test_optics_that_truly_are_so_are_found(kind: SharedKind) -> None:
-    """A tenth of a millimetre, eight pixels: within what the noise leaves open, which is little."""
-    simulated = simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2)
-    net = with_other_optics(simulated, millimetre(network(simulated), [kind], 0.1), (True, True))
-    n, places = len(net.points), np.concatenate([simulated.true_ties, simulated.true_footprints])
-    known = np.full(n, PointKind.CONSTRAINED), places, np.tile(1e-4 * np.eye(3), (n, 1, 1))  # tie points are in all y
-    net = replace(net, points=replace(net.points, kinds=known[0], places=known[1], covariances=known[2]))
-    solution = adjust_network(replace(net, shared=(shared(kind, [0, 1], 1e-2),)), SolverSettings())
-    sigmas = np.sqrt(np.diag(solution.shared_covariance(0)))
-    assert sigmas.max() < 1e-6
-    assert np.all(np.abs(solution.shared[0] - 1e-4) < 4.0 * sigmas + 1e-8)
-    assert np.abs(solution.residuals).max() < 0.02
-    assert solution.cost_initial > 10.0 * solution.cost_final
-
-
 CASES = [
     (SharedKind.ATTITUDE_TIME, InstrumentErrors(attitude_time=0.04), [0.04]),
     (SharedKind.POSITION_TIME, InstrumentErrors(position_time=0.01), [0.01]),
@@ -162,16 +134,16 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("angles", ["camera", "opk-paper"])
 @pytest.mark.parametrize(("kind", "errors", "planted"), CASES, ids=[str(case[0]) for case in CASES])
 def test_an_instrument_that_truly_is_so_is_found(
-    kind: SharedKind, errors: InstrumentErrors, planted: list[float], angles: Angles
+    kind: SharedKind, errors: InstrumentErrors, planted: list[float]
 ) -> None:
     """Tables read later, frames turned, rays of another focal length: found within a ten-thousandth and what the noise
     leaves open, which is little; and no residual is left.
     """
     net = network(simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2, errors), held=(True, True))
     wanted = shared(kind, [0] if kind.of_laser else [0, 1], 100.0 * float(np.abs(planted).max()))
+    angles: Angles = "opk-paper" if kind in (SharedKind.CAMERA_BORESIGHT, SharedKind.ATTITUDE_TIME) else "camera"
     solution = adjust_network(replace(net, shared=(wanted,)), SolverSettings(angles=angles))
     found, sigmas = solution.shared[0], np.sqrt(np.diag(solution.shared_covariance(0)))
     largest = np.abs(planted).max()
@@ -215,16 +187,6 @@ def test_the_ground_moves_as_an_instrument_that_truly_is_so_moves_it() -> None:
     assert held < 1.0
 
 
-def test_both_time_biases_are_a_later_line_but_for_the_bodys_turning() -> None:
-    image = drawn(1).images[0]
-    both = sum(image_effect(image, kind, "camera")[0] for kind in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME))
-    pose = image.pose(np.array([0.5 * image.lines]))
-    (period,), spin = image.timing.at(np.array([0.5 * image.lines]))[1], image.trajectory.spin
-    assert spin is not None
-    np.testing.assert_allclose(both[0, :3] - np.cross(spin, pose.position[0]), pose.velocity[0] / period, atol=1e-3)
-    np.testing.assert_allclose(both[0, 3:] - pose.matrix[0] @ spin, pose.angular_rate[0] / period, atol=1e-10)
-
-
 def test_the_body_turns_as_its_prime_meridian_says() -> None:
     """Mars: 350.89198226 degrees a day (IAU 2009), also where polynomials stand for the tables."""
     image = pair().images[0]
@@ -248,24 +210,6 @@ def test_effects_are_polynomials_of_the_line() -> None:
     _, angular_rate = image.trajectory.camera.at(times)  # type: ignore[attr-defined]
     turned = basis @ image_effect(image, SharedKind.ATTITUDE_TIME, "camera")[0]
     np.testing.assert_allclose(turned[:, 3:], angular_rate, atol=1e-9)
-
-
-def test_an_orbit_is_displaced_outward_along_and_to_the_left() -> None:
-    """At lines that were not fitted, against the image's inertial trajectory; and shots by other code."""
-    image = drawn(1).images[0]
-    lines = np.random.default_rng(2).uniform(0.0, image.lines, 50)
-    times, _ = image.timing.at(lines)
-    basis = image.normalised(lines)[:, None] ** np.arange(6)
-    place, velocity = image.trajectory.position.at(times)  # type: ignore[attr-defined]
-    to_body, _ = image.trajectory.body.at(times)  # type: ignore[attr-defined]
-    normal = np.cross(place, velocity)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    outward = place / np.linalg.norm(place, axis=1, keepdims=True)
-    effect = image_effect(image, SharedKind.ORBIT_POSITION, "camera")
-    for one, axis in zip(effect, (outward, np.cross(normal, outward), normal), strict=True):
-        moved = basis @ one
-        np.testing.assert_allclose(moved[:, :3], np.einsum("nij,nj->ni", to_body, axis), atol=2e-6)
-        assert not moved[:, 3:].any()
 
 
 def test_an_orbit_that_truly_lies_elsewhere_is_found() -> None:
@@ -348,7 +292,7 @@ def test_a_laser_that_truly_sits_elsewhere_is_found() -> None:
 # --- what is known of them
 
 
-SEEDS = range(10)
+SEEDS = range(5)
 
 
 @cache
@@ -367,12 +311,7 @@ def test_an_attitude_time_bias_over_six_images_is_recovered() -> None:
     assert np.all(sigmas < 0.35)
     assert np.all(np.abs(errors) < 3.0 * sigmas)
     squares = float(np.sum((errors / sigmas) ** 2))
-    assert 2.16 < squares < 25.2  # chi-square with 10 degrees of freedom, 99%
-
-
-def test_more_images_tell_more() -> None:
-    alone = adjust_network(camera_clock(network(drawn(3))), SolverSettings())
-    assert of_block(1).shared_covariance(0)[0, 0] < 0.6 * alone.shared_covariance(0)[0, 0]
+    assert 0.41 < squares < 16.75  # chi-square with 5 degrees of freedom, 99%
 
 
 def test_sigmas_of_whole_corrections() -> None:
@@ -429,12 +368,9 @@ def adjusted_with(net: Network, kind: SharedKind) -> Solution:
         (lambda net: adjusted_with(net, SharedKind.ALTIMETER_BORESIGHT), "footprint with a range"),
         (lambda net: replace(net, shared=(shared(SharedKind.FOCAL_LENGTH, [2]),)), "image 2; expected 0 .. 1"),
         (lambda net: replace(net, shared=(shared(SharedKind.FOCAL_LENGTH, [0]),) * 2), "'focal length' twice"),
-        (lambda net: shared(SharedKind.FOCAL_LENGTH, []), "at least one image"),
         (lambda net: shared(SharedKind.FOCAL_LENGTH, [0, 0]), "each once"),
         (lambda net: shared(SharedKind.FOCAL_LENGTH, [0], -1.0), "positive sigmas"),
-        (lambda net: shared(SharedKind.FOCAL_LENGTH, [0], float("inf")), "finite numbers"),
         (lambda net: replace(shared(SharedKind.CAMERA_BORESIGHT, [0]), sigmas=np.ones(1)), "expected shape \\(3\\)"),
-        (lambda net: replace(shared(SharedKind.CAMERA_BORESIGHT, [0]), name=""), "empty name"),
         (lambda net: bundles(with_all_kinds(net)), "adjusted image by image"),
         (lambda net: joined([with_all_kinds(net)]), "adjust such a case as a whole"),
         (lambda net: IncrementalAdjustment().add(with_all_kinds(net)), "adjusted image by image"),

@@ -77,24 +77,3 @@ def test_solution_and_covariance_of_a_block_are_those_of_the_dense_matrix(
     joint = joint_covariance(factor.square_root())
     np.testing.assert_allclose(joint.dense(), inverse, atol=1e-15)
     np.testing.assert_allclose(joint.sigmas, np.sqrt(np.diag(inverse)), rtol=1e-13)
-
-
-@pytest.mark.parametrize("better", ["ColamdSymbolicFactorGraph", "MetisSymbolicFactorGraph"])
-def test_of_two_orders_that_with_less_work_is_taken(better: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    good = overlapping(12, 12)[0].operations
-    worse = {"ColamdSymbolicFactorGraph", "MetisSymbolicFactorGraph"} - {better}
-    monkeypatch.setattr(f"gtsam.Ordering.{better}", gtsam.Ordering.ColamdSymbolicFactorGraph)
-    monkeypatch.setattr(f"gtsam.Ordering.{worse.pop()}", _from_the_middle)
-    monkeypatch.setattr(sparse_cholesky, "_MANY", 0.0)
-    assert overlapping(12, 12)[0].operations == good
-    monkeypatch.setattr(f"gtsam.Ordering.{better}", _from_the_middle)
-    assert overlapping(12, 12)[0].operations > good
-
-
-def _from_the_middle(graph: gtsam.SymbolicFactorGraph) -> gtsam.Ordering:
-    """An order that fills in: what separates goes first."""
-    natural, ordering = gtsam.Ordering.NaturalSymbolicFactorGraph(graph), gtsam.Ordering()
-    keys = [natural.at(k) for k in range(natural.size())]
-    for key in sorted(keys, key=lambda one: abs(one - len(keys) // 2)):
-        ordering.push_back(key)
-    return ordering

@@ -7,24 +7,21 @@ import numpy as np
 import pytest
 from explicit_form import by_gtsam
 from networks import pair
-from stereo_pair import SHIFT, stereo_network, surface
+from stereo_pair import stereo_network, surface
 
 from mgsgraph import compiled
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.settings import Loss, SolverSettings
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
 from mgsgraph.planning.plan import Targets, TargetSigmas
 from mgsgraph.planning.state import CurrentState, state_of_solution
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.pair import SimulatedPair
 
 
 def test_true_footprints_lie_on_the_surface() -> None:
@@ -106,18 +103,6 @@ def test_level_ground_gives_height_and_moves_nothing_horizontally() -> None:
     assert heights[0] <= heights[1] * (1.0 + 1e-6)
 
 
-def test_starting_at_the_answer_moves_nothing() -> None:
-    """The objective is one function: rows that are linear about the answer have the answer for their minimum."""
-    net = stereo_network(pair(12, 24))
-    assert net.stereo is not None
-    found = adjust_network(net, SolverSettings())
-    again = adjust_network(replace(net, stereo=replace(net.stereo, starts=found.places)), SolverSettings())
-    laser = net.stereo.surface >= 0
-    sigmas = np.sqrt(np.diagonal(found.covariances[laser], axis1=1, axis2=2))
-    assert np.abs((again.places - found.places)[laser] / sigmas).max() < 1e-3
-    assert again.cost_final == pytest.approx(found.cost_final, rel=1e-8)
-
-
 def test_an_adjustment_begins_where_another_ended() -> None:
     """Its first step is tiny, and it ends there."""
     net = stereo_network(pair(12, 24))
@@ -129,22 +114,6 @@ def test_an_adjustment_begins_where_another_ended() -> None:
     assert again.history[0].step < 1e-2 < bare.history[0].step
     for one in (again, bare):
         assert one.cost_final == pytest.approx(found.cost_final, rel=1e-8)
-
-
-def test_steps_are_accelerated_once_two_of_them_lead_to_the_state() -> None:
-    """An optimisation begins where it is told to; a secant needs two steps of its own."""
-    net = stereo_network(pair(12, 24))
-    made, rng, nominal = lay_out(net, SolverSettings()), np.random.default_rng(2), np.zeros(38)
-    states = [net.points.places + rng.normal(0.0, 20.0, net.points.places.shape) for _ in range(3)]
-    for places in states[:2]:
-        made = made.about_stereo(places, nominal)
-        np.testing.assert_array_equal(made.stereo.reference, places[made.stereo.points])
-        made = made.without_steps
-    made = made.about_stereo(states[0], nominal)
-    on = made.stereo.points
-    assert np.any(made.about_stereo(states[2], nominal).stereo.reference != states[2][on])
-    again = made.without_steps.about_stereo(states[2], nominal)
-    np.testing.assert_array_equal(again.stereo.reference, states[2][on])
 
 
 def test_rows_filled_in_anew_are_those_of_a_layout_made_anew() -> None:
@@ -171,34 +140,6 @@ def test_heights_of_many_points_are_those_of_each(begin: bool, monkeypatch: pyte
     for one, whole in zip(few, found, strict=True):
         expected = np.broadcast_to(one, (copies, *one.shape))
         np.testing.assert_allclose(whole.reshape(expected.shape), expected, atol=1e-6 * (np.abs(one).max() or 1.0))
-
-
-@pytest.mark.slow
-def test_relief_finds_the_shift_and_states_its_error() -> None:
-    """Of the profile against the images: they share their own error, which relief between them doesn't see."""
-    off, sigmas, ratio = [], [], []
-    for seed in range(1, 13):
-        made = pair(40, 60, seed)
-        net = stereo_network(made)
-        without, found = (adjust_network(one, SolverSettings()) for one in (replace(net, stereo=None), net))
-        truth = np.random.default_rng([seed, 7]).normal(0.0, SHIFT, 2)
-        error = found.shifts[0] - truth
-        off.append([_relative(without, made, truth), _relative(found, made, truth)])
-        covariance = found.shift_covariance(0)
-        ratio.append(error @ np.linalg.solve(covariance, error))
-        sigmas.append(np.sqrt(np.trace(covariance)))
-    before, after = np.sqrt(np.mean(np.square(off), axis=0))
-    assert after < 0.25 * before
-    assert 8.0 < np.sum(ratio) < 46.0  # 99.8 % of chi-square with 24 degrees of freedom
-
-
-def _relative(found: Solution, made: SimulatedPair, truth: np.ndarray) -> float:
-    """m, by how much the tie points' mean error and the footprints' differ in the plane."""
-    ties = found.network.points.classes == PointClass.TIE
-    of_ties = (found.places[ties] - made.true_ties[: int(ties.sum())]).mean(axis=0)
-    of_shots = (found.places[~ties] - made.true_footprints[: int((~ties).sum())]).mean(axis=0)
-    ways = east_north(found.places[ties][:1])[0]
-    return float(np.linalg.norm(ways @ (of_ties - of_shots)))
 
 
 def test_a_plan_begins_with_the_sigmas_of_the_adjustment() -> None:

@@ -1,7 +1,6 @@
 """Orientation images: the bundle form against the explicit one and against polynomials."""
 
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from mgsgraph.analysis.weak import spectrum, weak_directions
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior, evenly_spaced
-from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
@@ -164,15 +162,6 @@ def test_poses_and_projections_follow_from_the_whole_covariance() -> None:
     np.testing.assert_allclose(profile.position_sigma[1], np.sqrt(np.diagonal(middle))[:3], rtol=1e-9)
 
 
-def test_points_of_the_posterior_are_the_solutions() -> None:
-    net = stripped(network(pair(ties=30, shots=6)))
-    solution = adjust_network(net, SolverSettings(**TIGHT))
-    posterior = Posterior.of(solution)
-    for i in (0, 17, 33):
-        found = posterior.point(net.points.ids[i])
-        np.testing.assert_allclose(found.covariance, solution.covariances[i], rtol=1e-8, atol=1e-8)
-
-
 def test_no_direction_is_known_less_than_before() -> None:
     """Of nodes that are known together a whole bias of the strip counts by its own a-priori sigma, not a node's."""
     net = stripped(network(pair(ties=60, shots=12)))
@@ -190,41 +179,6 @@ def test_no_direction_is_known_less_than_before() -> None:
     few, _ = spectrum(solution.joint_covariance, layout.scales, 5, layout.prior.whitening(layout.scales), dense=0)
     np.testing.assert_allclose(np.sqrt(few[:5]), values[:5], rtol=1e-4)
     assert any("node" in one.sentence or "strip" in one.sentence for one in weakest)
-
-
-def with_tables_of_their_own(net: Network) -> Network:
-    """Each image's trajectory cut to its own lines, as support data have it."""
-
-    def cut(table: Any, start: float, stop: float) -> Any:
-        kept = (table.times >= start - 3.0) & (table.times <= stop + 3.0)
-        return replace(table, **{
-            one.name: value[kept]
-            for one in fields(table)
-            if isinstance(value := getattr(table, one.name), np.ndarray) and value.shape[:1] == kept.shape
-        })  # fmt: skip
-
-    images = []
-    for image in net.images:
-        trajectory, (start, stop) = image.trajectory, image.timing.at(np.array([0.0, float(image.lines)]))[0]
-        assert isinstance(trajectory, Trajectory)
-        parts = {one.name: cut(getattr(trajectory, one.name), start, stop) for one in fields(trajectory)
-                 if hasattr(getattr(trajectory, one.name), "times")}  # fmt: skip
-        images.append(replace(image, trajectory=replace(trajectory, **parts)))
-    return replace(net, images=tuple(images))
-
-
-def test_the_datum_of_lines_with_tables_of_their_own() -> None:
-    """Five lines of one strip: what one image's table doesn't reach another one's does."""
-    block = simulate_hrsc_block(BlockSettings(strips=1, length=300e3, points=300, spacing=25.0, terrain=None), 1)
-    free = tuple(
-        replace(strip, prior=NodePrior(np.full(6, np.inf), np.zeros(6), np.zeros(6))) for strip in block.network.passes
-    )
-    nets = block.network, with_tables_of_their_own(block.network)
-    for net in nets:
-        with pytest.raises(WeakNetwork, match=r"translation along X, Y and Z, rotation about X, Y and Z, and scale"):
-            adjust_network(replace(net, passes=free), SolverSettings())
-    one, other = (adjust_network(net, SolverSettings()) for net in nets)
-    np.testing.assert_allclose(one.places, other.places, atol=1e-3)
 
 
 def test_a_blunder_goes_and_the_point_stays() -> None:

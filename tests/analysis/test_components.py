@@ -18,7 +18,6 @@ from mgsgraph.adjustment.fit import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import (
-    Component,
     Judgement,
     components_from_redundancy,
     components_of,
@@ -36,11 +35,10 @@ from mgsgraph.analysis.residual_tests import (
 from mgsgraph.errors import InputError
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
-from mgsgraph.results.figures.analysis import quantile_sheet
 from mgsgraph.simulation.observations import NoiseSettings
 
 SETTINGS = SolverSettings()
-NAMES = ["pair", "shift and surface", "one held", "held alone", "both held", "fixed points", "a blunder", "stereo"]
+NAMES = ["shift and surface", "held alone", "both held", "fixed points", "a blunder", "stereo"]
 CLEAR = NoiseSettings(tie=1.0, shot_image=1.0, range=10.0, ground=3.0)
 """Under which ties, laser image points, ranges and ground priors of a pair can all be judged."""
 
@@ -48,7 +46,6 @@ CLEAR = NoiseSettings(tie=1.0, shot_image=1.0, range=10.0, ground=3.0)
 @cache
 def solved(name: str) -> Solution:
     nets: dict[str, Network] = {
-        "pair": network(pair()),
         "shift and surface": with_shift_and_surface(network(pair())),
         "one held": network(pair(), held=(True, False)),
         "held alone": seen_by_the_held_one_alone(network(pair(), held=(True, False))),
@@ -123,16 +120,6 @@ def test_helmert_s_matrix_is_that_of_the_whole_projector(name: str) -> None:
     assert np.allclose(found.redundancy, np.bincount(groups, np.diag(cofactors), size), atol=1e-6)
     assert np.allclose(found.squares, np.bincount(groups, residuals**2, size), rtol=1e-9)
     assert np.allclose(found.helmert, right, atol=1e-6 * right.max())
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_rows_of_helmert_s_matrix_add_up_to_the_redundancies(name: str) -> None:
-    solution = solved(name)
-    found = group_redundancy(at_rest(solution), group_rows(solution.network))
-    assert np.allclose(found.helmert.sum(axis=1), found.redundancy, atol=1e-6)
-    assert found.redundancy.sum() == pytest.approx(solution.fit.degrees_of_freedom, abs=1e-4)
-    assert found.squares.sum() == pytest.approx(solution.fit.squares, rel=1e-5)
-    assert found.counts.sum() == solution.fit.observations
 
 
 def test_random_signs_come_near_the_exact_matrix() -> None:
@@ -252,15 +239,6 @@ def test_what_can_t_be_judged_keeps_its_sigmas_and_is_named() -> None:
         _ = found.components["stars"]
 
 
-def test_ranges_that_only_move_their_own_footprint_are_not_told_apart_from_it() -> None:
-    found = components_of(solved_default())
-    one = found["ranges"]
-    assert one.redundancy > 1.0
-    assert one.judgement is Judgement.INSEPARABLE
-    assert one.beside == "ground priors"
-    assert one.correlation < -0.5
-
-
 @cache
 def solved_default() -> Solution:
     return adjust_network(network(pair(60, 120)), SETTINGS)
@@ -274,29 +252,6 @@ def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
     assert found.components["tie image points"].factor == pytest.approx(0.02)
     assert "residuals too small for any sigma" in str(found)
     assert found.components["laser image points"].consistent
-
-
-def component(factor: float, degrees: float) -> Component:
-    return Component("pointing", Judgement.JUDGED, 10, 8.0, 8.0, factor, degrees)
-
-
-def test_verdicts_in_words() -> None:
-    assert component(1.03, 80.0).sentence == "pointing: honest (factor 1.030 +- 0.081)"
-    assert "too pessimistic, sigmas too large by a factor of 2.10 +- 0.17" in component(1.0 / 2.1, 80.0).sentence
-    assert "too optimistic, sigmas too small by a factor of 2.10 +- 0.17" in component(2.1, 80.0).sentence
-    assert "nothing wrong to be seen, with little to see it by" in component(1.4, 4.0).sentence
-    few = Component("position", Judgement.FEW, 10, 0.3, 0.1, np.nan, np.nan)
-    assert few.sentence == "position: can't be judged (0.3 redundancy)"
-
-
-def test_deviations_and_intervals_are_chi_square_s() -> None:
-    rng, degrees = np.random.default_rng(1), 6.0
-    factors = np.sqrt(rng.chisquare(degrees, 4000) / degrees)
-    z = np.array([component(factor, degrees).deviation(1.0) for factor in factors])
-    assert abs(z.mean()) < 0.05
-    assert abs(z.std() - 1.0) < 0.04
-    covered = [low <= 1.0 <= high for low, high in (component(f, degrees).interval(0.9) for f in factors[:500])]
-    assert np.mean(covered) == pytest.approx(0.9, abs=0.04)
 
 
 def test_the_global_test_has_the_table_s_bounds() -> None:
@@ -322,7 +277,7 @@ def test_p_values_of_honest_draws_are_uniform() -> None:
     assert kstest(p, "uniform").pvalue > 0.01
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["shift and surface", "a blunder", "stereo"])
 def test_normalised_residuals_have_the_groups_redundancy(name: str) -> None:
     at = at_rest(solved(name))
     grouping = group_rows(at.network)
@@ -351,58 +306,6 @@ def test_statistics_of_normal_and_other_residuals() -> None:
     few = ResidualStatistics("few", plain.values[:3], 2, 1.5)
     assert np.isnan(few.p_value)
     assert few.as_promised is None
-
-
-def test_the_band_of_a_quantile_plot_holds_95_percent_at_each_place() -> None:
-    rng, inside = np.random.default_rng(3), []
-    for _ in range(300):
-        plot = ResidualStatistics("normal", np.sort(rng.standard_normal(60)), 0, 60.0).quantiles(20)
-        inside.append((plot.low <= plot.found) & (plot.found <= plot.high))
-    assert plot.promised.size == 20
-    assert np.allclose(np.mean(inside, axis=0), 0.95, atol=0.05)
-    wide = ResidualStatistics("half", plot.found, 0, 5.0).quantiles()
-    assert np.all(wide.high - wide.low > 0.5)
-
-
-def test_a_first_look_says_so() -> None:
-    net, _ = drawn({"tie image points": 5.0}, 5)
-    rough = components_of(adjust_network(net, SETTINGS))
-    assert rough.rough
-    assert "A first look" in str(rough)
-
-
-def test_a_group_whose_estimate_runs_away_keeps_its_sigmas() -> None:
-    """A pair's pointing, drawn far better than stated: any smaller sigma fits, so that none can be named."""
-    net, _ = drawn({"pointing priors": 0.01, "position priors": 0.01}, 4)
-    found = iterated_components(net, SETTINGS)
-    assert found.converged
-    for name in ("pointing priors", "position priors"):
-        one = found.components[name]
-        assert one.judgement in (Judgement.LOST, Judgement.INSEPARABLE, Judgement.FEW)
-    assert "can't be judged, the estimate runs away" in str(found)
-    assert np.array_equal(found.network.priors[0].sigmas, net.priors[0].sigmas)
-    assert found.components["laser image points"].consistent
-
-
-def test_quantile_sheet_shows_each_group_with_its_band() -> None:
-    statistics = residual_statistics(solved("one held"))
-    sheet = quantile_sheet(statistics, "pair")
-    shown = [panel for panel in sheet.figure.axes if panel.axison]
-    assert [panel.get_title() for panel in shown] == [one.name for one in statistics if one.values.size]
-    for panel, one in zip(shown, (one for one in statistics if one.values.size), strict=True):
-        dots = panel.lines[1]
-        assert np.array_equal(dots.get_ydata(), one.quantiles().found)
-        assert len(panel.collections) == 1
-    assert shown[0].get_ylabel() == "found (sigmas)"
-    assert shown[-1].get_xlabel() == "promised by a normal law (sigmas)"
-    assert "bands count correlated residuals" in sheet.caption
-    none = quantile_sheet([ResidualStatistics("none", np.zeros(0), 4, 0.0)], "nothing")
-    assert none.caption == "No residual is controlled by other rows."
-
-
-def test_a_verdict_names_what_it_depends_on() -> None:
-    one = replace(component(1.3, 9.0), beside="ground priors", correlation=-0.99)
-    assert one.sentence.endswith("with ground priors, correlation -0.99")
 
 
 def test_a_group_that_is_not_judged_names_the_one_that_has_its_redundancy() -> None:

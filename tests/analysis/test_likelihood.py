@@ -117,10 +117,3 @@ def test_robust_losses_and_held_networks_say_nothing() -> None:
 def test_what_nothing_is_known_of_is_refused(values: dict[str, np.ndarray], says: str) -> None:
     with pytest.raises(InputError, match=says):
         likelihood().ratio(values)
-
-
-def test_axes_have_names() -> None:
-    with pytest.raises(InputError, match="nobody"):
-        likelihood().profiles("nobody")
-    with pytest.raises(InputError, match="east shift and north shift"):
-        likelihood().profiles("profile", "up")

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-import pytest
 from networks import network, pair, with_shift_and_surface
 from odd_networks import with_fixed
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.marginals import dense_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.measures import MeasureKind
@@ -79,20 +77,3 @@ def test_covariances_with_all_others_are_those_of_pairs() -> None:
         np.testing.assert_allclose(found[k], joint[:3, 3:], rtol=1e-8, atol=1e-10)
         seen += bool(np.any(found[k]))
     assert 0 < seen < len(ids) - 1  # fixed points go along with nothing
-
-
-@pytest.mark.parametrize("held", [(), (1,)])
-def test_a_dense_covariance_comes_back(held: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(3)
-    width = np.array([2, 3, 1])
-    first = np.array([-1 if v in held else 0 for v in range(3)])
-    free = [v for v in range(3) if v not in held]
-    first[free] = np.cumsum([0, *width[free][:-1]])
-    size = int(width[free].sum())
-    root = rng.normal(size=(size, size))
-    matrix = root @ root.T + np.eye(size)
-    joint = dense_covariance(first, width, matrix)
-    np.testing.assert_array_equal(joint.dense(), matrix)
-    np.testing.assert_allclose(joint.sigmas**2, np.diag(matrix), rtol=1e-15)
-    information = joint.square_root.rows_of(0).T @ joint.square_root.rows_of(0)
-    np.testing.assert_allclose(information @ matrix, np.eye(size), atol=1e-12)

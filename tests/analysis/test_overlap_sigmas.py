@@ -64,8 +64,6 @@ def test_with_the_orientation_held_sigmas_go_with_those_of_the_measures() -> Non
 def test_what_makes_no_raster_is_refused() -> None:
     names = [image.name for image in posterior().network.images]
     with pytest.raises(InputError, match="two or more different images"):
-        sigma_grid(posterior(), [names[0]])
-    with pytest.raises(InputError, match="two or more different images"):
         sigma_grid(posterior(), [names[0], names[0]])
     with pytest.raises(InputError, match=r"cells of .* at most; choose larger cells"):
         sigma_grid(posterior(), names, cell=0.5)
@@ -108,7 +106,7 @@ def around(longitudes: tuple[float, ...], offs: tuple[float, ...]) -> Posterior:
     return Posterior.of(adjust_network(net, SolverSettings()))
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 1, 0)])
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
 def test_an_overlap_across_the_date_line_is_one_like_any(order: tuple[int, ...]) -> None:
     offs = (0.0, 15.0, -15.0)
     there, here = (

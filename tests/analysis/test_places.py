@@ -77,15 +77,6 @@ def test_what_is_not_seen_is_marked(solution: Solution) -> None:
     assert sky.on_ground(pixels[:1]).states == (State.NO_GROUND,)
 
 
-def test_relief_hides_what_is_behind_it(solution: Solution) -> None:
-    view = View.adjusted(solution, 0)
-    terrain, pixels = relief(view), places(view)
-    ground = view.on_ground(pixels, terrain=terrain).points
-    origins, _ = view.image.sightlines(*pixels.T, view.correction)
-    behind = origins + (ground - origins) * (1.0 + 5.0 / np.linalg.norm(ground - origins, axis=1))[:, None]
-    assert set(view.seen(behind, terrain).states) == {State.BEHIND_RELIEF}
-
-
 @pytest.mark.parametrize("on_relief", [False, True])
 def test_sigmas_by_numeric_derivatives(solution: Solution, on_relief: bool) -> None:
     """By all coefficients of the image, one after the other; ground that stays at its height moves with the ray."""

@@ -77,12 +77,3 @@ def test_what_priors_tell_apart_is_not_named() -> None:
     (section,) = (part for part in analysed(Posterior.of(solution), Wanted(weak=1), "rig") if part.name[:3] == "sep")
     assert "are separable" in section.text()
     assert section.numbers == []
-
-
-def test_the_report_has_the_words() -> None:
-    (section,) = (part for part in analysed(Posterior.of(adjusted_rig()), Wanted(weak=1), "rig")
-                  if part.name == "separability")  # fmt: skip
-    said = section.sentences[0]
-    assert said.startswith("Across-track position of pass one pass (sigma 122 m) and roll of pass one pass")
-    assert section.numbers[0]["quantities"][1]["unit"] == "mrad"
-    assert "380 m/mrad x roll of pass one pass, to 3.1" in section.text()

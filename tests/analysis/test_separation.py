@@ -71,8 +71,3 @@ def test_a_single_unknown_of_known_images_is_separable() -> None:
     two = SharedUnknown("the same again", SharedKind.CAMERA_BORESIGHT, np.array([0, 1]), np.full(3, 1e-3))
     twice = adjust_network(replace(net, shared=(*net.shared, two)), SolverSettings())
     assert {one.verdict for one in separations(twice)} <= {Verdict.NOT_FROM_ONE, Verdict.FROM_PRIOR}
-
-
-def test_nothing_shared_says_nothing() -> None:
-    plain = adjust_network(network(pair()), SolverSettings())
-    assert separations(plain) == ()

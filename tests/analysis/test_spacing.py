@@ -2,19 +2,16 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from joint_prior import JointNodePrior
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.spacing import (
     choose_spacing,
-    error_of_mean,
     hold_out,
     misfits,
     respaced,
@@ -23,9 +20,7 @@ from mgsgraph.analysis.spacing import (
 )
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import evenly_spaced
-from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import (
-    LEAST,
     pass_rays,
     require_supported,
     support,
@@ -85,20 +80,6 @@ def test_node_without_rays_is_named() -> None:
         require_supported(net)
 
 
-def test_rays_of_one_line_are_not_enough_where_two_look() -> None:
-    net = block().network
-    mine = pass_rays(net, 0)
-    middle = (mine.times > net.passes[0].nodes.times[3]) & (mine.times < net.passes[0].nodes.times[6])
-    looking = np.unique(mine.line[middle])
-    assert looking.size > 1
-    taken = np.ones(net.rays.point.size, dtype=bool)
-    taken[mine.rays[middle & (mine.line != looking[0])]] = False
-    found = support(net, 0, taken=taken)
-    assert np.all(found.rays >= LEAST)
-    assert found.weak.any()
-    assert set(np.flatnonzero(found.weak)) <= {4, 5}
-
-
 def test_rays_that_place_nothing_do_not_count() -> None:
     """Of points whose other rays are gone."""
     net = block().network
@@ -106,16 +87,6 @@ def test_rays_that_place_nothing_do_not_count() -> None:
     taken = np.zeros(net.rays.point.size, dtype=bool)
     taken[first] = True
     assert support(net, 0, taken=taken).rays.max() == 0
-
-
-def test_priors_of_just_these_nodes_are_refused() -> None:
-    net = block().network
-    joint = JointNodePrior(np.eye(6 * len(net.passes[0].nodes)))
-    net = replace(net, passes=(replace(net.passes[0], prior=joint),))
-    with pytest.raises(InputError, match="joint prior"):
-        respaced(net, 4.0)
-    with pytest.raises(InputError, match="no strips"):
-        respaced(replace(net, passes=()), 4.0)
 
 
 # --- rays held out
@@ -154,20 +125,6 @@ def test_misfits_of_a_known_orientation_are_noise_of_unit_size() -> None:
         assert squares.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 2000))
 
 
-@pytest.mark.parametrize("share", [0.0, 1.5, float("nan")])
-def test_share_out_of_range(share: float) -> None:
-    with pytest.raises(InputError, match="share"):
-        hold_out(block().network, share, np.random.default_rng(0))
-
-
-def test_error_of_a_mean_counts_stretches_not_rays() -> None:
-    rng = np.random.default_rng(3)
-    values, each = rng.standard_normal(400), np.arange(400)
-    alone = error_of_mean(values, each)
-    assert alone == pytest.approx(values.std(ddof=1) / 20.0, rel=1e-9)
-    assert error_of_mean(np.repeat(values, 5), np.repeat(each, 5)) == pytest.approx(alone, rel=1e-9)
-
-
 def test_jitter_asks_for_nodes_that_follow_it() -> None:
     """A period of 17 s: nodes every 4 s follow it, such every 20 s don't, and rays held out know."""
     choice = choose_spacing(block(PITCH).network, SolverSettings(), [20.0, 0.05, 4.0, 10.0])
@@ -182,18 +139,17 @@ def test_jitter_asks_for_nodes_that_follow_it() -> None:
 
 def test_calm_flight_needs_few_nodes() -> None:
     """Where nothing happens between nodes 28 s apart, closer ones predict no better; the closest isn't chosen."""
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         choice = choose_spacing(block(None, CALM, 28.0, seed).network, SolverSettings(), [3.0, 7.0, 28.0])
         assert choice.spacing > 3.0
         assert choice.candidates[2].rms < 1.01 * choice.candidates[choice.best].rms
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_rule_of_one_standard_error(seed: int) -> None:
+def test_rule_of_one_standard_error() -> None:
     """By another way to the standard error: the mean without each stretch in turn (the jackknife). The chosen one is
     as good as the best within it, and all that are coarser are worse.
     """
-    choice = choose_spacing(block(seed=seed).network, SolverSettings(), [3.0, 5.0, 8.0, 14.0, 28.0])
+    choice = choose_spacing(block().network, SolverSettings(), [3.0, 5.0, 8.0, 14.0, 28.0])
     means = np.array([one.squares.mean() for one in choice.candidates])
     assert choice.best == np.argmin(means)
     assert choice.best <= choice.chosen < 4
@@ -207,32 +163,18 @@ def test_rule_of_one_standard_error(seed: int) -> None:
         assert k <= choice.chosen or difference.mean() > error
 
 
-def test_blunders_held_out_count_for_none() -> None:
-    net, share = block(PITCH).network, 0.3
-    held = hold_out(net, share, np.random.default_rng(0))
-    places = net.rays.places.copy()
-    places[held.rays[:5], 0] += 60.0
-    spoilt = replace(net, rays=replace(net.rays, places=places))
-    clean, found = (choose_spacing(one, SolverSettings(), [4.0, 20.0], share) for one in (net, spoilt))
-    assert (clean.blunders, found.blunders) == (0, 5)
-    assert found.candidates[0].rms == pytest.approx(clean.candidates[0].rms, rel=0.05)
-
-
 def test_blunders_do_not_choose() -> None:
     """1 % of the rays 5 to 100 px off: with a blunder limit most are found, once, and candidates don't see them."""
     settings = BlockSettings(
-        strips=1, length=150e3, points=700, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
+        strips=1, length=150e3, points=500, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
     )  # fmt: skip
     made = simulate_hrsc_block(settings, 1)
-    choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0, 10.0])
+    choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0])
     assert 0.8 * made.blunders.sum() < choice.rejected < 1.5 * made.blunders.sum()
     assert choice.spacing == 4.0
     assert all(one.sigma0 < 1.8 for one in choice.candidates)  # 9 with the blunders
-    assert choice.candidates[0].rms < 1.1 < 1.3 < choice.candidates[2].rms
+    assert choice.candidates[0].rms < 1.1 < 1.3 < choice.candidates[1].rms
     assert not np.any(choice.chosen_network.rays.rejected)
-    with_them = choose_spacing(made.network, SolverSettings(), [20.0, 4.0])
-    assert with_them.rejected == 0
-    assert with_them.candidates[0].sigma0 > 5.0
 
 
 def test_points_off_the_model_are_judged() -> None:
@@ -250,23 +192,3 @@ def test_points_off_the_model_are_judged() -> None:
     assert choice.unjudged == 0
     assert choice.candidates[0].squares.size + choice.blunders == 200
     assert choice.candidates[0].rms == pytest.approx(1.0, abs=0.15)
-
-
-def test_rays_that_nothing_else_predicts_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def some(*arguments: Any) -> Array:
-        found = whitening(*arguments)
-        found[:7] = np.nan
-        return found
-
-    monkeypatch.setattr("mgsgraph.analysis.spacing.whitening", some)
-    choice = choose_spacing(block().network, SolverSettings(), [8.0, 20.0])
-    assert choice.unjudged == 7
-    assert choice.candidates[0].squares.size == 140 - 7 - choice.blunders
-
-
-@pytest.mark.parametrize(
-    ("spacings", "words"), [([4.0], "two or more"), ([60.0, 90.0], "two or more"), ([0.02, 0.05], "0 of 2 that can")]
-)
-def test_nothing_to_choose_from(spacings: list[float], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        choose_spacing(block().network, SolverSettings(), spacings)

@@ -22,7 +22,6 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE, RANGE
 from mgsgraph.network import Network
-from mgsgraph.results.figures.analysis import binned
 from mgsgraph.simulation.files import write_site
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)
@@ -116,11 +115,3 @@ def test_jitter_is_named_and_good_data_name_nothing(case: Case) -> None:
 def test_a_level_that_is_no_probability_is_refused() -> None:
     with pytest.raises(InputError, match="level"):
         unexplained(adjust_network(net(), PLAIN), 1.0)
-
-
-def test_the_picture_shows_the_residuals_that_an_effect_explains(case: Case) -> None:
-    found = unexplained(adjust_network(shaken(case, 0.8), case.settings))
-    middles, quartiles, shown = binned(found.patterns[0])
-    assert np.all(np.diff(middles) >= 0.0)
-    assert np.corrcoef(quartiles[:, 1], shown)[0, 1] > 0.6
-    assert np.all(quartiles[:, 0] <= quartiles[:, 2])

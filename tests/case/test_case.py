@@ -16,10 +16,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.networks.binary import read_network
 from mgsgraph.files.networks.pvl import write_pvl_network
-from mgsgraph.files.networks.record import ControlPoint, PointType
+from mgsgraph.files.networks.record import ControlPoint
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.connectivity import connectivity, network_footprints
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import known_images
 from mgsgraph.project.campaign import checksums
@@ -124,31 +123,14 @@ def test_ground_control_joins_in(case_file: Path) -> None:
 
 WRONG: dict[str, tuple[tuple[Edit, ...], str]] = {
     "no format": ((swap("format = 1", ""),), r"no key 'format'.*format = 1"),
-    "newer format": ((swap("format = 1", "format = 99"),), r"format 99"),
     "malformed": ((add("= 3"),), r"malformed TOML.*line"),
     "unknown key": ((swap("sigma_px", "sigma_pix"),), r"ties: .*'sigma_pix'.*'sigma_px'"),
-    "unknown key in an image": ((swap('isd = "image_A', 'helt = true\nisd = "image_A'),), r"images\[0\].*helt.*held"),
-    "unknown table": ((add("[sulver]"),), r"'sulver'.*'solver'"),
     "negative sigma": ((swap("sigma_px = 1.0", "sigma_px = -1.0"),), r"ties.sigma_px: -1.0;.*>= 1e-06"),
-    "zero sigma": ((swap("range_sigma_m = 1.0", "range_sigma_m = 0"),), r"laser"),
     "absurd sigma": ((swap("sigma_px = 1.0", "sigma_px = 1e300"),), r"ties.sigma_px"),
-    "infinite sigma": ((swap("sigma_px = 1.0", "sigma_px = inf"),), r"ties.sigma_px"),
-    "negative orientation sigma": ((swap("position_sigma_m = 30.0", "position_sigma_m = -1"),), r"position_sigma_m"),
     "two orientation sigmas": ((swap("position_sigma_m = 30.0", "position_sigma_m = [1, 2]"),), r"position_sigma_m"),
-    "nan": ((swap("sigma_px = 1.0", "sigma_px = nan"),), r"nan|>= 1e-06"),
     "nan in a list": ((swap("trend = [1.0", "trend = [nan"),), r"trend"),
-    "empty trend": ((swap("trend = [1.0, 0.1, 0.01]", "trend = []"),), r"trend"),
-    "text for a number": ((swap("sigma_px = 1.0", 'sigma_px = "one"'),), r"ties.sigma_px"),
-    "unknown loss": ((add('[solver]\nloss = "l1"'),), r"solver.loss"),
-    "odd reject": ((add("[solver]\nreject = 0.5"),), r"reject"),
     "no images": ((lambda text: re.sub(r"\[\[images\]\][^\[]*", "", text),), r"images"),
-    "laser = true": (
-        (lambda t: re.sub(r"\[laser\][^\[]*", "", t).replace("format = 1", "format = 1\nlaser = true"),),
-        r"laser.*true",
-    ),
     "missing ISD": ((swap("image_A.isd", "image_C.isd"),), r"image_C.isd: no such file"),
-    "missing network": ((swap("network.pvl", "net.pvl"),), r"net.pvl: no such file"),
-    "folder for a file": ((swap("network.pvl", "."),), r"a folder"),
     "unknown image in the network": ((swap('name = "SIM/B"', 'name = "SIM/C"'),), r"measured in SIM/B, .*SIM/A, SIM/C"),
     "image twice": ((swap('name = "SIM/B"', 'name = "SIM/A"'),), r"images: the name 'SIM/A' for .*A.isd and.*B.isd"),
     "short trend": ((swap("trend = [1.0, 0.1, 0.01]", "trend = [1.0, 0.1]"),), r"orientation, trend: 2 factors.* 3, "),
@@ -162,15 +144,6 @@ def test_what_is_wrong_is_said_in_one_line(case_file: Path, fault: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
         mgsgraph.read_case(edited(case_file, *edits))
     assert "\n" not in str(caught.value)
-
-
-def test_an_image_that_sees_nothing(case_file: Path) -> None:
-    shorter = json.loads(case_file.with_name("image_A.isd").read_text(encoding="utf-8"))
-    shorter["image_lines"] -= 1  # else it would be one image twice
-    case_file.with_name("image_C.isd").write_text(json.dumps(shorter), encoding="utf-8")
-    path = edited(case_file, swap("[orientation]", '[[images]]\nname = "SIM/C"\nisd = "image_C.isd"\n\n[orientation]'))
-    with pytest.raises(InputError, match=r"image SIM/C: no point is measured in it"):
-        mgsgraph.read_case(path)
 
 
 def test_a_measure_off_its_image(case_file: Path) -> None:
@@ -189,14 +162,6 @@ def test_a_shot_outside_the_tables(case_file: Path) -> None:
     lidar.write_text(text.replace(time[1], str(float(time[1]) + 1000.0), 1), encoding="utf-8")
     with pytest.raises(InputError, match=r"lidar\.json, laser shot .*image SIM/A: time .* outside the tables"):
         mgsgraph.read_case(case_file)
-
-
-def test_the_same_id_in_two_files(case_file: Path) -> None:
-    net = mgsgraph.read_case(case_file).network
-    tie = net.points.ids[0]
-    case_file.with_name("points.gcp").write_text(f"{tie} 4.0 87.0 10.0 1 1 1 SIM/A 100 200 1 1\n", encoding="utf-8")
-    with pytest.raises(InputError, match=rf"the id '{tie}'"):
-        mgsgraph.read_case(edited(case_file, add('[ground_control]\nfile = "points.gcp"')))
 
 
 # --- groups
@@ -277,12 +242,6 @@ def test_an_image_has_its_own_sigma(case_file: Path) -> None:
     assert set(net.rays.sigmas[~tie].ravel()) == {5.0}  # the shots' own
 
 
-def test_the_files_own_sigma_comes_first(case_file: Path) -> None:
-    edited(case_file, swap('isd = "image_B.isd"', 'isd = "image_B.isd"\nmeasure_sigma_px = 7.0'))
-    net = mgsgraph.read_case(case_file).network
-    assert 7.0 not in net.rays.sigmas
-
-
 def test_a_factor_multiplies_whatever_sigmas_ties_have(case_file: Path) -> None:
     """The network's own, which sigma_px leaves alone; those of other rays stay."""
     before = mgsgraph.read_case(case_file).network
@@ -296,16 +255,6 @@ def test_a_measure_in_two_networks(case_file: Path) -> None:
     path = split_network(case_file, lambda i, _: (i < 5, i >= 4))
     with pytest.raises(InputError, match=r"b\.pvl, point .*, image SIM/A: a measure that .*a\.pvl has too"):
         mgsgraph.read_case(path)
-
-
-def test_errors_in_one_of_two_networks_name_it(case_file: Path) -> None:
-    path = split_network(case_file, lambda i, _: (i < 5, i >= 5))
-    other = path.with_name("b.pvl")
-    text = other.read_text(encoding="utf-8")
-    other.write_text(re.sub(r"Line( *)= [0-9.]+", "Line = 1e6", text, count=1), encoding="utf-8")
-    with pytest.raises(InputError, match=r"b\.pvl, point .*, image SIM/.: line 1e\+06") as caught:
-        mgsgraph.read_case(path)
-    assert "a.pvl" not in str(caught.value)
 
 
 def test_measures_in_other_images_are_left_out_and_counted(case_file: Path) -> None:
@@ -334,22 +283,6 @@ def test_measures_in_other_images_are_left_out_and_counted(case_file: Path) -> N
         mgsgraph.read_case(case_file)
 
 
-def test_an_image_of_which_nothing_is_left_is_told_what_was_left_out(case_file: Path) -> None:
-    path = case_file.with_name("network.pvl")
-    network = read_network(path)
-    points = tuple(
-        structs.replace(
-            one, type=PointType.CONSTRAINED, apriori=(1.0, 2.0, 3.39e6), apriori_covariance=(1.0, 0, 0, 1.0, 0, 1.0),
-            measures=(one.measures[0], structs.replace(one.measures[1], serial_number="SIM/X")),
-        )
-        for one in network.points
-    )  # fmt: skip
-    write_pvl_network(structs.replace(network, points=points), path)
-    edited(case_file, lambda text: re.sub(r"\[laser\][^\[]*", "", text))
-    with pytest.raises(InputError, match=r"image SIM/B: no point .*20 measures in 1 image .*SIM/X"):
-        mgsgraph.read_case(case_file)
-
-
 def test_a_network_of_another_body_is_refused(case_file: Path) -> None:
     path = case_file.with_name("network.pvl")
     for target in ("Moon", "Phobos"):
@@ -364,10 +297,11 @@ def test_a_network_of_another_body_is_refused(case_file: Path) -> None:
     ("shots", "key", "factor", "said"),
     [
         (slice(None), "range", 1e3, "ranges of .*metres stand where the format has kilometres"),
-        (slice(3, 4), "range", 1e3, r"shot \S+: a range of .*metres stand where the format has kilometres"),
-        (slice(3, 4), "range", 1.3, r"shot \S+: a range of .*the way from the trajectory of SIM/"),
-        (slice(3, 4), "radius", 1.2, r"m from the body's centre"),
+        (slice(None), "range", 1e-3, "ranges.*kilometres stand where"),
+        (slice(None), "radius", 1e3, "radii.*metres stand where"),
         (slice(None), "sigmaRange", 1e-3, r"a sigma of 0\.001 m; .*are sigmas in kilometres"),
+        (slice(3, 4), "range", 1e3, r"shot \S+: a range of .*metres stand where the format has kilometres"),
+        (slice(3, 4), "radius", 1.2, r"m from the body's centre"),
         (slice(3, 4), "sigmaRange", 1e7, "a sigma of 1e[+]07 m"),
     ],
 )
@@ -437,10 +371,6 @@ WRONG_GROUPS: dict[str, tuple[tuple[Edit, ...], str]] = {
     "the same network twice": (
         (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'),), r"a measure that .*network.pvl has too"
     ),
-    "the same shots twice": (
-        (swap("[laser]", '[[laser]]\nfile = "lidar.json"\n\n[[laser]]'),), r"lidar.json: the id .* has too"
-    ),
-    "an image's sigma": ((swap('isd = "image_A', 'measure_sigma_px = -1\nisd = "image_A'),), r"measure_sigma_px"),
 }  # fmt: skip
 
 
@@ -450,15 +380,6 @@ def test_wrong_groups_are_said_in_one_line(case_file: Path, fault: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
         mgsgraph.read_case(edited(case_file, *edits))
     assert "\n" not in str(caught.value)
-
-
-def test_the_real_case(shared_data: Path) -> None:
-    case = mgsgraph.read_case(Path(__file__).parents[2] / "scripts" / "cases" / "lro_nac_lola.toml")
-    counts = {name: members.size for name, members in case.network.of_class()}
-    assert counts == {PointClass.TIE: 311, PointClass.LASER: 52}
-    assert case.network.ranges.point.size == 52
-    seen = network_footprints(case.network, case.network.points.places)
-    assert len(connectivity(case.network, seen).islands) == 1
 
 
 def test_measures_within_one_window_have_errors_in_common(case_file: Path) -> None:

@@ -3,14 +3,12 @@
 import re
 from pathlib import Path
 
-import click
 import msgspec
 import pytest
 
 import mgsgraph
 from mgsgraph.case.case_file import HEAD, key_tables, keys_text
 from mgsgraph.case.schema import CaseInput, ImageInput
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 
 TABLES = {table.path or HEAD: table for table in key_tables()}
@@ -44,19 +42,6 @@ def test_one_table_alone(name: str) -> None:
 def test_a_table_that_there_is_not_names_the_nearest(name: str, near: str) -> None:
     with pytest.raises(InputError, match=f"did you mean {near}"):
         keys_text(name)
-
-
-def test_help_of_verbs_and_of_the_case(capsys: pytest.CaptureFixture[str]) -> None:
-    def said(*words: str) -> str:
-        group(["help", *words], standalone_mode=False)
-        return capsys.readouterr().out
-
-    assert said("case", "solver").startswith("[solver]")
-    assert said("adjust").startswith("Usage: ")
-    assert "--out" in said("adjust")
-    assert "campaign" in said()
-    with pytest.raises(click.UsageError, match="adjust"):
-        said("adjst")
 
 
 WRONG = {

@@ -1,13 +1,11 @@
 """A case's images with their pixels over its ground, and what must be in it for them to be matched."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import matched
 import numpy as np
 import profiles
 import pytest
-from sites import plain_site
 from strip_files import write_block
 
 from mgsgraph.case.case_file import decode
@@ -15,7 +13,6 @@ from mgsgraph.case.reading import picture_of
 from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.simulation.files import write_site
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +41,6 @@ def case(case_file: Path) -> Path:
     return case_file
 
 
-def changed(case: Path, old: str, new: str) -> Path:
-    text = case.read_text(encoding="utf-8")
-    assert old in text
-    case.write_text(text.replace(old, new), encoding="utf-8")
-    return case
-
-
 def without(case: Path, table: str) -> Path:
     """The case without a table and what follows it."""
     head, found, rest = case.read_text(encoding="utf-8").partition(f"[{table}]")
@@ -77,13 +67,6 @@ def test_a_site_is_what_was_written(site: Path) -> None:
     ends = np.array([[0.0, 512.0], [matched.LINES, 512.0]])
     across, along = np.diff(scene.pictures[0].on_chart(ground, ends), axis=0)[0]
     assert abs(across) < 0.02 * along  # y is along the flight
-
-
-def test_ties_are_not_looked_at(site: Path, tmp_path: Path) -> None:
-    text = site.read_text(encoding="utf-8").replace('network = "network.pvl"', 'network = "none.pvl"')
-    other = site.with_name("no_ties.toml")
-    other.write_text(text, encoding="utf-8")
-    assert len(read_scene(other)[1].pictures) == 2
 
 
 def test_heights_come_from_where_they_are_known(case: Path) -> None:
@@ -139,14 +122,6 @@ def test_one_image_is_refused(case: Path) -> None:
     refused(case, "case.toml: one image; expected two that overlap")
 
 
-def test_images_without_pixels_are_refused(case_file: Path) -> None:
-    refused(case_file, "image SIM/A: no pixels; expected pixels = ", "add it to [[images]]")
-
-
-def test_pixels_that_are_not_there_are_refused(case: Path) -> None:
-    refused(changed(case, "B.tif", "C.tif"), "C.tif: no such file")
-
-
 def test_pixels_of_another_image_are_refused(case: Path) -> None:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
@@ -159,23 +134,3 @@ def test_pixels_of_another_image_are_refused(case: Path) -> None:
     ):
         file.write(np.zeros((50, 60), dtype=np.uint8), 1)
     refused(case, "image SIM/B: pixels of shape (50, 60); expected 5000 lines x 1024 samples")
-
-
-def test_a_ground_of_no_height_is_refused(case: Path) -> None:
-    refused(without(case, "laser"), "neither a terrain model nor laser shots", "--height METRES")
-    assert read_scene(case, height=0.0)[1].ground.height == 0.0
-
-
-def test_pixels_of_one_grey_can_be_read(tmp_path: Path) -> None:
-    """And are refused by what would match them."""
-    plain = plain_site()
-    cut = tuple(
-        replace(
-            image, true=replace(image.true, lines=300), nominal=replace(image.nominal, lines=300),
-            pixels=image.pixels[:300],
-        )
-        for image in plain.images
-    )  # fmt: skip
-    _, scene = read_scene(write_site(replace(plain, images=(cut[0], cut[1])), tmp_path))
-    with pytest.raises(InputError, match="100% of its pixels at the darkest value, 120"):
-        _ = scene.pictures[0].levels

@@ -1,6 +1,5 @@
 """Laser shots of any altimeter in a case file: names of today and of old, sigmas, and lengths in a wrong unit."""
 
-import json
 import re
 from pathlib import Path
 
@@ -35,23 +34,6 @@ def test_sigmas_are_the_altimeters_where_a_case_says_none() -> None:
     assert ShotsInput("x", range_sigma_m=3.0).settled(LOLA, "x").range_sigma_m == 3.0
     with pytest.raises(InputError, match=r"ground_sigma_m.*MLA"):
         entry.settled(MLA, "x")
-
-
-@pytest.mark.parametrize(
-    ("key", "factor", "said"),
-    [("range", 1000.0, "ranges"), ("range", 0.001, "ranges"), ("radius", 1000.0, "radii"), ("radius", 0.001, "radii")],
-)
-def test_lidar_data_in_another_unit_are_named(case_file: Path, key: str, factor: float, said: str) -> None:
-    path = case_file.with_name("lidar.json")
-    content = json.loads(path.read_text(encoding="utf-8"))
-    for point in content["points"]:
-        point[key] *= factor
-    path.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        mgsgraph.read_case(case_file)
-    assert str(path) in str(caught.value)
-    assert said in str(caught.value)
-    assert ("metres stand where" if factor > 1.0 else "kilometres stand where") in str(caught.value)
 
 
 def test_a_profile_whose_ranges_are_kilometres(case_file: Path) -> None:

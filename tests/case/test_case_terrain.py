@@ -242,19 +242,6 @@ def test_between_tracks_ties_are_held_by_what_interpolation_misses(tmp_path: Pat
         mgsgraph.read_case(path)
 
 
-def test_tiles_in_another_projection_are_one_file_or_none(case_file: Path) -> None:
-    crs, _ = PROJECTIONS["sinusoidal"]
-    place, _, _ = pixels(crs, shape=(200, 200), middle=middle_of(case_file).mean(axis=0) * DEG)
-    for name in ("one", "two"):
-        raster(case_file.with_name(f"{name}.tif"), np.full((200, 200), -100.0), crs, place)
-    path = add(case_file, f'radius = ["one.tif", "two.tif"]\nreference_radius_m = {RADIUS}')
-    with pytest.raises(InputError, match="one of several tiles, in the projection 'sinu'"):
-        mgsgraph.read_case(path)
-    path = add(case_file, 'radius = "one.tif"\nreference_radius_m = 3.6e6')
-    with pytest.raises(InputError, match="radii about 3600 km"):
-        mgsgraph.read_case(path)
-
-
 def hills(longitudes: Array, latitudes: Array) -> Array:
     """m above the sphere: the ellipsoid, where the ties are, and 15 m up and down on it."""
     directions = from_planetocentric(np.column_stack([longitudes, latitudes, np.ones(longitudes.size)]))
@@ -289,13 +276,10 @@ def test_any_projection_has_the_same_posts_and_the_same_adjustment(case_file: Pa
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ("shift = false", "no radius"),
         ('tracks = "b.csv"', "tracks: a word of earlier versions; expected radius"),
         ('radius = "a.img"\nareoid = "b.img"\ntopography = "c.img"', "both areoid and topography"),
         ('radius = "a.tif"\nareoid = "b.img"\nreference_radius_m = 3396000.0', "both areoid and reference_radius_m"),
-        ('radius = "a.tif"\nreference_radius_m = 1.0\nreference_ellipsoid_m = [3.4e6, 3.3e6]', "both reference"),
         ('radius = "a.img"\nreference_radius_m = 3396190.0', "a.img: a MEGDR grid, beside reference_radius_m"),
-        ('radius = "a.img"\ntilt_sigma_mrad = -1.0', "tilt_sigma_mrad"),
         ('radius = "a.img"\npost_step_deg = 3.0', "post_step_deg: a word of earlier versions"),
     ],
 )
@@ -331,7 +315,6 @@ def test_of_several_models_tie_points_lie_on_the_first(case_file: Path) -> None:
     [
         ("", "the id 'dtm' twice"),
         ('name = "b"\nshift = false', "an unknown horizontal place"),
-        ('name = "b"\ntilt_sigma_mrad = 0.1', "an unknown horizontal place"),
         ('name = "b"\ncontrol = false', "an unknown horizontal place"),
     ],
 )
@@ -359,10 +342,3 @@ def test_a_model_off_the_laser_in_height_is_refused(case_file: Path, height: flo
         return
     with pytest.raises(InputError, match=re.escape(f"{height:+.0f} m off")):
         mgsgraph.read_case(path)
-
-
-@pytest.mark.parametrize("name", ["dtm", "terrain model"])
-def test_the_shift_is_considered_by_the_models_name(case_file: Path, name: str) -> None:
-    path = with_terrain(case_file)
-    path.write_text(f'considered = ["{name}"]\n{path.read_text(encoding="utf-8")}', encoding="utf-8")
-    assert mgsgraph.read_case(path).network.considered == ("terrain model",)

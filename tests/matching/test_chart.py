@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.matching.scene import GroundChart
 
@@ -54,8 +53,3 @@ def test_areas_are_true_far_from_the_middle() -> None:
 def test_beyond_the_antipode_is_nowhere() -> None:
     chart = GroundChart(np.eye(3), RADIUS)
     assert np.all(np.isnan(chart.directions(np.array([[2.1 * RADIUS, 0.0]]))))
-
-
-def test_images_all_around_the_body_are_refused() -> None:
-    with pytest.raises(InputError, match="all around the body"):
-        GroundChart.about(np.concatenate([around(0.0, 0.0), around(np.pi, 0.0)]), np.array([0.0, 0.0, 1.0]))

@@ -73,13 +73,6 @@ def test_the_shift_leads_back_to_the_right_place(by: tuple[float, float]) -> Non
     assert (found.best[1::2] > found.correlation[1::2] + 0.05).all()
 
 
-def test_a_shift_beyond_the_reach_is_at_the_edge() -> None:
-    wrong = moved(ties_at(inner(5)), np.arange(1, 10, 2), np.array([0.0, 4.3]))
-    found = likeness(picture, wrong, chip_frames(PAIR.images, wrong))
-    assert found.at_edge[1::2].sum() >= 4
-    assert np.abs(found.shift[1::2]).max() <= REACH
-
-
 def test_some_points_alone_give_the_same() -> None:
     ties = ties_at(inner(5))
     frames, calls = chip_frames(PAIR.images, ties), list[tuple[int, int]]()
@@ -156,15 +149,6 @@ def test_flat_and_empty_chips_have_no_correlation() -> None:
             assert not at_edge[0]
 
 
-def test_less_than_half_in_the_picture_is_not_compared() -> None:
-    first = np.random.default_rng(0).normal(size=(1, SIDE, SIDE))
-    second = first.copy()
-    second[0, : HALF - 5] = np.nan
-    assert compare(first, second)[0][0] == pytest.approx(1.0)
-    second[0, : HALF + 6] = np.nan
-    assert np.isnan(compare(first, second)[0][0])
-
-
 @settings(max_examples=30, deadline=None)
 @given(hnp.arrays(np.float64, (1, 9, 9), elements=st.floats(-1e6, 1e6)), st.sampled_from([2, 16, 64, 256]))
 def test_stretching_keeps_the_order_and_the_levels(patch: np.ndarray, levels: int) -> None:
@@ -190,16 +174,6 @@ def test_a_misfit_stands_out_among_its_neighbours() -> None:
     assert frames.skew_pixels.min() > 10.0
     assert np.abs(odd).argmax() == 7
     assert np.abs(np.delete(odd, 7)).max() < 0.5 * np.abs(odd[7])
-
-
-def test_few_points_have_no_neighbours_and_one_ray_no_misfit() -> None:
-    ties = ties_at(inner(5))
-    assert np.isnan(misfit_beside_neighbours(chip_frames(PAIR.images, ties), ties)).all()
-    alone = ties_at(inner(2), PAIR.images[:1])
-    frames = chip_frames(PAIR.images[:1], alone)
-    assert np.isnan(frames.skew).all()
-    assert np.isfinite(frames.step).all()
-    assert np.isnan(likeness(picture, alone, frames).correlation).all()
 
 
 def test_measures_must_lie_in_images_of_the_case() -> None:

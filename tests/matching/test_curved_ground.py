@@ -136,15 +136,6 @@ def test_rough_ground_shows_in_the_sigmas(hurst: float, relief: bool) -> None:
     assert np.linalg.eigvalsh(added).min() > -1e-12
 
 
-def test_even_ground_has_no_roughness(pair: tuple[Array, Array, Array, Array]) -> None:
-    template, search, points, true = noisy(pair, 1.5, 80)
-    found = match(template, search, points, true, AFFINE, relief=along(points))
-    added = found.covariance_with_relief(along(points)) - found.noise
-    assert np.sqrt(np.trace(added[0])) < 0.02
-    none = match(template, search, points[:1], true[:1] + 30.0, AFFINE, relief=along(points[:1]))
-    assert np.all(np.isnan(none.covariance_with_relief(along(points[:1]))))
-
-
 def test_only_the_direction_of_relief_counts() -> None:
     template, search, points = curved_pair(5, CURVATURE)
     one, other = (match(template, search, points, points, SAME, relief=along(points, k)) for k in (1.0, -1e-5))
@@ -158,19 +149,6 @@ def test_only_the_direction_of_relief_counts() -> None:
         one.covariance_with_relief(directions)
     with pytest.raises(InputError, match="relief"):
         match(template, search, points, points, SAME, relief=directions[1:])
-
-
-def test_swapping_lines_and_samples_swaps_curved_ground() -> None:
-    template, search, points = curved_pair(5, CURVATURE)
-    template, search = with_noise((template, search), 1.5, 51)
-    one = match(template, search, points, points, SAME, relief=along(points))
-    other = match(
-        template.T, search.T, points[:, ::-1], points[:, ::-1], SAME, half=HALF[::-1], relief=along(points)[:, ::-1]
-    )
-    assert np.all(one.status == other.status)
-    assert other.pixels[:, ::-1] == pytest.approx(one.pixels, abs=1e-5, nan_ok=True)
-    stated = other.covariance_with_relief(along(points)[:, ::-1])[:, ::-1, ::-1]
-    assert stated == pytest.approx(one.covariance_with_relief(along(points)), rel=2e-3, abs=1e-7, nan_ok=True)
 
 
 def test_a_gap_that_only_curved_ground_reaches() -> None:

@@ -75,26 +75,10 @@ def test_threads_don_t_matter_and_progress_is_told() -> None:
     assert told[-1] == ("dense matching", told[0][2], told[0][2])
 
 
-def test_pictures_may_come_in_any_order() -> None:
-    turned = Scene(scene().pictures[::-1], scene().ground)
-    (there,) = dense_matches(turned, 2.0 * SPACING)
-    names = [turned.pictures[j].image.name for j in (there.first, there.second)]
-    away = there.pixels - matched.true_places(names[0], there.anchors, names[1])
-    assert np.all(np.sqrt(np.mean(away**2, axis=0)) < 0.2)
-    assert len(away) > 0.9 * there.posts
-
-
 def test_orientations_that_contradict_each_other_give_hardly_a_match() -> None:
     """228 m between the nominal orientations: nothing is alike along the parallax, and chance is not delivered."""
     with pytest.raises(InputError, match=r"none of \d+ posts matches; expected .* adjusted orientations"):
         dense_matches(matched.scene(), 2.0 * SPACING)
-
-
-def test_one_side_is_no_stereo_pair() -> None:
-    one = scene().pictures[0]
-    again = replace(one, image=replace(one.image, name="again"))
-    with pytest.raises(InputError, match="from the same side"):
-        dense_matches(Scene((one, again), scene().ground))
 
 
 def test_no_overlap() -> None:
@@ -107,19 +91,6 @@ def test_no_overlap() -> None:
 def _moved(metres: float) -> NDArray[np.float64]:
     along = matched.ground(None).chart.axes[1]
     return np.array([[*(along * metres), 0.0, 0.0, 0.0]])
-
-
-def test_a_picture_without_texture() -> None:
-    one, two = scene().pictures
-    blank = replace(two, pixels=np.full_like(two.pixels, 90))
-    with pytest.raises(InputError, match="blank nor saturated"):
-        dense_matches(Scene((one, blank), scene().ground))
-
-
-@pytest.mark.parametrize("spacing", [0.0, np.nan])
-def test_a_spacing_that_makes_no_sense(spacing: float) -> None:
-    with pytest.raises(InputError, match="dense matching, spacing"):
-        dense_matches(scene(), spacing)
 
 
 @pytest.mark.parametrize("shift", [-7, 0, 11])

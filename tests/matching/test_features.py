@@ -66,15 +66,6 @@ def test_features_keep_off_where_the_picture_ends() -> None:
     assert rows.max() < TILE.rows - 8.0
 
 
-def test_bare_ground_has_none() -> None:
-    bare = Patch(np.full((300, 340), 90, dtype=np.uint8), np.full((300, 340), 255, dtype=np.uint8))
-    nothing = detect(bare, TILE, 500)
-    assert nothing.plane.shape == (0, 2)
-    something = detect(patch(), TILE, 500)
-    for pair in ((nothing, something), (something, nothing)):
-        assert [part.size for part in pair_up(*pair, ANYWHERE, 4.0, 0.85)] == [0, 0, 0]
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.6, 1.5708])
 def test_windows_are_along_their_direction(angle: float) -> None:
     """Counterparts planted at the window's ends, inside and outside."""
@@ -128,12 +119,3 @@ def test_a_choice_has_to_be_clear() -> None:
 def test_direction_and_size_are_alike(change: dict[str, list[float]], found: int) -> None:
     one, other = made([[0.0, 0.0]], [0]), made([[1.0, 1.0]], [0], **change)
     assert pair_up(one, other, ANYWHERE, 4.0, 0.85)[0].size == found
-
-
-def test_blocks_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    one, other = detect(patch(), TILE, 500), detect(patch(shift=(5, -3)), TILE, 500)
-    window = Window(np.array([0.6, 0.8]), 60.0, 30.0)
-    whole = pair_up(one, other, window, TILE.step, 0.85)
-    monkeypatch.setattr("mgsgraph.matching.patches._BLOCK", 7)
-    for mine, theirs in zip(pair_up(one, other, window, TILE.step, 0.85), whole, strict=True):
-        np.testing.assert_allclose(mine, theirs, atol=1e-6)

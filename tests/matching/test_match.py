@@ -13,6 +13,7 @@ from mgsgraph.matching.measuring import Measured
 FEW = replace(matched.SETTINGS, cells=20, features=400)
 
 
+# above two seconds: matches two and three pictures whole, once for all tests of the run
 @pytest.mark.parametrize("count", [2, 3])
 def test_matches_are_where_the_ground_is(count: int) -> None:
     found = matched.matches(count)

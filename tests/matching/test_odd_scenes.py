@@ -1,20 +1,18 @@
 """Noisy, doubled, uneven and hardly matched scenes, and odd choices."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import matched
 import numpy as np
 import pytest
 
-from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
 from mgsgraph.matching.checks import checked_measures
 from mgsgraph.matching.coarse import search_radius
-from mgsgraph.matching.match import finest_first, ground_cells, match_scene, one_per_window
+from mgsgraph.matching.match import finest_first, match_scene, one_per_window
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.patches import Links, Tile, blur_sigmas, ortho_patch
-from mgsgraph.matching.scene import Scene, pairs_of
+from mgsgraph.matching.scene import Scene
 from mgsgraph.results.matching import match_statements
 
 STEP = 4.0
@@ -60,7 +58,7 @@ def test_one_picture_given_twice_has_no_infinite_weight() -> None:
     scene = matched.scene()
     first = scene.pictures[0]
     twin = replace(first, image=replace(first.image, name="TWIN"))
-    found = match_scene(replace(scene, pictures=(first, twin)), matched.SETTINGS)
+    found = match_scene(replace(scene, pictures=(first, twin)), replace(matched.SETTINGS, cells=20, features=800))
     sigmas = np.linalg.eigvalsh(found.covariances[~found.reference])
     assert np.all(sigmas >= 0.9999 * 0.01**2)
     assert found.ties.measure_sigmas.min() > 0.005
@@ -90,28 +88,10 @@ def test_of_measures_in_one_window_the_surest_of_the_longest_track_stays() -> No
     assert kept.tolist() == [False, True, True]
 
 
-def test_cells_are_no_smaller_than_some_pixels() -> None:
-    scene = matched.scene()
-    assert ground_cells(scene, pairs_of(scene), 10**9, 40.0).side == 40.0
-
-
 def test_a_search_beyond_memory_is_refused() -> None:
     scene = matched.scene()
     with pytest.raises(InputError, match=r"ground to search either way, .* pixels of the coarse grid; .*--search"):
         match_scene(scene, replace(matched.SETTINGS, search=4.0 * 2100.0 * scene.step))
-
-
-@pytest.mark.parametrize(("height", "sigma"), [(np.nan, None), (np.inf, None), (0.0, -5.0), (0.0, 0.0), (0.0, np.nan)])
-def test_heights_that_are_none(height: float, sigma: float | None, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="ground"):
-        read_scene(tmp_path / "case.toml", height, sigma)
-
-
-def test_an_image_twice(tmp_path: Path) -> None:
-    case = tmp_path / "case.toml"
-    case.write_text('format = 1\nname = "x"\n' + 2 * '[[images]]\nname = "A"\nisd = "a.isd"\n')
-    with pytest.raises(InputError, match=r"'A' for a.isd and for a.isd"):
-        read_scene(case)
 
 
 def test_the_finest_picture_is_the_reference() -> None:

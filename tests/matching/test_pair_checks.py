@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import matched
 import numpy as np
@@ -11,12 +10,11 @@ from scipy.stats import binom
 
 from mgsgraph.errors import InputError
 from mgsgraph.matching import match as module
-from mgsgraph.matching.checks import PairSigns, _from_neighbours, pair_signs
+from mgsgraph.matching.checks import PairSigns, _from_neighbours
 from mgsgraph.matching.coarse import NoAgreement, chance_agreements, corrected_scene
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.patches import Links, opencv
 from mgsgraph.matching.scene import STEEP, STEPPED, Pair, Pixels, Scene, block_steps, require_unblocked
-from mgsgraph.results.matching import match_statements
 
 NAN = math.nan
 FALSE = [  # agreed, found again, cells filled, scatter: measured (docs/matching.md)
@@ -120,23 +118,3 @@ def test_a_pair_that_shows_two_signs_is_refused(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(module, "pair_signs", lambda *_: [PairSigns("A", "B", *FALSE[0])])
     with pytest.raises(InputError, match=r"images A and B: \d+ matches that belong to no common ground: 7% of the"):
         match_scene(matched.scene(), settings, workers=1)
-
-
-@pytest.mark.slow
-def test_of_three_pictures_the_pair_is_left_out_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    settings, seen = replace(matched.SETTINGS, cells=20, features=800), list[PairSigns]()
-
-    def doubting(*given: Any) -> list[PairSigns]:
-        seen[:] = pair_signs(*given)
-        return [replace_signs(seen[0]), seen[1]._replace(found=0.05), *seen[2:]]
-
-    def replace_signs(one: PairSigns) -> PairSigns:
-        return PairSigns(one.first, one.other, *FALSE[0])
-
-    monkeypatch.setattr(module, "pair_signs", doubting)
-    found = match_scene(matched.scene(3), settings, workers=1)
-    assert all(not one.signs for one in seen)  # a good scene
-    assert any("no common ground" in reason and seen[0].other in reason for reason in found.refused)
-    assert len(found.cautions) == 1
-    assert found.cautions[0] in match_statements(found, matched.scene(3))
-    assert found.losses.kept == np.count_nonzero(~found.reference)

@@ -143,14 +143,6 @@ def test_what_does_not_come_back_is_not_kept() -> None:
     assert misfit.shape == (70,)
 
 
-def test_few_matches_and_none() -> None:
-    one, _ = found(planted(200))
-    for count in (0, 1, 4):
-        taken, fits = consensus(one.of(np.arange(count)), 4.0, 5.0, np.random.default_rng(0))
-        assert taken.shape == (12,)
-        assert fits.shape == (count,)
-
-
 def test_corrections_add() -> None:
     picture = matched.scene().pictures[0]
     long = np.arange(18.0).reshape(3, 6) * 1e-6

@@ -23,7 +23,7 @@ from mgsgraph.planning.candidates import (
     planned_point,
     planned_profile,
 )
-from mgsgraph.planning.coverage import ImageCoverage, even_places
+from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.plan import Evaluator, TargetSigmas, plan, targets_of
 from mgsgraph.planning.state import CurrentState, added, state_of_solution, updated
 
@@ -212,33 +212,7 @@ def test_a_redundant_candidate_falls() -> None:
     assert {one.name for one in found.chosen} == {"one", "far"}
 
 
-def test_order_of_the_file_does_not_matter() -> None:
-    some = [candidate(8), candidate(9), *(replace(candidate(10), name=name) for name in ("b", "a"))]
-    one, other = plan(state(), some, 3), plan(state(), some[::-1], 3)
-    assert [step.name for step in one.ranking] == [step.name for step in other.ranking]
-    assert [step.name for step in one.chosen] == [step.name for step in other.chosen]
-    assert one.after == other.after
-
-
 # --- candidates
-
-
-def test_ties_are_as_many_as_asked_for_and_even() -> None:
-    inside = even_places((5000, 1000), lambda places: places[:, 0] < 2000.0, 50)
-    assert inside.shape == (50, 2)
-    assert inside[:, 0].max() < 2000.0
-    gaps = np.linalg.norm(inside[:, None] - inside, axis=2) + 1e9 * np.eye(50)
-    assert gaps.min() > 0.5 * np.sqrt(2000.0 * 1000.0 / 50)
-
-
-def test_planned_measures_have_no_residual() -> None:
-    chosen = candidate(8, existing=True)
-    present = CurrentState(state())
-    after = updated(present, added(present, [addition(chosen)])).added.after
-    planned = addition(chosen).points
-    place = {name: i for i, name in enumerate(after.network.points.ids)}
-    solved_places = after.layout.network_order(after.reduction.points)[[place[name] for name in planned.ids]]
-    assert np.max(np.abs(solved_places - planned.places)) < 1e-3
 
 
 def test_sigmas_are_those_asked_for() -> None:
@@ -272,12 +246,6 @@ def test_bad_targets_and_candidates_are_named() -> None:
         plan(state(), [candidate(8), candidate(8)], 1)
     with pytest.raises(InputError, match="an image of the network already"):
         planned_image(coverage(), KnownImage(made().images[0], NOISE.prior), PlannedTies())
-
-
-def test_a_solution_without_covariance_is_refused() -> None:
-    blank = replace(solved(), covariances=np.full_like(solved().covariances, np.nan))
-    with pytest.raises(InputError, match="without covariance"):
-        state_of_solution(blank)
 
 
 def test_fixed_points_are_no_targets() -> None:

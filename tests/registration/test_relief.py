@@ -94,7 +94,7 @@ def found(ground: Ground, footprints: Array, reach: float = 1700.0, sigma: float
     return search(stereo(ground), footprints, np.full(len(footprints), sigma), "profile", reach)
 
 
-@pytest.mark.parametrize("degrees", range(20, 380, 90))
+@pytest.mark.parametrize("degrees", range(20, 380, 120))
 def test_a_shift_is_found_from_1500_m_off_in_any_direction(degrees: int) -> None:
     shift = 1500.0 * np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
     cost = found(hills, track(hills, shift, seed=degrees))
@@ -120,13 +120,13 @@ def test_a_minimum_that_adjustments_do_not_reach_is_not_clear() -> None:
 
 def test_a_plain_does_not_tie_a_profile() -> None:
     """2 m of relief under shots of 10 m, what cases state of MOLA's: never a confident wrong place."""
-    for seed in range(5):
+    for seed in range(3):
         cost = found(plain, track(plain, np.zeros(2), seed, 10.0), 800.0, 10.0)
         assert not cost.tied
         assert not cost.clear
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_plain_under_exact_shots_has_no_confident_wrong_place(seed: int) -> None:
     """2 m of relief under shots of 3 m."""
     cost = found(plain, track(plain, np.zeros(2), seed), 1500.0)
@@ -148,7 +148,7 @@ def test_a_shift_that_changes_along_the_track_is_found() -> None:
 
 def test_nor_does_it_where_shifts_leave_the_surface() -> None:
     """Up to 1500 m, the half width of the surface."""
-    assert not any(found(plain, track(plain, np.zeros(2), seed, 10.0), 1500.0, 10.0).tied for seed in range(5))
+    assert not any(found(plain, track(plain, np.zeros(2), seed, 10.0), 1500.0, 10.0).tied for seed in range(3))
 
 
 def test_a_level_and_a_slope_along_the_track_are_the_orientation_s() -> None:
@@ -176,7 +176,7 @@ def low_hills(points: Array) -> Array:
     return hills(points) / 10.0
 
 
-@pytest.mark.parametrize("seed", range(5, 10))
+@pytest.mark.parametrize("seed", range(5, 8))
 def test_minima_with_few_posts_on_the_surface_are_no_better(seed: int) -> None:
     """Far from where a model fits, a third of its posts are beside the images."""
     shift = np.random.default_rng(seed).normal(0.0, 200.0, 2)

@@ -81,15 +81,6 @@ def from_dense(tree: Tree, priors: Priors, systems: Systems, seed: int = 0) -> n
 
 @ANY
 @given(st.integers(0, 10_000))
-def test_estimate_and_covariances_are_those_of_the_summed_systems(seed: int) -> None:
-    priors, systems = drawn(seed)
-    tree = Tree()
-    tree.change(priors, systems)
-    assert np.all(from_dense(tree, priors, systems, seed) < CLOSE)
-
-
-@ANY
-@given(st.integers(0, 10_000))
 def test_replacing_and_removing_is_building_anew(seed: int) -> None:
     """Unknowns and systems come one by one; some are replaced, some go, at last an unknown with all that feels it."""
     rng = np.random.default_rng(seed + 1)
@@ -158,22 +149,6 @@ def test_what_gtsam_s_cholesky_calls_indeterminate_is_no_harder(rows: int) -> No
     assert not tree.moved()
     tree.change(gone=list(systems))
     assert np.all(from_dense(tree, priors, {}) < CLOSE)
-
-
-def test_a_tree_that_cholesky_s_method_has_grown_goes_on_by_qr() -> None:
-    priors, systems = drawn(4)
-    more_priors, more = pair_of_poorly_scaled_images(20)
-    dropped = Unknown("image", "dropped")
-    tree = Tree()
-    tree.change(priors | {dropped: np.ones(6)}, systems)
-    tree.change(dropped=[dropped])
-    assert not tree._by_qr
-    tree.change(more_priors, more)
-    assert tree._by_qr
-    assert np.all(from_dense(tree, priors | more_priors, systems | more) < (1e-4, 1e-5))
-    tree.change(gone=[*more, next(iter(systems))])
-    left = dict(list(systems.items())[1:])
-    assert np.all(from_dense(tree, priors | more_priors, left) < CLOSE)
 
 
 def test_a_gradient_without_curvature_is_balanced_by_the_prior() -> None:

@@ -12,7 +12,6 @@ from increments import (
     apart,
     fan,
     grown,
-    own_measures,
     places_of,
     state_of,
     strip,
@@ -154,12 +153,7 @@ def test_it_can_be_read() -> None:
     adjustment = grown(made, 3)
     impact = take(adjustment, made, 3)
     assert repr(impact).startswith("Impact(add FAN/3: 4 images reached, ")
-    table = impact.table().text(units=True)
-    assert table[0].split()[:2] == ["image", "moved"]
-    assert table[2].split()[:2] == ["FAN/3", "new"]
-    assert len(table) == 2 + len(impact.images.names)
-    html = impact._repr_html_()
-    assert "FAN/3" in html
+    assert impact.table().text(units=True)[2].split()[:2] == ["FAN/3", "new"]
     odd = IncrementalAdjustment()
     image = replace(made.images[0], name="<b>&")
     odd.add(KnownImage(image, NOISE.prior), ())
@@ -174,14 +168,3 @@ def test_saying_it_changes_nothing() -> None:
     adjustment.points([strip().ties.ids[0]])
     adjustment.covariance("STRIP/000N", "STRIP/003X")
     assert apart(adjustment, before) == 0.0
-
-
-def test_several_images_at_once() -> None:
-    made = fan()
-    adjustment = grown(made, 2)
-    names = [image.name for image in made.images[2:4]]
-    measures = [one for name in names for one in own_measures(made, name)]
-    impact = adjustment.add([KnownImage(image, NOISE.prior) for image in made.images[2:4]], measures)
-    assert impact.subjects == tuple(names)
-    assert set(impact.neighbours) <= {"FAN/0", "FAN/1"}
-    assert impact.unconnected == ()

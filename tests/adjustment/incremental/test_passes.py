@@ -83,6 +83,7 @@ def by_batch(adjustment: IncrementalAdjustment) -> Solution:
     return adjust_network(adjustment.network, adjustment.settings)
 
 
+# above two seconds: ten images one by one, of nodes that are continued
 def test_a_strip_grows_image_by_image() -> None:
     """From its first image, whose nodes are continued over the others' lines; what is there keeps its times."""
     adjustment, nodes, times = IncrementalAdjustment(), list[int](), np.zeros(0)
@@ -101,11 +102,12 @@ def test_a_strip_grows_image_by_image() -> None:
     assert found[1] < 1e-3, found
 
 
+# above two seconds: fourteen changes of a block of strips
 def test_any_order_of_additions_and_removals_ends_at_batch() -> None:
     rng = np.random.default_rng(8)
     every, adjustment, there = parts(strips()), IncrementalAdjustment(), set[str]()
-    names = list(every)
-    for name in [*rng.permutation(names), *rng.permutation(names)[:6]]:
+    names = [name for k, name in enumerate(every) if k % 4 in (0, 3)]  # now the first half of a line, now the second
+    for name in [*rng.permutation(names), *rng.permutation(names)[:4]]:
         if name in there:
             adjustment.remove(name)
         else:
@@ -186,9 +188,6 @@ def test_what_contradicts_a_pass_is_one_line_and_changes_nothing() -> None:
     late = replace(image, trajectory=replace(trajectory, epoch=trajectory.epoch + 7200.0))
     nodes = replace(right.passes[0].nodes, epoch=right.passes[0].nodes.epoch + 7200.0)
     refused(replace(right, images=(late,), passes=(replace(right.passes[0], nodes=nodes),)), "minutes apart")
-    position = replace(trajectory.position, positions=trajectory.position.positions + 5e3)
-    away = replace(image, trajectory=replace(trajectory, position=position))
-    refused(replace(right, images=(away,)), "m apart; expected images of one spacecraft")
     again = replace(left, passes=(replace(left.passes[0], name="another"),))
     refused(again, "an image that is there already")
     with pytest.raises(InputError, match="it is held"):

@@ -311,12 +311,3 @@ def test_heights_are_within_their_sigmas_of_the_truth(first: int) -> None:
     off = model.heights - dem_site.true_heights(grid)
     assert np.isfinite(off).mean() > 0.5
     assert 0.7 < rms(off / model.matching) < 1.3
-
-
-def test_nothing_around_a_post() -> None:
-    grid = grid_of()
-    points = points_over(grid, np.full(2, -2500.0), np.array([[0.0, 0.0], [5.0, 5.0]]), 1.0)
-    with pytest.raises(InputError, match="2 points, nowhere several around a post"):
-        gridded(points, grid, 20.0, 80.0)
-    with pytest.raises(InputError, match="positive numbers"):
-        gridded(points, grid, 20.0, 0.0)
