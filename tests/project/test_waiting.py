@@ -13,6 +13,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.project.changes import take_ties
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import results_of
+from mgsgraph.results import matching
 from mgsgraph.results.archive import read_solution
 
 
@@ -41,10 +42,11 @@ def project(case: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def ready(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With the tie points that `match` has found."""
+    """With the tie points that `match` has found; they are known already."""
     waiting, said = copied(project, tmp_path_factory.mktemp("matched")), io.StringIO()
-    with contextlib.redirect_stdout(said):
-        assert call("match", waiting, "--cells", 40, "--no-figures") == 0
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.setattr(matching, "match_scene", lambda *_, **__: matched.matches())
+        assert call("match", waiting, "--no-figures") == 0
     assert f"Next: mgsgraph solve {waiting}" in said.getvalue()
     return waiting
 

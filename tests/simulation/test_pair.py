@@ -22,7 +22,7 @@ from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.units import DEG, KM
 
 FILES = ("image_A.isd", "image_B.isd", "network.pvl", "lidar.json", "truth.json", "case.toml")
-SEEDS = range(25)
+SEEDS = range(15)
 
 
 @pytest.fixture(scope="module")
