@@ -82,11 +82,6 @@ def test_a_scheduler_that_does_not_answer(sites: Path, tmp_path: Path, monkeypat
     assert not out.exists()
 
 
-def test_typing_errors_show_the_way() -> None:
-    assert "CASE|FOLDER" in run("campaign", "--out", "x").stderr
-    assert "--out" in run("campaign", "x.toml").stderr
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("place", [(), ("--cluster", "local:2")])
 def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path, tmp_path: Path) -> None:

@@ -109,10 +109,3 @@ def test_an_interruption_does_not_wait_for_a_silent_server(archive: Flaky, tmp_p
     over.set()
     assert running.returncode == 130
     assert error == "mgsgraph: interrupted; what has come is kept, the same command goes on\n"
-
-
-def test_help_names_the_options() -> None:
-    done = run("fetch", "--help")
-    assert done.returncode == 0
-    for option in ("--out", "--terrain", "--volume", "--mirror"):
-        assert option in done.stdout

@@ -198,10 +198,3 @@ def test_errors_are_one_line_on_standard_error(site: Path, tmp_path: Path) -> No
         assert len(done.stderr.strip().splitlines()) == 1, done.stderr
         assert said in done.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_help_says_how_to_go_on() -> None:
-    done = run("match", "--help")
-    assert done.returncode == 0
-    for said in ("--search", "--height-sigma", "--per-cell", "--ties OUT/network.pvl"):
-        assert said in done.stdout
