@@ -12,12 +12,11 @@ import numpy as np
 import profiles as mola_profiles
 import pytest
 import relief_site
-from commands import run
+from commands import call, run
 from sites import plain_site
 
 import mgsgraph
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
@@ -59,11 +58,6 @@ TABLES = {
     "solution.json", "solution.npz", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
     "coregistration.json", "profiles.csv", "shots.csv", "costs.csv",
 }  # fmt: skip
-
-
-def call(*arguments: object) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 @pytest.fixture(scope="module")

@@ -10,20 +10,14 @@ import matched
 import numpy as np
 import pytest
 import rasterio
-from commands import run
+from commands import call, run
 from rasterio.warp import transform
 
 import mgsgraph
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.results import terrain_model
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 @pytest.fixture(scope="module")

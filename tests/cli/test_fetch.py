@@ -12,10 +12,8 @@ from pathlib import Path
 
 import flaky_archive
 import pytest
-from commands import run
+from commands import call, run
 from flaky_archive import Flaky, stall
-
-from mgsgraph.cli import group
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -25,11 +23,6 @@ def archive() -> Iterator[Flaky]:
     with flaky_archive.served() as server:
         server.files = flaky_archive.archive_files()
         yield server
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 def command(*arguments: str | Path) -> list[str]:

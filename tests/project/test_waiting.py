@@ -7,8 +7,8 @@ from pathlib import Path
 
 import matched
 import pytest
+from commands import call
 
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.project.changes import take_ties
 from mgsgraph.project.project import open_project
@@ -17,19 +17,10 @@ from mgsgraph.results import matching
 from mgsgraph.results.archive import read_solution
 
 
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
-
-
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The case of the small pair, whose own ties are gone."""
-    case = matched.write(tmp_path_factory.mktemp("site"))
-    head, _, rest = case.read_text(encoding="utf-8").partition("[ties]")
-    case.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
-    (case.parent / "network.pvl").unlink()
-    return case
+    return matched.write_without_ties(tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(scope="module")

@@ -110,12 +110,11 @@ def test_every_kind_of_solution_comes_back(case: Case, tmp_path: Path) -> None:
     odd = replace(network.points, ids=("né, \"1\"", "trailing ", "", *network.points.ids[3:]))
     chosen = case.settings
     for name, net, how in (
-        ("held", replace(network, held=np.array([True, False])), chosen),
+        ("held and robust", replace(network, held=np.array([True, False])),
+         replace(chosen, loss="cauchy", loss_width=2, reject=4.0, angles="opk-paper", line="measured")),
         ("all held", replace(network, held=np.array([True, True])), chosen),
-        ("robust", network, replace(chosen, loss="cauchy", loss_width=2, reject=4.0)),
-        ("angles", network, replace(chosen, angles="opk-paper", line="measured")),
-        ("free", replace(network, priors=(OrientationPrior(prior), network.priors[1])), chosen),
-        ("lossy", replace(network, rays=lossy, points=odd), chosen),
+        ("free and lossy", replace(network, rays=lossy, points=odd,
+                                   priors=(OrientationPrior(prior), network.priors[1])), chosen),
         ("impatient", network, replace(chosen, max_iterations=1)),
         ("shifted", with_shift_and_surface(network), chosen),
         ("polynomials", replace(network, images=(fit_polynomials(network.images[0], 3), network.images[1])), chosen),

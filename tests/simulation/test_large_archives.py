@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet
 import pytest
+from redraw import assert_unit_variance
 
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
@@ -16,13 +17,6 @@ from mgsgraph.simulation import archive_files
 from mgsgraph.simulation.archive import ARCHIVE_KINDS, Archive, archive_settings, lay_out
 from mgsgraph.simulation.archive_files import image_path, write_archive
 from mgsgraph.simulation.observations import well_inside
-
-
-def assert_unit_variance(normalised: np.ndarray) -> None:
-    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
-    n = normalised.size
-    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
-    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
 
 
 @pytest.fixture(scope="module", params=ARCHIVE_KINDS)

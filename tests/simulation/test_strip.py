@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from redraw import assert_unit_variance
 
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
@@ -35,13 +36,6 @@ def strip() -> SimulatedStrip:
 @pytest.fixture(scope="module")
 def many() -> list[SimulatedStrip]:
     return [simulate_strip(StripSettings(images=5, ties=25, shots=10), seed) for seed in range(8)]
-
-
-def assert_unit_variance(normalised: np.ndarray) -> None:
-    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
-    n = normalised.size
-    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
-    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
 
 
 def of_ties(ties: TiePoints) -> Measures:
