@@ -15,8 +15,6 @@ import pytest
 from commands import call, run
 from flaky_archive import Flaky, stall
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.fixture(scope="module")
 def archive() -> Iterator[Flaky]:
