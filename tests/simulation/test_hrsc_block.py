@@ -29,7 +29,7 @@ def block() -> SimulatedBlock:
 @pytest.fixture(scope="module")
 def seeds() -> list[SimulatedBlock]:
     settings = replace(TINY, points=1, terrain=TerrainErrors(posts_per_degree=4))
-    return [simulate_hrsc_block(settings, seed) for seed in range(40)]
+    return [simulate_hrsc_block(settings, seed) for seed in range(16)]
 
 
 def exact_places(network: Network, truth: np.ndarray, corrections: tuple[OrientationCorrection, ...]) -> np.ndarray:
