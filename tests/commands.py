@@ -14,6 +14,13 @@ WIDE = {"COLUMNS": "110"}
 """So that help is not wrapped."""
 
 
+def call(*arguments: object) -> int:
+    """A command in this process; its exit status."""
+    from mgsgraph.cli import group
+
+    return group([str(one) for one in arguments], standalone_mode=False) or 0
+
+
 def run_afresh(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """The command in a new interpreter, where no warning goes by."""
     return subprocess.run(

@@ -91,7 +91,7 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def _written_pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pair_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from mgsgraph.simulation.files import write_pair
     from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
@@ -100,11 +100,38 @@ def _written_pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def pair_case(pair_folder: Path) -> Any:
+    """That case, read."""
+    import mgsgraph
+
+    return mgsgraph.read_case(pair_folder / "case.toml")
+
+
+@pytest.fixture(scope="session")
+def pair_solution(pair_case: Any) -> Any:
+    """That case, adjusted."""
+    import mgsgraph
+
+    return mgsgraph.adjust(pair_case)
+
+
+@pytest.fixture(scope="session")
+def solved(pair_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A solved project of that case; whoever changes it copies it."""
+    from mgsgraph.cli import group
+
+    project = str(tmp_path_factory.mktemp("solved") / "project")
+    for words in (["init", project, "--case", str(pair_folder / "case.toml")], ["solve", project, "--no-figures"]):
+        assert not group(words, standalone_mode=False)
+    return Path(project)
+
+
 @pytest.fixture
-def case_file(_written_pair: Path, tmp_path: Path) -> Path:
+def case_file(pair_folder: Path, tmp_path: Path) -> Path:
     """A case of a small simulated pair, in a folder of the test's own."""
     folder = tmp_path / "case"
-    shutil.copytree(_written_pair, folder)
+    shutil.copytree(pair_folder, folder)
     return folder / "case.toml"
 
 

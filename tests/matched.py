@@ -145,6 +145,15 @@ def inner(count: int = 200, seed: int = 1) -> Array:
     return points[seen][:count]
 
 
+def write_without_ties(folder: Path) -> Path:
+    """The same, whose ties are still to be found."""
+    case = write(folder)
+    head, _, rest = case.read_text(encoding="utf-8").partition("[ties]")
+    case.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
+    (folder / "network.pvl").unlink()
+    return case
+
+
 def write(folder: Path) -> Path:
     """The pair as files, in the formats of the archive; its case."""
     return write_site(site(), folder)

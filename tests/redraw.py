@@ -260,3 +260,10 @@ def _drawn_ranges(
         if one.kind is SharedKind.RANGE_BIAS:
             values += value[0] * np.isin(ranges.image, one.images)
     return replace(ranges, values=values)
+
+
+def assert_unit_variance(normalised: np.ndarray) -> None:
+    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
+    n = normalised.size
+    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
+    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)

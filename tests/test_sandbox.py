@@ -93,7 +93,7 @@ def test_where_forks_are_unsafe_none_is_made(monkeypatch: pytest.MonkeyPatch) ->
     assert apart(os.getpid) == os.getpid()
 
 
-@pytest.mark.parametrize("end", [signal.SIGSEGV, signal.SIGABRT, signal.SIGKILL])
+@pytest.mark.parametrize("end", [signal.SIGSEGV, signal.SIGKILL])
 def test_the_end_of_the_fork_is_an_error(end: signal.Signals, tmp_path: Path) -> None:
     def die() -> None:
         (tmp_path / "fork").write_text(str(os.getpid()))

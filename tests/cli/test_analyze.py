@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import rasterio
 
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import Case
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.results.archive import read_solution
@@ -26,8 +28,8 @@ def call(capsys: pytest.CaptureFixture[str]) -> Called:
 
 
 @pytest.fixture
-def result(case_file: Path, tmp_path: Path) -> Path:
-    group(["adjust", str(case_file), "--out", str(tmp_path / "result"), "--no-figures"], standalone_mode=False)
+def result(pair_solution: Solution, pair_case: Case, tmp_path: Path) -> Path:
+    write_results(pair_solution, tmp_path / "result", figures=False, case=pair_case.path, networks=pair_case.networks)
     return tmp_path / "result"
 
 

@@ -15,7 +15,7 @@ import mgsgraph
 
 
 @pytest.mark.parametrize(
-    "arguments", [("--help",), ("adjust", "--help"), ("check", "-h"), ("demo", "-h"), ("--version",)]
+    "arguments", [("--help",), ("adjust", "-h"), ("--version",)]
 )
 def test_help(arguments: tuple[str, ...]) -> None:
     done = run_afresh(*arguments)
@@ -43,12 +43,12 @@ def test_typing_errors_show_the_way(arguments: tuple[str, ...], said: str) -> No
 
 
 def test_adjust_writes_everything(case_file: Path, tmp_path: Path) -> None:
+    """Slow: the one test of a new process that draws all its figures, with every warning an error."""
     out = tmp_path / "result"
     done = run_afresh("adjust", case_file, "--out", out, "-v")
     assert done.returncode == 0, done.stderr
     names = {path.name for path in out.iterdir()}
     assert {"solution.json", "points.csv", "orientation.csv", "residuals.csv", "solution.npz"} <= names
-    assert any(name.endswith(".png") for name in names)
     assert any(name.endswith(".png") for name in names)
     record = json.loads((out / "solution.json").read_text(encoding="utf-8"))
     assert record["status"] == "converged"
@@ -170,10 +170,10 @@ def test_check_tells_the_rest_of_a_weak_network(case_file: Path) -> None:
     assert "too weak to solve" in done.stdout
 
 
-def test_a_full_standard_output(case_file: Path) -> None:
+def test_a_full_standard_output() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [*COMMAND, "check", case_file], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            [*COMMAND, "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     refused(done, "standard output")
 
@@ -185,9 +185,9 @@ def catches(process: subprocess.Popen[str], number: signal.Signals) -> bool:
     return process.poll() is not None or bool(int(caught, 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize("wait", [0.0, 0.7, 1.7])
+@pytest.mark.parametrize("wait", [0.0, 1.7])
 def test_an_interrupt_leaves_nothing(case_file: Path, tmp_path: Path, wait: float) -> None:
-    """While libraries are imported, while it adjusts, while it writes; not before the program has begun."""
+    """While libraries are imported, and while it adjusts or writes; not before the program has begun."""
     command = [*COMMAND, "adjust", str(case_file), "--out", str(tmp_path / "result")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not catches(process, signal.SIGTERM):  # Python itself has one for SIGINT

@@ -1,12 +1,11 @@
 """`mgsgraph convert` as a person uses it: endings, options, what was written and what was lost, one line for errors."""
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import click
 import pytest
+from commands import run
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
@@ -98,28 +97,19 @@ def test_formats_may_be_named(network: Path) -> None:
 def test_strict_is_exit_status_two_and_one_line(network: Path) -> None:
     """As a program of its own: what is lost is listed, nothing is written."""
     folder = network.parent
-    command = [sys.executable, "-m", "mgsgraph", "convert", str(network), str(folder / "x.gcp"), "--strict"]
-    done = subprocess.run([*command, "--radii", "3396190", "3376200"], capture_output=True, text=True, check=False)
+    done = run("convert", network, folder / "x.gcp", "--strict", "--radii", 3396190, 3376200)
 
     assert done.returncode == 2
     assert done.stderr.startswith("mgsgraph: error: ")
     assert done.stderr.count("\n") == 1
     assert not (folder / "x.gcp").exists()
 
-    command[-2] = str(folder / "x.csv")
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run("convert", network, folder / "x.csv", "--strict")
 
     assert done.returncode == 2
     assert "- Not held: NetworkId, TargetName, UserName" in done.stdout
     assert "it can't hold 1 kind of things" in done.stderr
     assert not (folder / "x.csv").exists()
-
-
-def test_help_says_the_formats(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("--help") == 0
-    said = capsys.readouterr().out
-    for word in ("IN... [OUT]", "--strict", "--nvm-no-shift", "NAME=LINESxSAMPLES"):
-        assert word in said
 
 
 def test_a_file_of_the_format_that_is_read_is_not_taken_for_out(network: Path, tmp_path: Path) -> None:

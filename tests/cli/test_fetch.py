@@ -12,12 +12,8 @@ from pathlib import Path
 
 import flaky_archive
 import pytest
-from commands import run
+from commands import call, run
 from flaky_archive import Flaky, stall
-
-from mgsgraph.cli import group
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +21,6 @@ def archive() -> Iterator[Flaky]:
     with flaky_archive.served() as server:
         server.files = flaky_archive.archive_files()
         yield server
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 def command(*arguments: str | Path) -> list[str]:
@@ -109,10 +100,3 @@ def test_an_interruption_does_not_wait_for_a_silent_server(archive: Flaky, tmp_p
     over.set()
     assert running.returncode == 130
     assert error == "mgsgraph: interrupted; what has come is kept, the same command goes on\n"
-
-
-def test_help_names_the_options() -> None:
-    done = run("fetch", "--help")
-    assert done.returncode == 0
-    for option in ("--out", "--terrain", "--volume", "--mirror"):
-        assert option in done.stdout

@@ -7,10 +7,9 @@ from pathlib import Path
 import matched
 import numpy as np
 import pytest
-from commands import run, run_afresh
+from commands import call, run, run_afresh
 from increments import strip
 
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.matching import match as matching
@@ -20,20 +19,10 @@ FEW = ("--cells", "40", "--no-figures")
 """Options, to be quick."""
 
 
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
-
-
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The case of the small pair, whose own ties are gone."""
-    case = matched.write(tmp_path_factory.mktemp("site"))
-    text = case.read_text(encoding="utf-8")
-    head, _, rest = text.partition("[ties]")
-    case.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
-    (case.parent / "network.pvl").unlink()
-    return case
+    return matched.write_without_ties(tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(scope="module")
@@ -198,10 +187,3 @@ def test_errors_are_one_line_on_standard_error(site: Path, tmp_path: Path) -> No
         assert len(done.stderr.strip().splitlines()) == 1, done.stderr
         assert said in done.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_help_says_how_to_go_on() -> None:
-    done = run("match", "--help")
-    assert done.returncode == 0
-    for said in ("--search", "--height-sigma", "--per-cell", "--ties OUT/network.pvl"):
-        assert said in done.stdout

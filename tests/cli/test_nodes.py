@@ -6,16 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
+from commands import call
 from increments import strip
 
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.simulation.files import write_strip
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 @pytest.fixture(scope="module")

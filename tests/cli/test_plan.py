@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
+from commands import call
 from increments import NOISE, strip
 
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.planning.candidates_file import decode_candidates
 from mgsgraph.results.archive import read_solution
@@ -21,11 +21,6 @@ ORIENTATION = (
     f"trend = {[float(factor) for factor in NOISE.trend]}\n"
 )
 _THERE, _ALL = 4, 6
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 @pytest.fixture(scope="module")

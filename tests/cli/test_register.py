@@ -47,10 +47,3 @@ def test_bad_input_writes_nothing(mola_case: Path, tmp_path: Path) -> None:
     mola_case.write_text(text[: text.index("[[shots]]")], encoding="utf-8")
     refused(run("register", mola_case, "--out", out), "no laser profile", tmp_path, ["case"])
     assert not out.exists()
-
-
-def test_help_names_the_files() -> None:
-    done = run("register", "--help")
-    assert done.returncode == 0
-    for said in ("--solution", "--out", "registration.csv", "discrepancy.csv"):
-        assert said in done.stdout

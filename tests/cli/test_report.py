@@ -54,10 +54,3 @@ def test_a_page_of_a_result(mola_case: Path, tmp_path: Path) -> None:
     np.savez(result / "solution.npz", **(arrays | {"format": np.array(99)}))  # type: ignore[arg-type]
     said = f"format: 99; expected {FORMAT}; read it with the version"
     refused(run("report", result, "--out", tmp_path / "p.html"), said, tmp_path, names)
-
-
-def test_help_says_what_it_writes() -> None:
-    done = run("report", "--help")
-    assert done.returncode == 0
-    for said in ("--compare", "--case", "--out", "report.html", "HTML"):
-        assert said in done.stdout

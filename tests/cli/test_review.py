@@ -103,10 +103,3 @@ def test_bad_input_writes_nothing(case: Path, tmp_path: Path) -> None:
     head, _, rest = text.partition("[ties]")
     case.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
     refused(run("review", case, "--out", page), "no network of tie points; expected one", tmp_path, names)
-
-
-def test_help_says_what_it_writes() -> None:
-    done = run("review", "--help")
-    assert done.returncode == 0
-    for said in ("--verdicts", "--worst", "--points", "--solution", "Ignore = True"):
-        assert said in done.stdout

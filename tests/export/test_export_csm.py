@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from networks import network, pair
 from strip_files import block
-from usgscsm import csm_differences, ground_to_image, isd_differences, lagrange, state_differences
+from usgscsm import csm_differences, ground_to_image, isd_differences, state_differences
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -126,23 +124,6 @@ def test_reader_back_agrees_with_the_tests_of_usgscsm() -> None:
     """tests/LineScanCameraTests.cpp at the same commit, OrbitalLineScanSensorModel, Center."""
     centre = np.array([[999999.67040488799, 0.0, -811.90523782723039]])
     assert ground_to_image(orbit(), centre) == pytest.approx(np.array([[8.5, 8.0]]), abs=2e-5)
-
-
-@given(st.lists(st.floats(-2.0, 2.0), min_size=8, max_size=8), st.floats(3.0, 12.0, exclude_max=True))
-def test_eight_nodes_hold_polynomials_of_degree_seven(coefficients: list[float], place: float) -> None:
-    def course(x: Array) -> Array:
-        return np.asarray(np.polynomial.polynomial.polyval(x / 8.0, coefficients))
-
-    nodes, where = course(np.arange(16.0)), np.array([place])
-    found = lagrange(nodes.tolist(), 1, -4.0, 0.5, -4.0 + 0.5 * where, 8)
-    assert found[:, 0] == pytest.approx(course(where), abs=1e-10)
-
-
-@pytest.mark.parametrize(("place", "degree"), [(0.3, 1), (1.3, 3), (2.3, 5), (14.7, 1), (13.7, 3), (12.7, 5)])
-def test_near_the_ends_fewer_nodes_do(place: float, degree: int) -> None:
-    for power, close in ((degree, True), (degree + 1, False)):
-        found = lagrange((np.arange(16.0) ** power).tolist(), 1, 0.0, 1.0, np.array([place]), 8)
-        assert np.isclose(found[0, 0], place**power, rtol=1e-12, atol=0.0) == close
 
 
 # --- the round trip
@@ -282,16 +263,16 @@ def focal_length_in_metres(isd: dict[str, Any], state: dict[str, Any]) -> None:
     focal_length_in_metres,
 ])  # fmt: skip
 def test_faults_are_seen(
-    export: Written, tmp_path: Path, fault: Callable[[dict[str, Any], dict[str, Any]], None]
+    tables: Written, tmp_path: Path, fault: Callable[[dict[str, Any], dict[str, Any]], None]
 ) -> None:
-    for isd_path in support_data_in(export.folder):
+    for isd_path in support_data_in(tables.folder):
         state_path = isd_path.with_suffix(".adjusted_state.json")
         isd, state = json.loads(isd_path.read_text()), json.loads(state_path.read_text().split("\n", 1)[1])
         fault(isd, state)
         (tmp_path / isd_path.name).write_text(json.dumps(isd))
         (tmp_path / state_path.name).write_text(json.dumps(state))
-    assert isd_differences(tmp_path, export.wanted).max() > 0.3
-    assert state_differences(tmp_path, export.wanted).max() > 0.3
+    assert isd_differences(tmp_path, tables.wanted).max() > 0.3
+    assert state_differences(tmp_path, tables.wanted).max() > 0.3
 
 
 # --- what is in the files
@@ -528,14 +509,6 @@ def test_support_data_of_another_image_are_refused(tables: Written, tmp_path: Pa
     path.write_text(json_text(support_data(image) | {"image_lines": image.lines + 1}))
     with pytest.raises(InputError, match="those of image"):
         write_csm(tables.solution, tmp_path, {image.name: path})
-
-
-def test_a_folder_that_takes_no_files_is_named_and_earlier_ones_stay(tables: Written, tmp_path: Path) -> None:
-    blocked = tmp_path / "file"
-    blocked.write_text("kept")
-    with pytest.raises(InputError, match="can't be written"):
-        write_csm(tables.solution, blocked)
-    assert blocked.read_text() == "kept"
 
 
 def test_reference_heights_are_those_of_the_points(tmp_path: Path) -> None:

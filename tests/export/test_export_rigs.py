@@ -62,16 +62,24 @@ def segments(folder: Path) -> dict[int, list[tuple[float, float]]]:
 
 
 @cache
-def adjusted_with(kind: SharedKind) -> Solution:
-    """The rig's solution with such an unknown of R alone, about nothing."""
-    one = SharedUnknown("of R", kind, np.array([1]), 1e-3 * np.abs(VALUES[kind]))
-    solution = adjust_network(replace(rig(), shared=(one,)), SolverSettings())
-    return replace(solution, shared=(np.zeros(kind.width),))
+def adjusted_with(kinds: tuple[SharedKind, ...]) -> Solution:
+    """The rig's solution with such unknowns of R alone, about nothing."""
+    shared = tuple(
+        SharedUnknown(f"{kind.name} of R", kind, np.array([1]), 1e-3 * np.abs(VALUES[kind])) for kind in kinds
+    )
+    solution = adjust_network(replace(rig(), shared=shared), SolverSettings())
+    return replace(solution, shared=tuple(np.zeros(kind.width) for kind in kinds))
+
+
+def beside(kind: SharedKind) -> tuple[SharedKind, ...]:
+    """The unknown and those that are adjusted with it, once for all."""
+    return NO_STATE if kind in NO_STATE else tuple(one for one in VALUES if one not in NO_STATE)
 
 
 def with_unknown(kind: SharedKind) -> Solution:
-    """The same with a value of the unknown."""
-    return replace(adjusted_with(kind), shared=(np.array(VALUES[kind]),))
+    """The same with a value of one unknown."""
+    values = tuple(np.array(VALUES[one]) if one is kind else np.zeros(one.width) for one in beside(kind))
+    return replace(adjusted_with(beside(kind)), shared=values)
 
 
 def by_hand(image: PushbroomImage, kind: SharedKind) -> PushbroomImage:
@@ -113,7 +121,7 @@ def by_hand(image: PushbroomImage, kind: SharedKind) -> PushbroomImage:
 
 @pytest.mark.parametrize("kind", VALUES)
 def test_what_moves_poses_is_in_all_exports(kind: SharedKind, tmp_path: Path) -> None:
-    solution, plain = with_unknown(kind), adjusted_with(kind)
+    solution, plain = with_unknown(kind), adjusted_with(beside(kind))
     images = [*plain.network.images]
     images[1] = by_hand(images[1], kind)
     wanted = reprojection(replace(plain, network=replace(plain.network, images=tuple(images))))

@@ -26,8 +26,6 @@ from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, RadialDistor
 from mgsgraph.geometry.image import LineTiming, PushbroomImage, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
 from mgsgraph.simulation.case_files import image_file
-from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 AIM = 0.01
@@ -55,13 +53,8 @@ BODY499_PM = ( 30 100 0 )
 
 
 @pytest.fixture(scope="module")
-def pair_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_pair(simulate_pair(PairSettings(ties=20, shots=8)), tmp_path_factory.mktemp("pair")).parent
-
-
-@pytest.fixture(scope="module")
-def solution(pair_folder: Path) -> Solution:
-    return adjust(read_case(pair_folder / "case.toml"))
+def solution(pair_solution: Solution) -> Solution:
+    return pair_solution
 
 
 def with_images(solution: Solution, change: Callable[[PushbroomImage], PushbroomImage]) -> Solution:
@@ -113,7 +106,7 @@ BENT = [
     optics.KaguyaDistortion((-9.6e-7, 9.8e-4, 8.6e-3, -3.7), (-1.4e-6, 1.4e-5, 2.7e-3, -6.2)),
     optics.KaguyaMiDistortion((-9.6e-7, 9.8e-4, 8.6e-3, -3.7), (-1.4e-6, 1.4e-5, 2.7e-3, 0.0)),
     optics.MocWideAngleDistortion((0.9993258, 0.4655529, -0.1548756, 1.827967, -3.057435, 2.226331), 1.0005, 0.2),
-    optics.ThemisIrDistortion(1.001, 1e-3, 0.2), optics.ThemisIrDistortion(1.001, 1e-3, 0.0),
+    optics.ThemisIrDistortion(1.001, 1e-3, 0.2),
 ]  # fmt: skip
 
 
@@ -320,7 +313,7 @@ def test_a_fault_of_the_clock_is_seen(solution: Solution, tmp_path: Path) -> Non
     assert spice_differences(tmp_path, reprojection(solution)).max() > AIM
 
 
-@pytest.mark.parametrize(("key", "shift"), [("DETECTOR_FIRST", 0.5), ("FOCAL_LENGTH", 1.0), ("LINE_TIMES", 0.5)])
+@pytest.mark.parametrize(("key", "shift"), [("DETECTOR_FIRST", 0.5), ("FOCAL_LENGTH", 1.0),])
 def test_a_fault_of_the_camera_is_seen(solution: Solution, tmp_path: Path, key: str, shift: float) -> None:
     assert round_trip(solution, tmp_path) < TOLERANCE
     start = f"INS-900001000_{key} = ( "

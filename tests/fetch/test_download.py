@@ -315,14 +315,6 @@ def test_redirects_without_end(archive: Flaky, tmp_path: Path) -> None:
     assert len(archive.asked) < 15
 
 
-@pytest.mark.parametrize("to", ["ftp://example.org/x", "file:///etc/passwd", "http:///nothing"])
-def test_a_redirect_out_of_the_web(archive: Flaky, tmp_path: Path, to: str) -> None:
-    archive.stays[NAME] = redirect(to)
-    with pytest.raises(InputError, match=r"big\.img"):
-        bring(archive, tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_port_where_nobody_listens(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, and never listened on
@@ -376,13 +368,6 @@ def test_a_disk_that_will_be_full(archive: Flaky, tmp_path: Path, monkeypatch: p
     said(error)
     assert archive.sent[NAME] <= len(CONTENT)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_may_not_be_written(archive: Flaky, tmp_path: Path) -> None:
-    (tmp_path / "taken").write_bytes(b"a file where a folder should be")
-    with pytest.raises(InputError, match="can't be written") as error:
-        bring(archive, tmp_path / "taken")
-    said(error)
 
 
 def test_heads_and_listings(archive: Flaky) -> None:
@@ -470,8 +455,7 @@ def test_a_redirect_s_own_content_is_not_read(archive: Flaky, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "to", ["http://[::1", "http://[", "//", "https://a:b:c/", "gopher://x/", "http://name:word@127.0.0.1/x",
-           "javascript:1", "http://" + 70 * "a" + ".example/", "\u0663", "http://\x7f/"]
+    "to", ["http://[::1", "//", "file:///etc/passwd", "http://name:word@127.0.0.1/x", "http://\x7f/"]
 )  # fmt: skip
 def test_a_redirect_to_what_is_no_address(archive: Flaky, tmp_path: Path, to: str) -> None:
     archive.stays[NAME] = redirect(to)

@@ -125,9 +125,8 @@ def test_profiles_of_no_such_day(archive: Flaky, tmp_path: Path, listed: bool) -
     assert any("has no file of its day" in note for note in fetched.notes)
 
 
-@pytest.mark.parametrize("code", [403, 404])
-def test_archives_without_listings(archive: Flaky, tmp_path: Path, code: int) -> None:
-    archive.stays["images/"] = archive.stays["pedr/ap12xxx/"] = status(code)
+def test_archives_without_listings(archive: Flaky, tmp_path: Path) -> None:
+    archive.stays["images/"], archive.stays["pedr/ap12xxx/"] = status(403), status(404)
     with pytest.raises(InputError, match=r"no volume there.*--volume"):
         fetch(archive, tmp_path / "d", terrain="none")
     fetched = fetch(archive, tmp_path / "d", terrain="none", volumes=("MGSC_1030",))
@@ -278,7 +277,7 @@ def test_an_entry_of_an_image_that_is_none(archive: Flaky, tmp_path: Path, chang
         Lock.read(tmp_path)
 
 
-@pytest.mark.parametrize("value", ["++1", "1e999", "-", "0", "13.0", "1e400", " " * 100_000])
+@pytest.mark.parametrize("value", ["++1", "1e999", "0", "13.0", " " * 100_000])
 def test_an_instrument_kernel_with_a_pixel_that_is_none(tmp_path: Path, value: str) -> None:
     (tmp_path / "kernels").mkdir()
     kernel = tmp_path / "kernels" / "mgs_moc_v20.ti"

@@ -11,6 +11,7 @@ import click
 import numpy as np
 import profiles
 import pytest
+from commands import call
 from msgspec import structs
 from projects import digest
 from pyarrow.csv import read_csv
@@ -18,7 +19,6 @@ from pyarrow.parquet import read_table
 
 import mgsgraph
 from mgsgraph.atomic_write import beside
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import read_network
 from mgsgraph.files.networks.pvl import write_pvl_network
@@ -26,11 +26,6 @@ from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.project.project import open_project
 from mgsgraph.results import tables as large_tables
 from mgsgraph.results.archive import read_solution
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 @pytest.fixture

@@ -260,8 +260,8 @@ class Editor:
         return f"undo {name}"
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, 2**31), st.lists(st.sampled_from(["keeping", "alone", "failing"]), min_size=3, max_size=9))
+@settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**31), st.lists(st.sampled_from(["keeping", "alone", "failing"]), min_size=3, max_size=7))
 def test_edits_end_at_batch_of_the_edited_network(
     solved: Path, tmp_path_factory: pytest.TempPathFactory, seed: int, ways: list[str]
 ) -> None:
@@ -293,7 +293,7 @@ def test_edits_end_at_batch_of_the_edited_network(
                 assert {m.image: (m.line, m.sample, m.sigma_line) for m in measures} == mine
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.integers(0, 2**31))
 def test_undo_gives_back_the_same_numbers(
     solved: Path, tmp_path_factory: pytest.TempPathFactory, seed: int

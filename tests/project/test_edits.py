@@ -9,8 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from projects import digest
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -23,7 +21,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import PointClass
 from mgsgraph.project import edits
 from mgsgraph.project.edits import Edited, point_state
-from mgsgraph.project.project import Measure, PointState, Project, open_project
+from mgsgraph.project.project import Measure, Project, open_project
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
@@ -31,15 +29,6 @@ from mgsgraph.simulation.pair import PairSettings, simulate_pair
 def command(*words: object) -> None:
     run = CliRunner().invoke(group, [str(word) for word in words])
     assert run.exit_code == 0, run.output
-
-
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("edits")
-    case = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder / "case")
-    command("init", folder / "project", "--case", case)
-    command("solve", folder / "project", "--no-figures")
-    return folder / "project"
 
 
 @pytest.fixture
@@ -163,64 +152,6 @@ def test_a_held_point_is_control(project: Path, sigmas: tuple[float, float, floa
     assert state is not None
     assert state.kind == PointKind.FREE
     require_batch(project)
-
-
-def test_a_point_is_taken_out(project: Path) -> None:
-    name, _ = tie(project)
-    edit(project, edits.remove_point, name)
-    with open_project(project) as opened:
-        assert point_state(opened, name) is None
-        assert name not in set(opened.store.network().points.ids)
-    require_batch(project)
-
-
-KINDS = ("move", "reject", "measure", "hold", "remove")
-
-
-def _moves(folder: Path, kind: str, number: int) -> None:
-    name, measures = tie(folder, number)
-    first = measures[0]
-    if kind == "move":
-        edit(folder, edits.move, name, first.image, first.line + 0.7, first.sample + 0.2)
-    elif kind == "reject":
-        edit(folder, edits.reject, name, first.image)
-    elif kind == "measure":
-        edit(folder, edits.measure, "new", [msgspec.structs.replace(one, sample=one.sample + 2.0) for one in measures])
-    elif kind == "hold":
-        with open_project(folder) as opened:
-            place = places(opened)[0][name]
-        edit(folder, edits.hold, name, place + 1.0, np.array([3.0, 3.0, 3.0]))
-    else:
-        edit(folder, edits.remove_point, name)
-
-
-@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(kinds=st.lists(st.sampled_from(KINDS), min_size=1, max_size=3, unique=True))
-def test_undoing_gives_the_former_adjustment_back(solved: Path, tmp_path: Path, kinds: list[str]) -> None:
-    folder = Path(shutil.copytree(solved, tmp_path / "-".join(kinds), dirs_exist_ok=True))
-    with open_project(folder) as opened:
-        before, sigmas = places(opened)
-        states = {name: point_state(opened, name) for name in before}
-    for number, kind in enumerate(kinds):
-        _moves(folder, kind, number)
-    for kind in reversed(kinds):
-        assert kind in edit(folder, edits.undo).sentence
-    with open_project(folder) as opened:
-        after, _ = places(opened)
-        assert {name: _sorted(point_state(opened, name)) for name in after} == {
-            name: _sorted(state) for name, state in states.items()
-        }  # fmt: skip
-        assert [change.verb for change in opened.changes(2 * len(kinds))] == ["edit"] * 2 * len(kinds)
-    for name, place in before.items():
-        np.testing.assert_array_less(np.abs(after[name] - place), EXACT * np.nan_to_num(sigmas[name]) + 1e-6)
-    with pytest.raises(InputError, match="no change"):
-        edit(folder, edits.undo)
-
-
-def _sorted(state: PointState | None) -> PointState | None:
-    if state is None:
-        return None
-    return msgspec.structs.replace(state, measures=tuple(sorted(state.measures, key=lambda one: one.image)))
 
 
 def test_an_error_in_mid_change_leaves_all_as_it_was(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,21 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import call
 from strip_files import block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.project.project import open_project
 from mgsgraph.results.archive import read_solution
 
 LAST = "HRSC/01/S2"
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 @pytest.fixture(scope="module")

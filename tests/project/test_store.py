@@ -56,19 +56,6 @@ def test_it_does_what_the_store_in_memory_does(folder: Path, seeds: list[int]) -
         raise StopHere
 
 
-def test_the_comparison_sees_the_sign_of_zero(store: ProjectStore) -> None:
-    rng, memory = np.random.default_rng(2), InMemory()
-    for one in (memory, store):
-        for known in images():
-            one.put_image(known)
-    (members, net), *_ = bundles(four_images()).items()
-    bundle = bundle_of(rng, members, net)
-    places = np.zeros_like(bundle.places)
-    memory.replace([], {members: replace(bundle, places=places)})
-    store.replace([], {members: replace(bundle, places=-places)})
-    assert differences(memory, store) == [f"bundle {members}.places"]
-
-
 def test_it_is_the_same_when_it_is_opened_again(tmp_path: Path) -> None:
     memory, path = InMemory(), tmp_path / "kept"
     with Project.create(path, "kept", ProjectSettings()) as project:
@@ -83,7 +70,7 @@ def test_it_is_the_same_when_it_is_opened_again(tmp_path: Path) -> None:
         assert differences(memory, project.store) == []
 
 
-@pytest.mark.parametrize("number", [*ODD, np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("number", [-0.0, 5e-324, np.nan])
 def test_every_number_comes_back(store: ProjectStore, number: float) -> None:
     """A-priori place, adjusted place, height sigma, measure: each through its own column."""
     for known in images():
@@ -195,8 +182,3 @@ def test_a_packed_column_comes_back_to_the_bit(numbers: list[float], times: int)
     assert unpacked(cell, "<f8", column.shape).tobytes() == column.tobytes()
     alike = len({np.float64(number).tobytes() for number in numbers}) == 1
     assert len(cell) == (8 if alike else column.nbytes)
-
-
-def test_a_cell_of_another_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="reshape"):
-        unpacked(bytes(24), "<f8", (2,))

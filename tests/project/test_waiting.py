@@ -7,28 +7,20 @@ from pathlib import Path
 
 import matched
 import pytest
+from commands import call
 
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.project.changes import take_ties
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import results_of
+from mgsgraph.results import matching
 from mgsgraph.results.archive import read_solution
-
-
-def call(*arguments: str | Path) -> int:
-    """A command in this process; its exit status."""
-    return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The case of the small pair, whose own ties are gone."""
-    case = matched.write(tmp_path_factory.mktemp("site"))
-    head, _, rest = case.read_text(encoding="utf-8").partition("[ties]")
-    case.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
-    (case.parent / "network.pvl").unlink()
-    return case
+    return matched.write_without_ties(tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +33,11 @@ def project(case: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def ready(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With the tie points that `match` has found."""
+    """With the tie points that `match` has found; they are known already."""
     waiting, said = copied(project, tmp_path_factory.mktemp("matched")), io.StringIO()
-    with contextlib.redirect_stdout(said):
-        assert call("match", waiting, "--cells", 40, "--no-figures") == 0
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.setattr(matching, "match_scene", lambda *_, **__: matched.matches())
+        assert call("match", waiting, "--no-figures") == 0
     assert f"Next: mgsgraph solve {waiting}" in said.getvalue()
     return waiting
 

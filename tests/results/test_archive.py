@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.case.reading import Case, adjust, read_case
+from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import CahvorDistortion, KaguyaDistortion, LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import fit_polynomials
@@ -29,21 +28,16 @@ from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.network import ImageRays
 from mgsgraph.results.archive import FORMAT, pack, read_solution, unpack, unpack_parts, write_archive
-from mgsgraph.results.results import solution_json
-from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
-
-LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 
 
 @pytest.fixture(scope="module")
-def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    return read_case(write_pair(simulate_pair(PairSettings(ties=20, shots=8)), tmp_path_factory.mktemp("pair")))
+def case(pair_case: Case) -> Case:
+    return pair_case
 
 
 @pytest.fixture(scope="module")
-def solution(case: Case) -> Solution:
-    return adjust(case)
+def solution(pair_solution: Solution) -> Solution:
+    return pair_solution
 
 
 @pytest.fixture(scope="module")
@@ -106,10 +100,6 @@ def test_the_comparison_sees_one_bit(solution: Solution) -> None:
     assert differences(solution, replace(solution, cost_final=1)) == ["solution.cost_final"]
 
 
-def test_products_of_the_copy_are_the_same(solution: Solution, archive: Path) -> None:
-    assert solution_json(read_solution(archive)) == solution_json(solution)
-
-
 def test_every_kind_of_solution_comes_back(case: Case, tmp_path: Path) -> None:
     """Held, robust, with blunder passes, without some priors, with lost points and odd names."""
     network, prior = case.network, case.network.priors[0].sigmas.copy()
@@ -120,14 +110,14 @@ def test_every_kind_of_solution_comes_back(case: Case, tmp_path: Path) -> None:
     odd = replace(network.points, ids=("né, \"1\"", "trailing ", "", *network.points.ids[3:]))
     chosen = case.settings
     for name, net, how in (
-        ("held", replace(network, held=np.array([True, False])), chosen),
+        ("held and robust", replace(network, held=np.array([True, False])),
+         replace(chosen, loss="cauchy", loss_width=2, reject=4.0, angles="opk-paper", line="measured")),
         ("all held", replace(network, held=np.array([True, True])), chosen),
-        ("robust", network, replace(chosen, loss="cauchy", loss_width=2, reject=4.0)),
-        ("angles", network, replace(chosen, angles="opk-paper", line="measured")),
-        ("free", replace(network, priors=(OrientationPrior(prior), network.priors[1])), chosen),
-        ("lossy", replace(network, rays=lossy, points=odd), chosen),
+        ("free and lossy", replace(network, rays=lossy, points=odd,
+                                   priors=(OrientationPrior(prior), network.priors[1])), chosen),
         ("impatient", network, replace(chosen, max_iterations=1)),
         ("shifted", with_shift_and_surface(network), chosen),
+        ("polynomials", replace(network, images=(fit_polynomials(network.images[0], 3), network.images[1])), chosen),
     ):
         solved = adjust_network(net, how, name)
         assert differences(solved, there_and_back(solved, tmp_path)) == [], name
@@ -157,11 +147,6 @@ def test_fields_with_defaults_may_be_missing(solution: Solution, archive: Path, 
     """What is added to a record later has a default, so that older archives stay readable."""
     path = in_record(archive, tmp_path / "x.npz", lambda record: record["settings"].pop("step_tolerance"))
     assert differences(solution, read_solution(path)) == []
-
-
-def test_real_solution_comes_back(shared_data: Path, tmp_path: Path) -> None:
-    solved = adjust(read_case(LRO))
-    assert differences(solved, there_and_back(solved, tmp_path)) == []
 
 
 def test_gaps_between_tracks_come_back() -> None:
@@ -234,7 +219,7 @@ def test_no_archive_at_all(tmp_path: Path) -> None:
     assert_refused(tmp_path / "absent.npz", "no such file")
 
 
-@pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04", b"\x93NUMPY\x01\x00", bytes(1000)])
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x93NUMPY\x01\x00"])
 def test_foreign_files(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.npz").write_bytes(content)
     assert_refused(tmp_path / "x.npz", "is not an archive of mgsgraph|no NumPy array|packed ones")
@@ -290,8 +275,7 @@ def test_checksums_are_looked_at_first(archive: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("version", "remedy"),
     [
-        (0, "adjust the case again"), (1, "adjust the case again"), (FORMAT + 1, "or a newer one"),
-        (99, "or a newer one"),
+        (1, "adjust the case again"), (FORMAT + 1, "or a newer one"),
     ],
 )
 def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int, remedy: str) -> None:
@@ -407,7 +391,7 @@ def test_truncated_archives(archive: Path, tmp_path: Path, share: float) -> None
     assert_refused(tmp_path / "x.npz", "is not an archive of mgsgraph, or a damaged one")
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.floats(0.0, 0.999999), st.integers(1, 255), st.booleans())
 def test_damaged_archives(
     solution: Solution, archive: Path, tmp_path: Path, share: float, flip: int, near_end: bool
@@ -423,25 +407,6 @@ def test_damaged_archives(
         assert "\n" not in str(error)  # noqa: PT017
     else:
         assert differences(solution, back) == []
-
-
-def test_writing_needs_no_file_name_that_ends_in_npz(solution: Solution, tmp_path: Path) -> None:
-    write_archive(solution, tmp_path / "result.bin")
-    assert differences(solution, read_solution(tmp_path / "result.bin")) == []
-    assert zipfile.is_zipfile(io.BytesIO((tmp_path / "result.bin").read_bytes()))
-
-
-def test_a_solution_with_polynomials_is_archived(tmp_path: Path) -> None:
-    net = network(pair())
-    images = (fit_polynomials(net.images[0], 3), net.images[1])
-    solution = adjust_network(replace(net, images=images), SolverSettings())
-    write_archive(solution, tmp_path / "solution.npz")
-    got, want = read_solution(tmp_path).network.images, solution.network.images
-    assert [type(image.trajectory) for image in got] == [type(image.trajectory) for image in want]
-    lines = np.array([0.0, 1000.5])
-    for one, other in zip(got, want, strict=True):
-        np.testing.assert_array_equal(one.pose(lines).matrix, other.pose(lines).matrix)
-        np.testing.assert_array_equal(one.pose(lines).position, other.pose(lines).position)
 
 
 def test_parts_of_a_record_are_those_of_the_whole_and_read_alone() -> None:

@@ -21,7 +21,6 @@ from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.results.comparison import compare, input_section, settings_section
 from mgsgraph.results.figures.map import comparison_sheet
-from mgsgraph.results.figures.sheet import encoded
 from mgsgraph.results.results import write_results
 
 LABELS = ("A", "B")
@@ -108,7 +107,6 @@ def test_a_square_block_has_arrows(solution: Solution) -> None:
     object.__setattr__(points, "moved", np.tile([3.0, 4.0, 1.0], (n, 1)))
     sheet = comparison_sheet(points, LABELS)
     assert sheet is not None
-    encoded(sheet, "png")
     (arrows,) = [one for one in sheet.figure.axes[0].collections if isinstance(one, Quiver)]
     np.testing.assert_allclose(np.asarray(arrows.V) / np.asarray(arrows.U), 4.0 / 3.0)
 
@@ -128,6 +126,7 @@ def test_files_hold_every_common_point(solution: Solution, tmp_path: Path) -> No
     assert record["sigmas_compared"][0]["class"] == "tie"
 
 
+@pytest.mark.usefixtures("light_figures")
 def test_the_command(solution: Solution, tmp_path: Path) -> None:
     write_results(solution, tmp_path / "a", figures=False)
     write_results(replace(solution, places=solution.places + 1.0), tmp_path / "b", figures=False)

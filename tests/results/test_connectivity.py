@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import mgsgraph
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.case.reading import Case
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network.connectivity import (
@@ -22,20 +22,13 @@ from mgsgraph.results.figures.connectivity import connectivity_sheet
 from mgsgraph.results.figures.sheet import save
 from mgsgraph.results.inventory import inventory
 from mgsgraph.results.tables import connectivity_table
-from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.orbit import MARS
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
 
 
 @pytest.fixture(scope="module")
-def case_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_pair(simulate_pair(PairSettings(ties=20, shots=8)), tmp_path_factory.mktemp("pair"))
-
-
-@pytest.fixture(scope="module")
-def solution(case_file: Path) -> Solution:
-    return mgsgraph.adjust(mgsgraph.read_case(case_file))
+def solution(pair_solution: Solution) -> Solution:
+    return pair_solution
 
 
 def box(name: str, west: float) -> Footprint:
@@ -104,8 +97,8 @@ def test_rejected_points_do_not_hold_the_block(solution: Solution) -> None:
     assert "SIM/A and SIM/B by " in said
 
 
-def test_check_tells_of_it(case_file: Path) -> None:
-    text = inventory(mgsgraph.read_case(case_file))
+def test_check_tells_of_it(pair_case: Case) -> None:
+    text = inventory(pair_case)
     connections = text.split("Connections")[1].split("Weak spots")[0]
     assert "have 28 points in common and overlap by" in connections
     assert re.search(r"SIM/A +SIM/B +28 ", connections)

@@ -62,7 +62,7 @@ def mixed() -> Solution:
 # --- the course
 
 
-@pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
+@pytest.mark.parametrize("angles", ["opk-paper", "opk-peer"])
 def test_the_course_is_what_each_image_has(angles: Angles) -> None:
     """Lengths of corrections, and sums of variances, are those of the images' own profiles, whatever the axes."""
     solved = adjust_network(respaced(), SolverSettings(angles=angles), "block")
@@ -169,13 +169,6 @@ def test_json(solution: Solution, mixed: Solution) -> None:
     assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(solution.trends[0][3])
 
 
-def test_without_strips_nothing_is_said(tmp_path: Path) -> None:
-    solved = adjust_network(network(pair()), SolverSettings(), "pair")
-    assert not any("trip" in line for line in statements(solved))
-    assert "Strips" not in summary_table(solved)
-    assert solution_json(solved)["passes"] == []
-
-
 # --- check
 
 
@@ -268,13 +261,6 @@ def edited(solved: Solution, path: Path, drop: tuple[str, ...] = (), **arrays: n
     parts |= {name.replace("__", "."): array for name, array in arrays.items()}
     np.savez(path, **parts)
     return path
-
-
-def test_archives_of_before_strips_are_read(tmp_path: Path) -> None:
-    solved = adjust_network(network(pair()), SolverSettings(), "pair")
-    back = read_solution(edited(solved, tmp_path / "old.npz", ("nodes", "trends", "network.passes")))
-    assert back.nodes == back.trends == back.network.passes == ()
-    assert solution_json(back) == solution_json(solved)
 
 
 @pytest.mark.parametrize(

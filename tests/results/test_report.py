@@ -358,8 +358,7 @@ def test_what_is_wider_than_the_screen_says_so(browser: Any, page: Path, width: 
     assert any(wider for wider, _ in found) or not some
 
 
-@pytest.mark.parametrize("width", [380, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(380, "dark"), (1280, "light")])
 def test_it_fits_and_can_be_read(browser: Any, page: Path, width: int, scheme: str) -> None:
     """No sideways scrolling of the page, and a contrast of text of 4.5 at least (WCAG 2.2, 1.4.3)."""
     seen = Opened(browser, page, viewport={"width": width, "height": 800}, color_scheme=scheme)

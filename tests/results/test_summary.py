@@ -1,11 +1,13 @@
 """A solution in words: each finding is said when it is there, and only then."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
@@ -13,9 +15,12 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import worst_first
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.folders import PLAN
+from mgsgraph.files.output.table import Column, Table
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges
 from mgsgraph.results.results import solution_json, statements, summary_table
-from mgsgraph.results.soundness import weight_unit
+from mgsgraph.results.section import Section, write_sections
+from mgsgraph.results.soundness import reading_statements, weight_unit
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 
@@ -229,3 +234,45 @@ def test_real_case_in_words(lro: Solution) -> None:
     assert said(lro, "Without the laser rows (52 points, 104 rays, 52 ranges)", "55.4, 206, 357 m", "24 times larger")
     assert said(lro, "sigma0 is 0.151 with 571 degrees of freedom", "6.6 times better")
     assert max(map(len, summary_table(lro).splitlines())) <= 110
+
+
+# --- what readers put right or decided is said once, with the images that it is of
+
+
+def test_each_remark_is_said_once_with_its_images() -> None:
+    net = network(pair())
+    assert reading_statements(net.images) == []
+    first, second, *others = net.images
+    images = (replace(first, remarks=("one", "two")), replace(second, remarks=("two",)), *others)
+
+    one, two = reading_statements(images)
+    assert one.endswith(f"{first.name}: one.")
+    assert two.endswith(f"{first.name}, {second.name}: two.")
+
+
+# --- a finding on the terminal and in files
+
+
+TABLE = Table("plan", "Some rows", (
+    Column("name", [f"row {k}" for k in range(5)], text="<6"),
+    Column("length", np.arange(5.0), "m", text=">7.1f"),
+    Column("hidden", np.arange(5.0), "m", json="another_m"),
+))  # fmt: skip
+FOUND = Section("found", "Five rows", ["They are there."], [TABLE], {"rows": TABLE.records()}, [TABLE])
+
+
+def test_text_has_sentences_and_as_many_rows_as_wanted() -> None:
+    assert FOUND.text(2).splitlines() == [
+        "Five rows", "- They are there.", "", "Some rows", "name      length", "               m", "  row 0      0.0",
+        "  row 1      1.0", "  and 3 more rows: see plan.csv",
+    ]  # fmt: skip
+    assert len(FOUND.text(None).splitlines()) == 11
+    for nothing in (TABLE.take(np.zeros(0, dtype=np.int64)), TABLE.pick("hidden")):
+        assert replace(FOUND, tables=[nothing]).text() == "Five rows\n- They are there."
+
+
+def test_files_hold_the_record_and_all_rows(tmp_path: Path) -> None:
+    assert write_sections([FOUND], FOUND.numbers, tmp_path / "out", PLAN, figures=False) == [PLAN, "plan.csv"]
+    record = json.loads((tmp_path / "out" / PLAN).read_text(encoding="utf-8"))
+    assert record["rows"][4] == {"name": "row 4", "length_m": 4.0, "another_m": 4.0}
+    assert (tmp_path / "out" / "plan.csv").read_text(encoding="utf-8").splitlines()[0] == "name,length_m,hidden_m"

@@ -107,9 +107,3 @@ def test_terrain_model_is_as_wrong_as_its_sigmas_say() -> None:
     above, _ = surface.grid.height_above(moved)
     assert 5.0 < above.std() < 11.0  # posts of 10 m, averaged by the surface between them
     assert abs(above.mean()) < 2.0
-
-
-def test_seeds_draw_and_repeat() -> None:
-    again = simulate_ctx_pair(CtxSettings(ties=600), 3)
-    np.testing.assert_array_equal(again.network.rays.places, pair().network.rays.places)
-    assert not np.allclose(pair(seed=4).truth[0].phasors, pair().truth[0].phasors)

@@ -32,8 +32,7 @@ def picture(image: PushbroomImage, site: SiteTerrain, sun: np.ndarray, seed: int
     return render(image, site, TURNED, sun, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("name", ["eos", "isidis"])
-@pytest.mark.parametrize("image", PAIR.images, ids=["nadir", "off-nadir"])
+@pytest.mark.parametrize(("name", "image"), [*zip(("eos", "isidis"), PAIR.images, strict=True)])
 def test_pixels_show_the_ground_they_look_at(name: str, image: PushbroomImage) -> None:
     """Each pixel's ray, met exactly with the ground, its normal and the soil there, against the picture."""
     site, sun = make_terrain(name, 1), sun_over(image, 0.9, 0.3)

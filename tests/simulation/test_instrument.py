@@ -45,12 +45,6 @@ def test_a_footprint_is_believed_where_the_straight_beam_ends() -> None:
     np.testing.assert_allclose(off, 1e-3 * far, rtol=1e-4)
 
 
-def test_no_errors_change_nothing() -> None:
-    one, other = pair(), simulate_pair(pair().settings, 1, InstrumentErrors())
-    np.testing.assert_array_equal(one.ties.measures, other.ties.measures)
-    np.testing.assert_array_equal(one.laser.footprints, other.laser.footprints)
-
-
 def test_the_images_stay_nominal() -> None:
     made = simulate_pair(pair().settings, 1, InstrumentErrors(attitude_time=0.2, range_bias=9.0))
     lines = np.array([10.0, 900.0])

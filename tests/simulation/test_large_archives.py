@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet
 import pytest
+from redraw import assert_unit_variance
 
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
@@ -16,13 +17,6 @@ from mgsgraph.simulation import archive_files
 from mgsgraph.simulation.archive import ARCHIVE_KINDS, Archive, archive_settings, lay_out
 from mgsgraph.simulation.archive_files import image_path, write_archive
 from mgsgraph.simulation.observations import well_inside
-
-
-def assert_unit_variance(normalised: np.ndarray) -> None:
-    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
-    n = normalised.size
-    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
-    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
 
 
 @pytest.fixture(scope="module", params=ARCHIVE_KINDS)
@@ -147,12 +141,6 @@ def test_subfolders_stay_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert len(case.network.images) == 8
 
 
-def test_progress_counts_images(tmp_path: Path) -> None:
-    seen = list[tuple[str, int, int]]()
-    write_archive(lay_out(archive_settings("block", 4, 50)), tmp_path, lambda *one: seen.append(one))
-    assert seen == [("images", 0, 4), ("ties of images", 4, 4)]
-
-
 def test_the_globe_is_covered_evenly_by_as_many_images_as_it_takes() -> None:
     """Archimedes: on a sphere heights above the equator's plane are uniform. Quarters of it have equal numbers."""
     archive = lay_out(archive_settings("ctx"))
@@ -189,8 +177,3 @@ def test_clusters_have_no_image_alone() -> None:
 def test_settings_that_cannot_be(kind: str, images: int, ties: int, degree: int, says: str) -> None:
     with pytest.raises(InputError, match=says):
         archive_settings(kind, images, ties, degree)
-
-
-def test_ties_go_with_the_images() -> None:
-    settings = archive_settings("ctx", 700)
-    assert (settings.ties, settings.degree) == (24_000, 0)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import spiceypy
+from redraw import assert_unit_variance
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
@@ -22,7 +23,7 @@ from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.units import DEG, KM
 
 FILES = ("image_A.isd", "image_B.isd", "network.pvl", "lidar.json", "truth.json", "case.toml")
-SEEDS = range(25)
+SEEDS = range(15)
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +39,6 @@ def folder(pair: SimulatedPair, tmp_path_factory: pytest.TempPathFactory) -> Pat
 @pytest.fixture(scope="module")
 def many() -> list[SimulatedPair]:
     return [simulate_pair(PairSettings(ties=20, shots=20), seed) for seed in SEEDS]
-
-
-def assert_unit_variance(normalised: np.ndarray) -> None:
-    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
-    n = normalised.size
-    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
-    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
 
 
 # --- physics
@@ -117,11 +111,6 @@ def test_true_points_lie_on_the_terrain_and_project_back(pair: SimulatedPair) ->
             height = sine_height(points, pair.settings.relief)
             back, _ = image.image_to_ground(places[:, 0], places[:, 1], height, true)
             assert np.abs(back - points).max() < 1e-5  # 2e-6 px
-
-
-def test_points_are_far_from_coplanar(pair: SimulatedPair) -> None:
-    height = sine_height(pair.true_ties, pair.settings.relief)
-    assert 50.0 < np.std(height) < 150.0
 
 
 def test_footprints_lie_under_the_first_camera_at_their_time(pair: SimulatedPair) -> None:
@@ -224,17 +213,6 @@ def test_support_data_read_back_as_the_same_image(pair: SimulatedPair, folder: P
     assert (back.lines, back.samples, back.body) == (image.lines, image.samples, image.body)
     place, _ = back.image_to_ground(lines, samples, 100.0)
     assert np.abs(place - image.image_to_ground(lines, samples, 100.0)[0]).max() < 1e-5
-
-
-def test_support_data_exercise_the_constant_rotations(folder: Path) -> None:
-    for name in ("image_A.isd", "image_B.isd"):
-        data = json.loads((folder / name).read_text())
-        for part in ("body_rotation", "instrument_pointing"):
-            matrix = np.array(data[part]["constant_rotation"]).reshape(3, 3)
-            assert np.abs(matrix - np.eye(3)).max() > 1e-3
-            quaternions = np.array(data[part]["quaternions"])
-            assert np.all(np.sum(quaternions[1:] * quaternions[:-1], axis=1) > 0.0)  # safe to interpolate as numbers
-        assert data["line_scan_rate"] == [[0.5, pytest.approx(-3.615), 1.446e-3]]
 
 
 def test_network_text_counts_pixels_from_one(pair: SimulatedPair, folder: Path) -> None:

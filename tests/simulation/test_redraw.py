@@ -12,18 +12,9 @@ from sites import plain_site
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.reading import read_case
-from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_site
-
-
-def test_the_same_seed_draws_the_same() -> None:
-    net = with_shift_and_surface(network(pair()))
-    one, other = (redraw(net, np.random.default_rng(3)) for _ in range(2))
-    np.testing.assert_array_equal(one.network.rays.places, other.network.rays.places)
-    np.testing.assert_array_equal(one.network.ranges.values, other.network.ranges.values)
-    assert not np.array_equal(one.places, redraw(net, np.random.default_rng(4)).places)
 
 
 def test_without_noise_the_truth_fits_exactly() -> None:
@@ -57,17 +48,6 @@ def test_normalised_errors_average_to_one(extended: str) -> None:
     assert 0.8 < np.mean(shared) < 1.25
     assert 0.41 < np.mean(points) < 1.96
     assert 0.85 < np.mean(cost) < 1.17
-
-
-def test_an_infinite_sigma_cant_be_drawn_from() -> None:
-    from dataclasses import replace
-
-    from mgsgraph.geometry.orientation import OrientationPrior
-
-    net = network(pair())
-    unknown = OrientationPrior(np.full((3, 6), np.inf))
-    with pytest.raises(InputError, match="infinite"):
-        redraw(replace(net, priors=(unknown, unknown)), np.random.default_rng(0))
 
 
 def test_a_sites_rigorous_case_is_honest(tmp_path: Path) -> None:

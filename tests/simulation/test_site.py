@@ -257,18 +257,3 @@ def test_pictures_show_the_same_ground() -> None:
 def test_wrong_requests_are_told(site: str, seed: int, told: str) -> None:
     with pytest.raises(InputError, match=told):
         simulate_site(site, seed)
-
-
-def test_wrong_options_are_told() -> None:
-    with pytest.raises(InputError, match="tie_noise"):
-        SimulationOptions(tie_noise=0.0)
-    with pytest.raises(InputError, match="emission"):
-        SimulationOptions(emission=float("nan"))
-    with pytest.raises(InputError, match="drawn or published"):
-        SimulationOptions(errors="none")  # type: ignore[arg-type]
-
-
-def test_folder_that_is_a_file_is_told(gusev: Written, tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("")
-    with pytest.raises(InputError, match="can't be written"):
-        write_site(gusev.site, tmp_path / "taken")

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from redraw import assert_unit_variance
 
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
@@ -34,14 +35,7 @@ def strip() -> SimulatedStrip:
 
 @pytest.fixture(scope="module")
 def many() -> list[SimulatedStrip]:
-    return [simulate_strip(StripSettings(images=5, ties=25, shots=10), seed) for seed in range(15)]
-
-
-def assert_unit_variance(normalised: np.ndarray) -> None:
-    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
-    n = normalised.size
-    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
-    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
+    return [simulate_strip(StripSettings(images=5, ties=25, shots=10), seed) for seed in range(8)]
 
 
 def of_ties(ties: TiePoints) -> Measures:
@@ -74,7 +68,7 @@ def test_the_track_is_one_orbit_s(strip: SimulatedStrip) -> None:
         assert np.arccos(normal[2] / np.linalg.norm(normal)) == pytest.approx(93.0 * DEG, abs=1e-4)
 
 
-@pytest.mark.parametrize("overlap", [0.1, 0.4, 0.7])
+@pytest.mark.parametrize("overlap", [0.1, 0.7])
 def test_nadir_images_overlap_by_the_stated_share(overlap: float) -> None:
     """Along their length, which the ground of one ends in the next shows: a tenth to seven tenths of the lines."""
     made = simulate_strip(StripSettings(images=5, ties=20, shots=4, overlap=overlap))
@@ -192,18 +186,6 @@ def test_shots_have_the_stated_noise_and_lie_under_their_image(many: list[Simula
     assert_unit_variance(np.concatenate(grounds) / 10.0)
 
 
-def test_settings_reach_the_noise() -> None:
-    settings = {"images": 4, "ties": 20, "shots": 5}
-    whole = simulate_strip(StripSettings(**settings))
-    half = simulate_strip(StripSettings(**settings, noise=NoiseSettings(tie=0.5)))
-    assert np.array_equal(whole.true_ties, half.true_ties)
-    assert np.all(half.ties.measure_sigmas == 0.5)
-    other = simulate_strip(StripSettings(**settings, noise=NoiseSettings(tie=0.25)))
-    assert 2.0 * (half.ties.measures - other.ties.measures) == pytest.approx(
-        whole.ties.measures - half.ties.measures, abs=1e-8
-    )
-
-
 # --- image after image
 
 
@@ -266,7 +248,7 @@ def test_known_shots_come_again_as_they_were_and_without_a_range_that_counts(str
     assert again > 30
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 6])
+@pytest.mark.parametrize("count", [1, 2, 5])
 def test_a_shorter_strip_is_the_beginning_of_a_longer_one(strip: SimulatedStrip, count: int) -> None:
     early = strip.upto(count)
     assert [image.name for image in early.images] == [image.name for image in strip.images[:count]]
@@ -280,24 +262,6 @@ def test_a_shorter_strip_is_the_beginning_of_a_longer_one(strip: SimulatedStrip,
             assert of_laser(one) == of_laser(other)
         for true, same in zip(alone.true_corrections, early.true_corrections, strict=True):
             assert np.array_equal(true.coefficients, same.coefficients)
-
-
-def test_the_same_seed_gives_the_same_strip_another_seed_another(strip: SimulatedStrip) -> None:
-    again, other = (simulate_strip(strip.settings, seed) for seed in (1, 2))
-    assert of_ties(again.ties) == of_ties(strip.ties)
-    assert np.array_equal(again.true_ties, strip.true_ties)
-    assert not np.array_equal(other.true_ties, strip.true_ties)
-    assert not np.array_equal(other.true_corrections[3].coefficients, strip.true_corrections[3].coefficients)
-
-
-def test_a_single_pair() -> None:
-    made = simulate_strip(StripSettings(images=2, ties=30, shots=5))
-    assert [image.name for image in made.images] == ["STRIP/000N", "STRIP/001X"]
-    assert np.bincount(made.ties.measure_point).tolist() == [2] * 30
-    assert len(made.lasers) == 1
-    assert "2 images" in repr(made)
-    assert "STRIP/001X" in repr(made.addition(1))
-    assert len(repr(made.addition(1))) < 300
 
 
 # --- files
@@ -393,9 +357,3 @@ def test_impossible_settings_are_refused_in_one_line(make, says: str) -> None:
     with pytest.raises(InputError, match=says) as caught:
         make()
     assert "\n" not in str(caught.value)
-
-
-def test_folder_that_is_a_file_is_refused(strip: SimulatedStrip, tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("")
-    with pytest.raises(InputError, match="can't be written"):
-        write_strip(strip, tmp_path / "taken", steps=True)

@@ -2,19 +2,13 @@
 
 import numpy as np
 import pytest
+from redraw import assert_unit_variance
 
 from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import NodePrior
 from mgsgraph.network.passes import LinearFactor, normalised
 from mgsgraph.simulation.hrsc_block import TrajectoryErrors
 from mgsgraph.simulation.hrsc_flight import Jitter, correction_at, drawn_nodes, true_correction
-
-
-def assert_unit_variance(normalised: np.ndarray) -> None:
-    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
-    n = normalised.size
-    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
-    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
 
 
 def information(prior: NodePrior, count: int, factors: list[LinearFactor]) -> np.ndarray:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mgsgraph.case.reading import Case, adjust, read_case
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.simulation.demo.truth import nees
 from mgsgraph.simulation.files import write_three_sites
@@ -105,17 +104,3 @@ def test_all_sites_adjust_as_one(simulated: SimulatedThreeSites, case: Case) -> 
     mine = np.array([name in known for name in network.points.ids])
     truth = np.array([known[name] for name in network.points.ids if name in known])
     assert nees(solution.places[mine] - truth, solution.covariances[mine]).mean() / 3.0 < 2.0
-
-
-def test_the_same_seed_gives_the_same_campaign(
-    simulated: SimulatedThreeSites, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of sites that are the same (`test_site.test_same_seed_same_bytes`)."""
-    sites = {site.settings.name: site for site in simulated.sites}
-    options = SimulationOptions(pictures=False)
-    with pytest.raises(InputError, match="seed: -1"):
-        simulate_three_sites(-1, options)
-    monkeypatch.setattr("mgsgraph.simulation.site.simulate_site", lambda name, *_: sites[name])
-    again = simulate_three_sites(1, options)
-    assert np.array_equal(again.ties.measures, simulated.ties.measures)
-    assert np.array_equal(again.true_bridge.coefficients, simulated.true_bridge.coefficients)

@@ -14,19 +14,15 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import whole_correction
-from mgsgraph.simulation.files import write_pair, write_site
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.simulation.files import write_site
 from mgsgraph.studio.linked import Ellipse, GroundModel, LinkedImages, ground_record
 from mgsgraph.studio.marks import laser_profiles, shots_of, ties_of
 from mgsgraph.studio.opened import Block
 
 
 @pytest.fixture(scope="module")
-def solution(tmp_path_factory: pytest.TempPathFactory) -> Solution:
-    folder = tmp_path_factory.mktemp("linked")
-    write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder)
-    case = read_case(folder / "case.toml")
-    return adjust_network(case.network, case.settings, case.name)
+def solution(pair_solution: Solution) -> Solution:
+    return pair_solution
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,8 @@
 """The whole studio in a real browser: a person's work from the first look to a figure, and what has become of it."""
 
 import shutil
+import sys
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,20 +12,26 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from mgsgraph.files.cameras.label import read_line_scan_label
+from mgsgraph.files.labels.isis_cube import read_isis_cube
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.names import Names
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
+from mgsgraph.network.parts import KnownImage, image_columns
+from mgsgraph.project.addition import Addition, NewImage
+from mgsgraph.project.changes import put_in, solve
+from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.settings import ProjectSettings
+
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-from moc_pair_project import moc_pair_project
 from smoothness import rates
 from studio_page import PANELS, Page
 from studio_server import studio
 
 from mgsgraph.cli import group
-from mgsgraph.network.parts import KnownImage
-from mgsgraph.project.addition import Addition, NewImage
-from mgsgraph.project.changes import put_in
 from mgsgraph.project.edits import point_state
-from mgsgraph.project.project import Project, open_project
-from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.results.archive import read_solution
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -35,15 +43,6 @@ def command(*words: object) -> str:
     run = CliRunner().invoke(group, [str(word) for word in words])
     assert run.exit_code == 0, run.output
     return run.output
-
-
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("page")
-    case = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder / "case")
-    command("init", folder / "project", "--case", case)
-    command("solve", folder / "project", "--no-figures")
-    return folder / "project"
 
 
 @pytest.fixture
@@ -60,8 +59,7 @@ def page(browser: Any, solved: Path, tmp_path: Path) -> Iterator[Callable[..., P
             one.close()
 
 
-@pytest.mark.parametrize("width", [380, 1280, 2560])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(380, "dark"), (1280, "light"), (2560, "dark")])
 def test_every_panel_fits(page: Callable[..., Page], width: int, scheme: str) -> None:
     """No panel is wider than the screen, and what it says can be read (contrast of 4.5, WCAG 2)."""
     seen = page(width=width, color_scheme=scheme)
@@ -280,3 +278,75 @@ def _offset(folder: Path, given: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     _, others = LinkedImages(opened.block()).under("E02/01461", *given[0].tolist(), wanted=("M01/00115",))
     (there,) = [one for one in others if opened.block().images[one.image].name == "M01/00115"]
     return np.asarray(given[1] - there.place)
+
+
+# --- a project of the real MOC pair of `shared/data/mgs_moc_pair`: the crop of E02/01461, brought back int
+
+
+GIVEN = 5
+"""Ties inside the crop."""
+
+
+def moc_pair_project(shared_data: Path, folder: Path) -> tuple[Path, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """A solved project of the pair, and places of matches of both images by name, for a person to click.
+
+    E02's places are those of the crop.
+    """
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+    try:
+        import match_moc_pair as script
+    finally:
+        sys.path.pop(0)
+    pair = shared_data / "mgs_moc_pair"
+    cube, plain = pair / f"{script.E02}.tiny.cub", pair / f"{script.M01}.img"
+    image, apparent = read_isis_cube(cube), read_isis_cube(cube, apparent=True)
+    grid, ties, crop = script.MapGrid.read(cube), script.read_ties(pair / "tie_points.csv"), script.read_map(cube)
+    ground = script.ground_about(image, grid, crop.shape, shared_data)
+    window = script.into_camera(image, apparent, grid, crop, ground)
+    other = script.nominal_image(read_line_scan_label(plain), image)
+    points = ground.meet(*image.sightlines(*ties.e02.T))
+    local = ties.e02 - window.corner
+    inside = np.all((local > 0.0) & (local < window.pixels.shape), axis=1)
+    inside[inside] = np.isfinite(window.pixels[tuple(local[inside].astype(int).T)])
+    assert inside.sum() == GIVEN
+    first = replace(window.image, name="E02/01461")
+    second = replace(other, name="M01/00115")
+    known = [KnownImage(first, OrientationPrior(script.RESECTED)), KnownImage(second, OrientationPrior(script.UNKNOWN))]
+    n, free = len(ties.names), np.where(inside)[0]
+    up = points / np.linalg.norm(points, axis=1, keepdims=True)
+    covariances = np.eye(3) * 20.0**2 + (script.HEIGHT_SIGMA**2 - 20.0**2) * up[:, :, None] * up[:, None, :]
+    covariances[inside] = 0.0
+    kinds = np.where(inside, PointKind.FREE, PointKind.CONSTRAINED).astype(np.int64)
+    classes = np.where(inside, PointClass.TIE, PointClass.CONTROL).astype(np.int64)
+    ground_points = GroundPoints(Names.of(ties.names), classes, kinds, points, covariances)
+    rays = ImageRays(
+        np.concatenate([np.arange(n), free]), np.repeat([1, 0], [n, free.size]),
+        np.concatenate([ties.m01, local[free]]), np.full((n + free.size, 2), script.TIE_SIGMA),
+    )  # fmt: skip
+    nothing = np.zeros(0, dtype=np.int64)
+    network = Network(*image_columns(known), ground_points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
+    picture = _picture(folder / "E0201461.tif", window.pixels)
+    project = folder / "project"
+    with Project.create(project, "MOC pair", ProjectSettings()) as made:
+        images = (NewImage(known[0], (cube,), picture), NewImage(known[1], (plain,), plain))
+        put_in(made.store, Addition(images, network))
+        for one in images:
+            made.add_sources(one.known.image.name, one.files, one.picture)
+        made.record("init", "the MOC pair", {})
+    with open_project(project, write=True) as opened:
+        solve(opened, figures=False)
+    given = {name: (local[k], ties.m01[k]) for k, name in enumerate(ties.names) if inside[k]}
+    return project, given
+
+
+def _picture(path: Path, pixels: np.ndarray) -> Path:
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", driver="GTiff", height=pixels.shape[0], width=pixels.shape[1], count=1,
+                           dtype="float32") as file:  # fmt: skip
+            file.write(pixels.astype(np.float32), 1)
+    return path

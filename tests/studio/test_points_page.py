@@ -7,33 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from studio_page import Page
 from studio_server import studio
 
-from mgsgraph.cli import group
 from mgsgraph.network import PointClass
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import open_project
-from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
-
-
-def command(*words: object) -> None:
-    run = CliRunner().invoke(group, [str(word) for word in words])
-    assert run.exit_code == 0, run.output
-
-
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("points")
-    case = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder / "case")
-    command("init", folder / "project", "--case", case)
-    command("solve", folder / "project", "--no-figures")
-    return folder / "project"
 
 
 @pytest.fixture

@@ -21,23 +21,12 @@ from mgsgraph.cli import group
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import open_project
 from mgsgraph.results.archive import read_solution
-from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.studio.changes import EditLock
 
 
 def command(*words: object) -> None:
     run = CliRunner().invoke(group, [str(word) for word in words])
     assert run.exit_code == 0, run.output
-
-
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("studio")
-    case = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder / "case")
-    command("init", folder / "project", "--case", case)
-    command("solve", folder / "project", "--no-figures")
-    return folder / "project"
 
 
 @pytest.fixture(scope="module")
@@ -337,8 +326,8 @@ def test_a_server_that_is_killed_loses_nothing(solved: Path, tmp_path: Path) -> 
 # --- other kinds
 
 
-def test_results_and_cases_are_read_alone(solved: Path) -> None:
-    case = solved.parent / "case" / "case.toml"
+def test_results_and_cases_are_read_alone(solved: Path, case_file: Path) -> None:
+    case = case_file
     for path in (solved / "solutions" / "0001", case):
         with studio(path) as running:
             browser_ = running.browser()

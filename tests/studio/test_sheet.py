@@ -16,8 +16,6 @@ from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.project.reading import posterior_near, read_posterior
-from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.studio.changes import change
 from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.point_sheet import correlations, point_sheet
@@ -27,15 +25,6 @@ from mgsgraph.studio.point_sheet import tests_of as judged
 def command(*words: object) -> None:
     run = CliRunner().invoke(group, [str(word) for word in words])
     assert run.exit_code == 0, run.output
-
-
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("sheet")
-    case = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder / "case")
-    command("init", folder / "project", "--case", case)
-    command("solve", folder / "project", "--no-figures")
-    return folder / "project"
 
 
 @pytest.fixture
@@ -123,9 +112,11 @@ def test_a_point_held_where_its_sheet_says_it_is_stays_there(changed: tuple[Open
     assert max(sheet["sigmas_m"]) < 5.0
 
 
-def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(solved: Path, tmp_path: Path) -> None:
+def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(
+    solved: Path, case_file: Path, tmp_path: Path
+) -> None:
     assert posterior_near(solved, "nobody") is None
-    command("init", tmp_path / "new", "--case", solved.parent / "case" / "case.toml")
+    command("init", tmp_path / "new", "--case", case_file)
     opened = Opened(tmp_path / "new")
     name = opened.block().network.points.ids[0]
     assert posterior_near(tmp_path / "new", name) is None

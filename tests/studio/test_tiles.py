@@ -16,7 +16,7 @@ from PIL import Image
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.studio import tiles
-from mgsgraph.studio.tiles import SIDE, Tiles, encoded_tile, halved, open_picture
+from mgsgraph.studio.tiles import SIDE, Tiles, halved, open_picture
 
 Grey = NDArray[Any]
 
@@ -132,11 +132,6 @@ def test_missing_pixels_are_transparent(tmp_path: Path) -> None:
     assert found.shape == (20, 30, 2)
     assert found[3, 4, 1] == 0
     assert (found[:, :, 1] == 255).sum() == 20 * 30 - 1
-
-
-def test_a_picture_of_one_grey_has_a_contrast() -> None:
-    found = decoded(encoded_tile(np.full((5, 5), 7, np.uint8), 7.0, 8.0))
-    np.testing.assert_array_equal(found, 0)
 
 
 def test_a_changed_file_is_told_and_then_read_anew(tmp_path: Path) -> None:

@@ -105,6 +105,7 @@ def test_the_map_has_three_dimensional_sigmas_and_corrections_of_points(solution
 def test_files_of_the_pair_whatever_the_users_style(
     solution: Solution, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    """Slow: the one test whose figures get their pixels, twice."""
     settings, first, again = dict(mpl.rcParams), tmp_path / "new" / "folder", tmp_path / "again"
     with caplog.at_level(logging.WARNING):
         names = write_figures(solution, first)
