@@ -19,13 +19,12 @@ from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.ground import areoid_under
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
+from mgsgraph.simulation.sites import template
 from mgsgraph.simulation.spice_files import KernelSegment
 from mgsgraph.units import MILLISECOND
 
 _LABEL_BYTES = 2048
 """bytes of the label of the archive's compressed images (RECORD_BYTES of M0100115.imq)."""
-_WRITTEN = "2001-12-01T00:00:00"
-"""Date of production in the label; fixed, so that the same image gives the same bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,59 +80,15 @@ def _label(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8]) -> bytes
 
 def _text(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8], records: int) -> bytes:
     lines, samples = pixels.shape
-    checksum = int(pixels.view(np.int8).sum(dtype=np.int64)) % 2**32
-    statements = [
-        "PDS_VERSION_ID = PDS3",
-        f"FILE_NAME = {_quoted(path.name)}",
-        "RECORD_TYPE = FIXED_LENGTH",
-        f"RECORD_BYTES = {samples}",
-        f"FILE_RECORDS = {records + lines}",
-        f"LABEL_RECORDS = {records}",
-        f"^IMAGE = {records + 1}",
-        "SPACECRAFT_NAME = MARS_GLOBAL_SURVEYOR",
-        'MISSION_PHASE_NAME = "MAPPING"',
-        "TARGET_NAME = MARS",
-        'INSTRUMENT_ID = "MOC-NA"',
-        "PRODUCER_ID = MGSGRAPH_SIMULATION",
-        f'DATA_SET_ID = "MGS-M-MOC-NA/WA-2-{"SDP" if path.suffix == ".imq" else "DSDP"}-L0-V1.0"',
-        f"PRODUCT_CREATION_TIME = {_WRITTEN}",
-        'SOFTWARE_NAME = "mgsgraph simulate"',
-        'UPLOAD_ID = "UNK"',
-        f"PRODUCT_ID = {_quoted(label.product_id)}",
-        f"START_TIME = {label.start_time}",
-        f"IMAGE_TIME = {label.start_time}",
-        f"STOP_TIME = {label.stop_time}",
-        f"SPACECRAFT_CLOCK_START_COUNT = {_quoted(label.clock_start)}",
-        'SPACECRAFT_CLOCK_STOP_COUNT = "N/A"',
-        "FOCAL_PLANE_TEMPERATURE = 254.0 <K>",
-        'GAIN_MODE_ID = "6A"',
-        'OFFSET_MODE_ID = "32"',
-        f"LINE_EXPOSURE_DURATION = {label.exposure / MILLISECOND:.6f} <MILLISECONDS>",
-        f"DOWNTRACK_SUMMING = {label.downtrack_summing}",
-        f"CROSSTRACK_SUMMING = {label.crosstrack_summing}",
-        f'EDIT_MODE_ID = "{label.edit_mode}"',
-        f"RATIONALE_DESC = {_quoted(label.rationale)}",
-        'DATA_QUALITY_DESC = "OK"',
-        f"ORBIT_NUMBER = {label.orbit}",
-        "OBJECT = IMAGE",
-        f"LINES = {lines}",
-        f"LINE_SAMPLES = {samples}",
-        "LINE_PREFIX_BYTES = 0",
-        "LINE_SUFFIX_BYTES = 0",
-        "SAMPLE_TYPE = UNSIGNED_INTEGER",
-        "SAMPLE_BITS = 8",
-        "SAMPLE_BIT_MASK = 2#11111111#",
-        f"CHECKSUM = 16#{checksum:08X}#",
-        "END_OBJECT = IMAGE",
-        "END",
-    ]
-    return ("\r\n".join(statements) + "\r\n").encode("ascii")
-
-
-def _quoted(text: str) -> str:
-    if '"' in text or not text.isascii() or not text.isprintable():
-        raise InputError("MOC label", repr(text), "printable ASCII without quotation marks")
-    return f'"{text}"'
+    for text in (path.name, label.product_id, label.clock_start, label.rationale):
+        if '"' in text or not text.isascii() or not text.isprintable():
+            raise InputError("MOC label", repr(text), "printable ASCII without quotation marks")
+    text = template("moc.lbl").format(
+        name=path.name, label=label, lines=lines, samples=samples, records=records, file_records=records + lines,
+        first=records + 1, level="SDP" if path.suffix == ".imq" else "DSDP", exposure=label.exposure / MILLISECOND,
+        checksum=int(pixels.view(np.int8).sum(dtype=np.int64)) % 2**32,
+    )  # fmt: skip
+    return text.replace("\n", "\r\n").encode("ascii")
 
 
 # --- of a simulated site

@@ -27,6 +27,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
 from mgsgraph.record import Record
+from mgsgraph.simulation.sites import template
 from mgsgraph.units import DEG, SPEED_OF_LIGHT
 
 _CM, _MICRODEG = 1e-2, 1e-6 * DEG
@@ -109,8 +110,7 @@ def write_pedr(path: Path, frames: PedrFrames, product_label: Mapping[str, str] 
     frames : PedrFrames
         The shots.
     product_label : mapping, optional
-        Further keywords of the label with their values as they stand there, such as ``{"START_TIME": "2001-03-08"}``;
-        they replace those that are always written.
+        Further keywords of the label with their values as they stand there, such as ``{"START_TIME": "2001-03-08"}``.
 
     Returns
     -------
@@ -135,28 +135,12 @@ def _label(path: Path, frames: PedrFrames, count: int, more: Mapping[str, str]) 
     """Label of the first ten records. PEDR2TAB looks for the software's version in its first record, 25 characters
     after the keyword's first: 7.125 or more means that there are crossover corrections.
     """
-    statements = {
-        "PDS_VERSION_ID": "PDS3",
-        "RECORD_TYPE": "FIXED_LENGTH",
-        "FILE_RECORDS": f"{count + HEADER_RECORDS}",
-        "RECORD_BYTES": f"{FRAME.itemsize}",
-        "LABEL_RECORDS": f"{HEADER_RECORDS}",
-        "FILE_NAME": f'"{path.name.upper()}"',
-        "^PEDR_TABLE": f"{HEADER_RECORDS + 1}",
-        "DATA_SET_ID": '"MGS-M-MOLA-3-PEDR-L1A-V1.0"',
-        "PRODUCT_ID": f'"{path.name.upper()}"',
-        "SPACECRAFT_NAME": "MARS_GLOBAL_SURVEYOR",
-        "INSTRUMENT_ID": "MOLA",
-        "TARGET_NAME": "MARS",
-        "SOFTWARE_NAME": '"MGSGRAP 7.30"',
-        "PRODUCT_CREATION_TIME": "2001-12-01T00:00:00",
-        "START_ORBIT_NUMBER": f"{frames.orbit}",
-    } | dict(more)
-    lines = ["CCSD3ZF0000100000001NJPL3KS0PDSX"]
-    lines += [f"{key} = {value}" for key, value in statements.items()]
-    lines += ["OBJECT = PEDR_TABLE", "INTERCHANGE_FORMAT = BINARY", f"ROWS = {count}", f"ROW_BYTES = {FRAME.itemsize}"]
-    lines += ["END_OBJECT = PEDR_TABLE", "END"]
-    text, size = "\r\n".join(lines) + "\r\n", HEADER_RECORDS * FRAME.itemsize
+    text = template("pedr.lbl").format(
+        records=count + HEADER_RECORDS, bytes=FRAME.itemsize, label_records=HEADER_RECORDS, name=path.name.upper(),
+        table=HEADER_RECORDS + 1, orbit=frames.orbit, rows=count,
+        more="".join(f"{key} = {value}\n" for key, value in more.items()),
+    ).replace("\n", "\r\n")  # fmt: skip
+    size = HEADER_RECORDS * FRAME.itemsize
     if not text.isascii() or len(text) > size:
         raise InputError(f"{path}, label", f"{len(text)} characters", f"at most {size}, ASCII")
     return text.encode("ascii").ljust(size)
@@ -303,41 +287,8 @@ def _megdr_label(name: str, layout: MegdrLayout) -> str:
     """LINE = LPO - RES (LAT - CLAT), SAMPLE = SPO + RES (LON - CLON) (dsmap.cat)."""
     rows, columns = layout.shape
     resolution = round(DEG / layout.step)
-    line_offset = 1.0 + layout.first_latitude / layout.step
-    sample_offset = 1.0 - (layout.first_longitude / DEG - 180.0) * resolution
-    return f"""PDS_VERSION_ID            = "PDS3"
-RECORD_TYPE               = FIXED_LENGTH
-RECORD_BYTES              = {2 * columns}
-FILE_RECORDS              = {rows}
-^IMAGE                    = "{name.upper()}.IMG"
-DATA_SET_ID               = "MGS-M-MOLA-5-MEGDR-L3-V1.0"
-PRODUCT_ID                = "{name.upper()}.IMG"
-SPACECRAFT_NAME           = "MARS GLOBAL SURVEYOR"
-INSTRUMENT_ID             = MOLA
-TARGET_NAME               = MARS
-PRODUCT_VERSION_ID        = "SIMULATED"
-OBJECT                    = IMAGE
-  LINES                   = {rows}
-  LINE_SAMPLES            = {columns}
-  SAMPLE_TYPE             = MSB_INTEGER
-  SAMPLE_BITS             = 16
-  UNIT                    = METER
-  SCALING_FACTOR          = 1
-  OFFSET                  = {layout.offset:.0f}
-END_OBJECT                = IMAGE
-OBJECT                    = IMAGE_MAP_PROJECTION
-  MAP_PROJECTION_TYPE     = "SIMPLE CYLINDRICAL"
-  A_AXIS_RADIUS           = 3396.0 <KM>
-  B_AXIS_RADIUS           = 3396.0 <KM>
-  C_AXIS_RADIUS           = 3396.0 <KM>
-  POSITIVE_LONGITUDE_DIRECTION = "EAST"
-  CENTER_LATITUDE         = 0.0 <DEGREE>
-  CENTER_LONGITUDE        = 180.0 <DEGREE>
-  MAP_RESOLUTION          = {resolution} <PIXEL/DEGREE>
-  LINE_PROJECTION_OFFSET  = {line_offset:.6f}
-  SAMPLE_PROJECTION_OFFSET = {sample_offset:.6f}
-  COORDINATE_SYSTEM_TYPE  = "BODY-FIXED ROTATING"
-  COORDINATE_SYSTEM_NAME  = "PLANETOCENTRIC"
-END_OBJECT                = IMAGE_MAP_PROJECTION
-END
-"""
+    return template("megdr.lbl").format(
+        record=2 * columns, rows=rows, columns=columns, name=name.upper(), offset=layout.offset,
+        resolution=resolution, line_offset=1.0 + layout.first_latitude / layout.step,
+        sample_offset=1.0 - (layout.first_longitude / DEG - 180.0) * resolution,
+    )  # fmt: skip
