@@ -7,7 +7,6 @@ and the speed (3.39 km/s) come out right. At Eos Table 1's own numbers disagree:
 ratio of 0.41 and that orientation, which both want 22.0 deg. Table 1's emission is simulated; an option changes it.
 """
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -15,6 +14,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.decoding import toml_table
+from mgsgraph.files.opening import read_text
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.record import Record
@@ -157,7 +158,7 @@ def drawn_errors(prior: OrientationPrior, noise: float, rng: np.random.Generator
 
 def template(name: str) -> str:
     """A text that comes with this package: a table of settings, or a label or kernel with places for values."""
-    return (Path(__file__).with_name("data") / name).read_text(encoding="ascii")
+    return read_text(Path(__file__).with_name("data") / name)
 
 
 def _of_table(site: dict[str, Any]) -> SiteSettings:
@@ -177,4 +178,4 @@ def _image_of_table(image: dict[str, Any]) -> ImageSettings:
     return ImageSettings(**image | {"emission": image["emission"] * DEG, "errors": found})
 
 
-_SITES = tuple(_of_table(site) for site in tomllib.loads(template("sites.toml"))["sites"])
+_SITES = tuple(_of_table(site) for site in toml_table(template("sites.toml"), "sites.toml")["sites"])
