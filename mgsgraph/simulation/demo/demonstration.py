@@ -23,10 +23,8 @@ from mgsgraph.simulation.demo.truth import (
     BY_RELIEF,
     KERNELS,
     TIES,
-    BeforeAfter,
     Disagreement,
     disagreements,
-    orientation_errors,
     true_shots,
 )
 from mgsgraph.simulation.files import write_pair, write_site, write_strip, write_three_sites
@@ -152,8 +150,6 @@ class Demonstration:
     """Footprints in images before and after."""
     disagreements: tuple[Disagreement, ...]
     """Between footprints and images, against the truth, after each step."""
-    orientation: tuple[BeforeAfter, ...]
-    """By how much each image misplaces the true ground under each profile, by the kernels and as adjusted."""
     stages: Stages
     """Seconds that it took."""
 
@@ -219,8 +215,7 @@ def demonstrate(
     with stages.stage("comparing"):
         registration = register_case(case, solution)
         apart = disagreements(simulated, case, steps)
-        errors = orientation_errors(simulated, case, solution, registration)
-    return Demonstration(simulated, case, adjusted, found, registration, apart, errors, stages)
+    return Demonstration(simulated, case, adjusted, found, registration, apart, stages)
 
 
 def _registered_by_relief(case: Case, before: Solution, stages: Stages) -> ReliefRegistration | str:

@@ -1,14 +1,10 @@
 """How a solution compares with the truth of a simulation: errors before and after, their NEES, and misregistrations
 that only a simulation knows, with the sigmas that the law of error propagation predicts for them.
-
-Turning the camera by w about its own axes moves the image of a point P like moving P by M' (r x w), where r = M (P - C)
-is its ray in the camera; moving the camera by dC, like moving P by -dC. So everything follows from the derivative of
-the image point by the ground point, at the basis values of the line where the point is seen.
 """
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,14 +16,10 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import Column, Table
-from mgsgraph.geometry import rotation
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.footprints import Misregistration, misregistration, on_ground
-from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.simulation.site import SimulatedSite
@@ -95,49 +87,6 @@ def rms_length(errors: Array) -> float:
 # --- footprints in images
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BeforeAfter:
-    """A misregistration about the footprints of one profile, with the nominal and with the adjusted orientation."""
-
-    profile: str
-    """Its file's name without ending."""
-    before: Misregistration
-    """Nominal orientation."""
-    after: Misregistration
-    """Adjusted orientation; its sigmas are the predicted ones, zero where nothing is predicted."""
-
-    @property
-    def sigmas_off(self) -> Array:
-        """(k, 2) what is left along and across the flight, in units of the predicted sigmas."""
-        return self.after.pixels / self.after.pixel_sigmas
-
-
-def orientation_errors(
-    simulated: SimulatedSite, case: Case, solution: Solution, registration: CaseRegistration
-) -> tuple[BeforeAfter, ...]:
-    """Image points of the true ground under each profile in each image against their true ones: it is the orientation
-    alone that is off.
-    """
-    found = list[BeforeAfter]()
-    known, images = true_shots(simulated), solution.network.images
-    for shots, registered in zip(case.profiles, registration.after, strict=True):
-        rows = [known[name] for name in shots.ids]
-        points, pixels = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-        for j, image in enumerate(images):
-            with np.errstate(invalid="ignore"):
-                seen = np.all((pixels[:, j] >= 0.0) & (pixels[:, j] <= [image.lines, image.samples]), axis=1)
-            if not np.any(seen):
-                continue
-            adjusted, correction = solution.image(j), solution.correction(j)
-            inside = np.where(seen[:, None], pixels[:, j], np.nan)
-            found.append(BeforeAfter(
-                registered.name,
-                misregistration(image, shots, inside, None, points),
-                _predicted(misregistration(adjusted, shots, inside, correction, points), points, solution, j),
-            ))
-    return tuple(found)
-
-
 def true_shots(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
     """True ground point (3,) and pixels (2, 2) in both images, of each shot by its name."""
     return {
@@ -147,43 +96,6 @@ def true_shots(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
             shot_names(image), image.profile.true_footprints, image.profile.true_pixels, strict=True
         )
     }
-
-
-def _predicted(found: Misregistration, points: Array, solution: Solution, image: int) -> Misregistration:
-    """A misregistration with the sigmas that the orientation's covariance predicts for the pixels of the points (n,
-    3).
-    """
-    picture, correction = solution.image(image), solution.correction(image)
-    pixels, jacobian = pixel_jacobian(picture, points[found.shots], correction)
-    covariance = solution.correction_covariance(image)
-    metres = on_ground(picture, pixels, points[found.shots], correction)
-    return replace(
-        found, pixel_sigmas=propagated(jacobian, covariance), metre_sigmas=propagated(metres @ jacobian, covariance)
-    )
-
-
-# --- sigmas of image points
-
-
-def pixel_jacobian(image: PushbroomImage, points: Array, correction: OrientationCorrection) -> tuple[Array, Array]:
-    """Lines and samples (n, 2) of ground points (n, 3) in m, body-fixed, NaN where unseen, and their derivatives (n, 2,
-    6 m) by the m orientation coefficients, in pixels per m and per rad and in the order of `coefficients.ravel()`.
-    """
-    pixels, by_point = image.ground_to_image(points, correction)
-    lines = np.nan_to_num(pixels[:, 0])  # the Jacobian of an unseen point is NaN by `by_point`
-    moments = image.moments(lines)
-    pose = image.pose(lines, correction)
-    ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
-    turned = np.swapaxes(pose.matrix, 1, 2) @ rotation.skew(ray) @ correction.axes(image.pose(lines), moments)
-    moved = np.concatenate([np.broadcast_to(-np.eye(3), turned.shape), turned], axis=2)
-    jacobian = np.einsum("nk,nij->nikj", correction.basis(moments), by_point @ moved)
-    return pixels, jacobian.reshape(points.shape[0], 2, -1)
-
-
-def propagated(jacobian: Array, covariance: Array) -> Array:
-    """Standard deviations (n, 2) of n functions' two components by Jacobian (n, 2, c) and covariance (c, c)."""
-    return np.asarray(np.sqrt(np.einsum("nic,cd,nid->ni", jacobian, covariance, jacobian)))
-
 
 
 KERNELS, TIES, BY_RELIEF = "kernels", "ties and ranges", "relief"
